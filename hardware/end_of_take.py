@@ -20,6 +20,11 @@ class EndOfTake:
     def __init__(self, pulses: int | None, rate_hz: float) -> None:
         self._pulses, self._rate_hz = pulses, rate_hz
 
+    @property
+    def pulses(self) -> int | None:
+        """How many are wanted; None for no end."""
+        return self._pulses
+
     def is_past(self, pulse: int) -> bool:
         """Return whether a pulse lies beyond those wanted."""
         return self._pulses is not None and pulse >= self._pulses
@@ -35,7 +40,7 @@ class EndOfTake:
         if reached is None or reached < self._pulses + MARGIN_S * self._rate_hz:
             return False
         made = trigger.report().get("pulses")
-        return not isinstance(made, int) or made >= self._pulses
+        return not isinstance(made, int) or made + trigger.skipped() >= self._pulses
 
 
 def drained(end_ns: int, polling: Mapping[str, PollingTime], done: Collection[str]) -> bool:

@@ -9,7 +9,7 @@ import heapq
 import itertools
 from collections.abc import Collection, Iterator, Sequence
 
-from hardware.driver import Grabbed
+from hardware.pulse_numbers.camera_state import NumberedBuffer
 from mosca.data.frames import Frame
 
 
@@ -18,7 +18,7 @@ class ReorderBuffer:
 
     def __init__(self, cameras: Sequence[str], capacity_bytes: int) -> None:
         self._newest = dict.fromkeys(cameras, -1)
-        self._heap: list[tuple[int, int, Frame, Grabbed]] = []
+        self._heap: list[tuple[int, int, Frame, NumberedBuffer]] = []
         self._order = itertools.count()
         self._bytes, self._capacity = 0, capacity_bytes
 
@@ -26,12 +26,12 @@ class ReorderBuffer:
         """Note the newest pulse of a camera."""
         self._newest[camera] = max(self._newest[camera], pulse)
 
-    def push(self, pulse: int, frame: Frame, buffer: Grabbed) -> None:
+    def push(self, pulse: int, frame: Frame, buffer: NumberedBuffer) -> None:
         """Insert a frame."""
         heapq.heappush(self._heap, (pulse, next(self._order), frame, buffer))
         self._bytes += 0 if frame.image is None else frame.image.nbytes
 
-    def release(self, active: Collection[str]) -> Iterator[tuple[Frame, Grabbed]]:
+    def release(self, active: Collection[str]) -> Iterator[tuple[Frame, NumberedBuffer]]:
         """Yield the frames of the pulses that all ``active`` cameras have reached, and what exceeds the capacity."""
         reached = min((self._newest[name] for name in active), default=None)
         while self._heap and (reached is None or self._heap[0][0] <= reached or self._bytes > self._capacity):

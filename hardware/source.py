@@ -9,7 +9,7 @@ Threads read the cameras (``hardware.camera_readers``); their buffers are number
 import logging
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict
 from typing import Self
@@ -19,6 +19,7 @@ from hardware.driver import CameraDriver, ClockReading, DeviceError, DeviceRepor
 from hardware.drivers import open_camera
 from hardware.end_of_take import EndOfTake, drained
 from hardware.frame_maker import FrameMaker
+from hardware.pulse_grid import SentPulse
 from hardware.pulse_numbers.camera_state import NumberedBuffer
 from hardware.pulse_numbers.clock_poller import ClockPoller
 from hardware.pulse_numbers.numbering import PulseNumbers
@@ -113,8 +114,8 @@ class HardwareSource:
         """Arm, start the pulses and yield frames, pulse by pulse, until ``pulses`` are over or ``stop``."""
         return (frame for frame, _ in self.with_buffers())
 
-    def with_buffers(self) -> Iterator[tuple[Frame, Grabbed]]:
-        """Yield as ``iter`` does, each frame with its buffer: when it arrived, the device's own stamp and count."""
+    def with_buffers(self) -> Iterator[tuple[Frame, NumberedBuffer]]:
+        """Yield as ``iter`` does, each frame with its buffer and its pulse, and how that was found."""
         if self._started:
             raise DeviceError("the source of this rig was iterated before; open it again for another take")
         self._started = True
@@ -125,6 +126,7 @@ class HardwareSource:
                 self.rig.shared.rate_hz,
                 start_ns,
                 free=free_running(self.rig.cameras, self._drivers),
+                played=[name for name, driver in self._drivers.items() if not driver.capabilities.real_time],
             )
             for received in self._received(numbers):
                 if received is not None:
@@ -143,7 +145,12 @@ class HardwareSource:
 
     def session_ns(self, host_ns: int) -> int | None:
         """Return a host time (monotonic) in the frames' clock [ns]; None before frames are numbered."""
-        return None if self._numbers is None else self._numbers.session_ns(host_ns)
+        own = self._trigger.session_ns(host_ns)
+        return own if own is not None or self._numbers is None else self._numbers.session_ns(host_ns)
+
+    def new_pulses(self) -> Sequence[SentPulse]:
+        """Return the pulses that this machine sent since the last call, for the recording."""
+        return self._trigger.new_pulses()
 
     def account(self) -> dict[str, object]:
         """Return what each camera received, the trigger's report and the notes, for a run's record."""
@@ -216,6 +223,9 @@ class HardwareSource:
 
     def _disarm(self) -> None:
         self._trigger.stop()
+        self._note_skipped()
+        for note in self._trigger.notes(self._end.pulses):
+            self.statistics.note(note)
         for name, counter in ({} if self._numbers is None else self._numbers.trigger_counters).items():
             camera = self.statistics.cameras[name]
             camera.unreached, camera.ignored = counter.unreached, counter.ignored
@@ -249,6 +259,7 @@ class HardwareSource:
             name, buffer = ("", None) if received is None else received
             yield None if buffer is None else (name, buffer)
             self._note_silent(noted)
+            self._note_skipped()
             if readers.end_ns is None and self._end.pulses_over(self._trigger, numbers, time.monotonic_ns()):
                 self._trigger.stop()
                 readers.end_ns = time.monotonic_ns()
@@ -271,14 +282,24 @@ class HardwareSource:
                     "exposure time against the rate, and its cable"
                 )
 
+    def _note_skipped(self) -> None:
+        """Count the pulses that the trigger skipped; note the first at once, the number at the end (``_disarm``)."""
+        skipped = self._trigger.skipped(self._end.pulses)
+        if skipped and not self.statistics.skipped_pulses:
+            self.statistics.note(
+                f"trigger '{self.rig.shared.trigger.source}': pulses are skipped, since they cannot be sent in their "
+                f"periods at rate_hz = {self.rig.shared.rate_hz:g}; use a lower one, or a trigger line"
+            )
+        self.statistics.skipped_pulses = skipped
+
     def _numbered(self, numbers: PulseNumbers, name: str, buffer: Grabbed | ClockReading) -> Iterator[NumberedBuffer]:
         """Yield ``buffer`` with its pulse: the trigger's, where each pulse waits for its frames, else the clock's."""
         if isinstance(buffer, ClockReading):
             yield from numbers.read(name, buffer)
             return
-        certain = self._trigger.pulse_at(buffer.host_ns)
+        certain = self._trigger.pulse_of(name, buffer)
         if certain is not None:
-            yield NumberedBuffer(name, certain, 0.0, buffer)
+            yield NumberedBuffer(name, certain.pulse, certain.residual_ns, buffer, "trigger")
         else:
             yield from numbers.take(name, buffer)
 
@@ -288,11 +309,12 @@ class HardwareSource:
             camera = self.statistics.cameras[one.camera]
             camera.whole += one.buffer.image is not None
             camera.failed += one.buffer.image is None
+            camera.unproven += one.found == "arrival"
             self._buffer.advance(one.camera, one.pulse)
             if self._end.is_past(one.pulse):
                 self._past_end.add(one.camera)
             else:
-                self._buffer.push(one.pulse, self._frames.frame(one), one.buffer)
+                self._buffer.push(one.pulse, self._frames.frame(one), one)
         self._clocks.ask(numbers)
         if numbers.notes:  # each clock that was aligned again left one
             for name, relocks in numbers.relocks.items():

@@ -20,6 +20,8 @@ class BufferCounts:
     """How often the device was lost and opened again."""
     relocked: int = 0
     """How often its device clock jumped and was aligned again."""
+    unproven: int = 0
+    """Frames whose pulses only arrival times tell, which is not certain (``hardware.pulse_numbers.counting``)."""
     unreached: int = 0
     """Pulses that did not reach the camera, by its trigger counter (``hardware.pulse_numbers.trigger_counter``)."""
     ignored: int = 0
@@ -33,6 +35,8 @@ class RigStatistics:
     """Counts of all cameras, and what happened."""
 
     cameras: dict[str, BufferCounts] = field(default_factory=dict)
+    skipped_pulses: int = 0
+    """Pulses that this machine could not send in their periods (``hardware.pulse_grid``)."""
     notes: list[str] = field(default_factory=list)
     """Events, one line each, in the order in which they happened."""
 

@@ -1,6 +1,11 @@
 """Interface of the triggers: pulses are stopped, cameras are armed, pulses begin, so all share the first pulse."""
 
+from collections.abc import Sequence
 from typing import Protocol
+
+from hardware.driver import Grabbed
+from hardware.pulse_grid import SentPulse
+from hardware.pulse_numbers.clock_model import StampPulse
 
 
 class Trigger(Protocol):
@@ -16,6 +21,26 @@ class Trigger(Protocol):
 
     def pulse_at(self, host_ns: int) -> int | None:
         """Return the last pulse before ``host_ns`` where each pulse waits for its frames, else None."""
+        ...
+
+    def pulse_of(self, camera: str, buffer: Grabbed) -> StampPulse | None:
+        """Return the pulse of a frame of ``camera``, and how far from it its exposure began, where it waits."""
+        ...
+
+    def session_ns(self, host_ns: int) -> int | None:
+        """Return a host time from pulse 0 on [ns], where each pulse waits for its frames, else None."""
+        ...
+
+    def new_pulses(self) -> Sequence[SentPulse]:
+        """Return the pulses that this machine sent since the last call."""
+        ...
+
+    def skipped(self, before: int | None = None) -> int:
+        """Return how many pulses, of those ``before`` a number, this machine skipped since it could not send them."""
+        ...
+
+    def notes(self, before: int | None = None) -> list[str]:
+        """Return what went wrong with the pulses ``before`` a number, one line each."""
         ...
 
     def frame_arrived(self, camera: str, host_ns: int) -> None:
@@ -55,6 +80,26 @@ class External:
     def pulse_at(self, host_ns: int) -> int | None:
         """Return None: nothing is known of the pulses."""
         return None
+
+    def pulse_of(self, camera: str, buffer: Grabbed) -> StampPulse | None:
+        """Return None: nothing is known of the pulses."""
+        return None
+
+    def session_ns(self, host_ns: int) -> int | None:
+        """Return None: nothing is known of the pulses."""
+        return None
+
+    def new_pulses(self) -> Sequence[SentPulse]:
+        """Return none: this machine sends none."""
+        return ()
+
+    def skipped(self, before: int | None = None) -> int:
+        """Return 0: this machine sends none."""
+        return 0
+
+    def notes(self, before: int | None = None) -> list[str]:
+        """Return none: nothing is known of the pulses."""
+        return []
 
     def frame_arrived(self, camera: str, host_ns: int) -> None:
         """Do nothing."""

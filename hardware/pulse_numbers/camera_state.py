@@ -7,6 +7,7 @@ them had it been as quick as the quickest, and whether the device clock jumped b
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Literal
 
 from hardware.driver import Grabbed
 from hardware.pulse_numbers.clock_model import DeviceClock
@@ -16,6 +17,13 @@ from hardware.pulse_numbers.trigger_counter import TriggerCounter
 BACKWARD_STEP, OFF_GRID_STEP = -0.2, 0.25
 """Shares of a period: a stamp that lies farther behind the last one, or farther off whole periods from it, is of a
 clock that jumped."""
+
+
+Found = Literal["trigger", "clock", "stamp", "count", "arrival", "neighbours", "free", "played"]
+"""How a frame's pulse was found: the command that this computer sent and whose frame was waited for; the camera's
+clock, which is read; its time stamps, whose first pulse the arrivals decided; its counter, confirmed by arrivals; its
+arrival, which is not certain; the frames beside it; the pulse nearest to a free-running camera's frame; its place in
+a file that is played."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,6 +36,8 @@ class NumberedBuffer:
     residual_ns: float
     """Deviation of its time stamp from the camera's line of pulses [ns]."""
     buffer: Grabbed
+    found: Found
+    """How the number was found."""
 
 
 @dataclass
@@ -48,7 +58,16 @@ class CameraState:
     """Arrival delays of its latest frames [ns]."""
     last_block: int | None = None
     """Block id of the last numbered buffer."""
-    last_pulse: int = 0
+    last_pulse: int = -1
+    """Pulse of the last numbered buffer; -1 before any."""
+    last_counts: tuple[int, Grabbed] | None = None
+    """Pulse and buffer from which frames without time stamps are counted (``hardware.pulse_numbers.counting``)."""
+    proven: bool = True
+    """Whether the pulses of its frames without time stamps are certain."""
+    recounted: bool = False
+    """Whether arrivals contradicted the count."""
+    played: bool = False
+    """Whether it is a file that is played: its frames follow no clock and are counted."""
     suspect_pulse: int | None = None
     """Pulse that the device clock gave for the first pending buffer; None where it gave none."""
     counter: TriggerCounter = field(default_factory=TriggerCounter)
@@ -57,13 +76,20 @@ class CameraState:
     unidentified: list[Grabbed] = field(default_factory=list)
     """Buffers without block id and stamp since the last numbered one."""
 
+    @property
+    def stampless(self) -> bool:
+        """Whether it has sent no time stamp, and is triggered or played."""
+        return self.free is None and not self.clock.locked and all(b.device_ns is None for b in self.pending)
+
 
 def earliest_arrival_ns(pending: Sequence[Grabbed], period_ns: float) -> float:
     """Return when the first of ``pending`` would have arrived had it been as quick as the quickest of them [ns]."""
     stamps = [(b, b.device_ns) for b in pending]
     first = next((stamp for _, stamp in stamps if stamp is not None), None)
     if first is None:
-        return min(b.host_ns - b.exposure_ns - k * period_ns for k, b in enumerate(pending))
+        block = pending[0].block_id
+        steps = [k if block is None or b.block_id is None else b.block_id - block for k, b in enumerate(pending)]
+        return min(b.host_ns - b.exposure_ns - k * period_ns for k, b in zip(steps, pending, strict=True))
     return min(
         b.host_ns - b.exposure_ns - round((s - first) / period_ns) * period_ns for b, s in stamps if s is not None
     )

@@ -13,6 +13,7 @@ few arrivals decides (a vote), at the start and whenever a clock jumped:
   restarted or its clock was set; its next frames are pending until enough have voted, then all are released.
 - a time stamp that fits a later pulse, while its frame does not arrive as the other cameras' do: the clock
   may have jumped by whole periods, and the next frames vote. A busy machine is late for all cameras alike.
+- a camera without time stamps is counted, and checked by arrivals (``hardware.pulse_numbers.counting``).
 - a buffer without block id and time stamp waits for the next one, from which its pulse follows.
 
 Nothing is dropped: each buffer comes out once, in order, with its pulse.
@@ -47,6 +48,8 @@ class PulseNumbers:
     free
         Free-running cameras; each of their frames belongs to the pulse nearest to it, so a pulse may have two of
         them, or none.
+    played
+        Files that are played: their frames follow no clock and are counted.
     """
 
     def __init__(
@@ -56,13 +59,16 @@ class PulseNumbers:
         start_ns: int | None = None,
         start_wait_s: float = 1.0,
         free: Collection[str] = (),
+        played: Collection[str] = (),
     ) -> None:
         self._settings = NumberingSettings.at_rate(rate_hz, start_ns, start_wait_s)
         self.notes: list[str] = []
         """Jumps of device clocks, one line each."""
         period_ns = self.period_ns = self._settings.period_ns
         self._cameras = {
-            name: CameraState(name, DeviceClock(period_ns), free=FreeClock(rate_hz) if name in free else None)
+            name: CameraState(
+                name, DeviceClock(period_ns), free=FreeClock(rate_hz) if name in free else None, played=name in played
+            )
             for name in cameras
         }
         self._clocks = ClockPulses(period_ns)
@@ -152,4 +158,4 @@ class PulseNumbers:
         """
         waiting, camera.unidentified = camera.unidentified, []
         for k, buffer in enumerate(waiting, start=1):
-            yield NumberedBuffer(camera.name, max(last, min(last + k, following - 1)), 0.0, buffer)
+            yield NumberedBuffer(camera.name, max(last, min(last + k, following - 1)), 0.0, buffer, "neighbours")

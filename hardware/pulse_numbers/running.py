@@ -5,16 +5,21 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from hardware.driver import Grabbed
-from hardware.pulse_numbers.camera_state import CameraState, NumberedBuffer, earliest_arrival_ns, index_after_jump
+from hardware.pulse_numbers.camera_state import (
+    CameraState,
+    Found,
+    NumberedBuffer,
+    earliest_arrival_ns,
+    index_after_jump,
+)
 from hardware.pulse_numbers.clock_model import HostPulseTimes
 from hardware.pulse_numbers.clock_sync import ClockPulses
+from hardware.pulse_numbers.counting import OFF_PULSE, CountedPulses
 from hardware.pulse_numbers.free_running import FreeClock
 from hardware.pulse_numbers.settings import NumberingSettings
 
 STALL_NS = 100_000_000
 """A frame may be so late, with the stamps in order, before its device clock is suspected; none can be early."""
-OFF_PULSE = 0.6
-"""Share of a period: a frame that arrives farther off than this is not of the supposed pulse."""
 
 
 class Running:
@@ -36,6 +41,9 @@ class Running:
         self.pulse_times = pulse_times
         self._cameras, self._settings, self._clocks, self._notes = cameras, settings, clocks, notes
         self._period_ns = settings.period_ns
+        self._counting = CountedPulses(
+            pulse_times, settings, self._delay_of_stamped_ns, notes, follows=clocks is None
+        )
 
     def follows_clock(self, name: str) -> bool:
         """Return whether readings of this camera's clock are used."""
@@ -51,6 +59,8 @@ class Running:
         if camera.free is not None:
             pending, camera.pending = camera.pending, []
             return [self._nearest(camera, camera.free, buffer) for buffer in pending]
+        if camera.stampless:
+            return list(self._counting.begin(camera, earliest_ns))
         pulse = self.pulse_times.pulse_of(earliest_ns)
         camera.latency_ns = earliest_ns - self.pulse_times.at(pulse)
         return list(self._lock(camera, pulse))
@@ -59,7 +69,7 @@ class Running:
         """Take a buffer; yield those whose pulses are known by now."""
         if camera.free is not None:
             yield self._nearest(camera, camera.free, buffer)
-        elif not camera.started or camera.pending:
+        elif not camera.started or camera.pending or (camera.stampless and buffer.device_ns is None):
             camera.pending.append(buffer)
             yield from self.settle(camera)
         else:
@@ -70,6 +80,9 @@ class Running:
 
         ``final``: now, since no more frames or readings come.
         """
+        if camera.stampless:
+            yield from self._counting.settle(camera, final)
+            return
         clocks = self._clocks
         if not camera.pending or clocks is None or not clocks.trusted(camera.name):
             yield from self._vote(camera, final)
@@ -134,7 +147,7 @@ class Running:
         """Number a frame of a free-running camera by its exposure time."""
         at_ns = clock.at(buffer)
         pulse = max(self.pulse_times.pulse_of(at_ns), 0)
-        return NumberedBuffer(camera.name, pulse, at_ns - self.pulse_times.at(pulse), buffer)
+        return NumberedBuffer(camera.name, pulse, at_ns - self.pulse_times.at(pulse), buffer, "free")
 
     def _follow(self, camera: CameraState, buffer: Grabbed) -> Iterator[NumberedBuffer]:
         """Number a buffer by its stamp, or make it pending where the device clock is suspect."""
@@ -181,9 +194,17 @@ class Running:
             camera.delays.popleft()
         return False
 
+    def _delay_of_stamped_ns(self, camera: CameraState) -> float:
+        """Return the present delay of the other cameras' frames, of those with stamps [ns]; 0 without such."""
+        others = self._delays_of_others_ns(camera)
+        return float(np.median(others)) if others else 0.0
+
+    def _delays_of_others_ns(self, camera: CameraState) -> list[float]:
+        return [min(c.delays) for c in self._cameras.values() if c is not camera and c.delays and not c.pending]
+
     def _usual_delay_ns(self, camera: CameraState) -> float:
         """Return the present delay of frames [ns]: the other cameras', without others this camera's own."""
-        others = [min(c.delays) for c in self._cameras.values() if c is not camera and c.delays and not c.pending]
+        others = self._delays_of_others_ns(camera)
         return float(np.median(others)) if others else min(camera.delays, default=0.0)
 
     def _by_arrival(self, camera: CameraState, buffer: Grabbed) -> NumberedBuffer:
@@ -193,11 +214,14 @@ class Running:
             by_block = camera.last_pulse + block - last
             arrival = self._arrival_ns(camera, buffer)
             if self.pulse_times.at(by_block) < arrival + OFF_PULSE * self._period_ns:
-                return self._numbered(camera, by_block, 0.0, buffer)
+                return self._numbered(camera, by_block, 0.0, buffer, "neighbours")
         pulse = self.pulse_times.pulse_of(self._arrival_ns(camera, buffer))
-        return self._numbered(camera, max(pulse, camera.last_pulse + 1), 0.0, buffer)
+        return self._numbered(camera, max(pulse, camera.last_pulse + 1), 0.0, buffer, "arrival")
 
-    def _numbered(self, camera: CameraState, pulse: int, residual_ns: float, buffer: Grabbed) -> NumberedBuffer:
+    def _numbered(
+        self, camera: CameraState, pulse: int, residual_ns: float, buffer: Grabbed, found: Found | None = None
+    ) -> NumberedBuffer:
         camera.last_block, camera.last_pulse = buffer.block_id, pulse
         camera.counter.take(pulse, buffer)
-        return NumberedBuffer(camera.name, pulse, residual_ns, buffer)
+        by_stamp: Found = "clock" if self.follows_clock(camera.name) else "stamp"
+        return NumberedBuffer(camera.name, pulse, residual_ns, buffer, found or by_stamp)

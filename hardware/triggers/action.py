@@ -1,7 +1,8 @@
 """GigE Vision action commands: one datagram triggers all cameras that hold its keys.
 
 Cameras expose when it arrives, a network's jitter apart. Those whose clocks agree by PTP take the instant of exposure
-with the command (``lead_ms``): then they expose together.
+with the command (``lead_ms``): then they expose together. A pulse that this computer cannot send in its period is
+skipped and counted (``hardware.pulse_grid``): a burst of late ones would be ignored by the cameras.
 """
 
 import logging
@@ -9,8 +10,10 @@ import socket
 import struct
 import threading
 import time
+from collections import deque
 
 from hardware.driver import DeviceError
+from hardware.pulse_grid import UNREAD_PULSES, HostClock, PulseGrid, SentPulse
 from hardware.settings import TriggerTable
 from hardware.trigger import External
 
@@ -21,11 +24,16 @@ log = logging.getLogger("mosca.hardware.triggers")
 
 
 class ActionTrigger(External):
-    """Broadcasts an action command ``rate_hz`` times a second; a ``hardware.trigger.Trigger``."""
+    """Broadcasts an action command ``rate_hz`` times a second; a ``hardware.trigger.Trigger``.
 
-    def __init__(self, table: TriggerTable, rate_hz: float) -> None:
+    ``clock`` is for tests.
+    """
+
+    def __init__(self, table: TriggerTable, rate_hz: float, clock: HostClock | None = None) -> None:
         self._table = table
-        self._period_s = 1 / rate_hz
+        self._clock = clock or HostClock()
+        self._grid = PulseGrid(rate_hz, self._clock)
+        self._new: deque[SentPulse] = deque(maxlen=UNREAD_PULSES)
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
         self._pulses = 0
@@ -40,10 +48,10 @@ class ActionTrigger(External):
         """Begin with pulse 0 now; return this machine's time of it [ns]."""
         self._stop.clear()
         self._pulses = 0
-        begin = time.monotonic()
-        self._thread = threading.Thread(target=self._run, args=(begin,), name="action commands", daemon=True)
+        begin_ns = self._grid.begin()
+        self._thread = threading.Thread(target=self.run, name="action commands", daemon=True)
         self._thread.start()
-        return round(begin * 1e9)
+        return begin_ns
 
     def stop(self) -> None:
         """Send no more."""
@@ -52,24 +60,42 @@ class ActionTrigger(External):
             self._thread.join()
             self._thread = None
 
+    def new_pulses(self) -> list[SentPulse]:
+        """Return the pulses sent since the last call."""
+        return [self._new.popleft() for _ in range(len(self._new))]
+
+    def skipped(self, before: int | None = None) -> int:
+        """Return how many pulses were skipped, of those ``before`` a number."""
+        return self._grid.skipped(before)
+
+    def notes(self, before: int | None = None) -> list[str]:
+        """Return a line on skipped pulses and one on those that the network refused, where there are any."""
+        notes = self._grid.skipped_note("action commands", before)
+        if self.lost:
+            notes.append(f"action commands: the network refused {self.lost} of them; check interface and cable")
+        return notes
+
     def report(self) -> dict[str, object]:
-        """Return the pulses made and those that the network refused."""
-        return {"pulses": self._pulses, "refused": self.lost}
+        """Return the pulses made, those skipped, and those that the network refused."""
+        return {"pulses": self._pulses, "skipped_pulses": self._grid.skipped(), "refused": self.lost}
 
     def close(self) -> None:
         """Stop and free the socket; may be called twice."""
         self.stop()
         self._socket.close()
 
-    def _run(self, begin: float) -> None:
+    def run(self) -> None:
+        """Make pulses until ``stop``; run by the thread that ``start`` starts."""
         while True:
-            wait = begin + self._pulses * self._period_s - time.monotonic()
-            if self._stop.wait(wait) if wait > 0 else self._stop.is_set():
+            number = self._grid.await_next(self._stop)
+            if number is None:
                 return
-            self._send(self._pulses % 0xFFFF + 1)
+            sent_ns = self._clock.now_ns()
+            if self._send(number % 0xFFFF + 1):
+                self._new.append(SentPulse(number, self._grid.nominal_ns(number), sent_ns, self._clock.now_ns()))
             self._pulses += 1
 
-    def _send(self, request: int) -> None:
+    def _send(self, request: int) -> bool:
         keys = struct.pack(">III", self._table.device_key, self._table.group_key, self._table.group_mask)
         if self._table.lead_ms:
             keys += struct.pack(
@@ -82,3 +108,5 @@ class ActionTrigger(External):
         except OSError as error:  # the pulse is lost for all cameras; its frames are missing and counted
             log.debug("action command not sent (%s)", error)
             self.lost += 1
+            return False
+        return True

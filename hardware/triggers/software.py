@@ -1,16 +1,20 @@
 """Software trigger: commands each camera to expose, pulse by pulse, and waits for the frames.
 
 Waiting makes the pairing certain for cameras without a clock, and keeps from triggering cameras that are not ready,
-which they ignore silently. The price is the rate: a pulse that has to wait is late, which is counted.
+which they ignore silently. The price is the rate: pulses that come due meanwhile are skipped, and counted
+(``hardware.pulse_grid``). A frame's time is when its camera's command went out and came back.
 """
 
 import logging
 import threading
-import time
 from bisect import bisect_right
+from collections import Counter, deque
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 
-from hardware.driver import CameraDriver, DeviceError
+from hardware.driver import CameraDriver, DeviceError, Grabbed
+from hardware.pulse_grid import LATEST_TIME, UNREAD_PULSES, HostClock, PulseGrid, SentPulse
+from hardware.pulse_numbers.clock_model import StampPulse
 from hardware.silence import PollingTime
 
 FRAME_TIMEOUT_S = 5.0
@@ -18,13 +22,28 @@ FRAME_TIMEOUT_S = 5.0
 pulse's. Time in which this process did not poll does not count (``hardware.silence``)."""
 MISSES_TO_IGNORE = 3
 """A camera that missed so many pulses in a row is not waited for until it delivers again."""
+REST = 10
+"""A camera whose command failed is left alone for so many times as long as that took: it then holds up the others for
+a tenth of the time at most; with half of it for a fifth, with double of it it comes back later."""
 log = logging.getLogger("mosca.hardware.triggers")
 
 
-class SoftwareTrigger:
-    """Triggers all ``drivers`` that can be, ``rate_hz`` times a second at most."""
+@dataclass
+class _Commands:
+    """Commands to one camera: host times and numbers of the pulses, in order.
 
-    def __init__(self, drivers: Mapping[str, CameraDriver], rate_hz: float) -> None:
+    ``at_ns``: when each was carried out, by the driver's word; None where that is not known (yet).
+    """
+
+    sent_ns: list[int] = field(default_factory=list)
+    numbers: list[int] = field(default_factory=list)
+    at_ns: list[int | None] = field(default_factory=list)
+
+
+class SoftwareTrigger:
+    """Triggers all ``drivers`` that can be, ``rate_hz`` times a second at most; ``clock`` is for tests."""
+
+    def __init__(self, drivers: Mapping[str, CameraDriver], rate_hz: float, clock: HostClock | None = None) -> None:
         for name, driver in drivers.items():
             if not driver.capabilities.software_trigger:
                 raise DeviceError(
@@ -32,26 +51,35 @@ class SoftwareTrigger:
                     "serial or external for instance"
                 )
         self._drivers = drivers
-        self._period_s = 1 / rate_hz
-        self._times_ns: list[int] = []
+        self._clock = clock or HostClock()
+        self._grid = PulseGrid(rate_hz, self._clock)
+        self._made = _Commands()
+        self._commands = {name: _Commands() for name in drivers}
+        self._new: deque[SentPulse] = deque(maxlen=UNREAD_PULSES)
         self._awaited: set[str] = set()
         self._lost: set[str] = set()
+        self._resting_until_ns = dict.fromkeys(drivers, 0)
         self._fired_ns: int | None = None
         self._polling: dict[str, PollingTime] = {}
         self._missed = dict.fromkeys(drivers, 0)
         self._changed = threading.Condition()
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
-        self.late_pulses = 0
+        self._unsent: Counter[str] = Counter()
+        self._slow_answers: Counter[str] = Counter()
         self.failed: dict[str, str] = {}
 
     def start(self) -> int | None:
-        """Begin with pulse 0 now."""
+        """Begin with pulse 0 now; return this machine's time of it [ns]."""
         self._stop.clear()
-        self._times_ns.clear()
-        self._thread = threading.Thread(target=self._run, name="software trigger", daemon=True)
+        for commands in (self._made, *self._commands.values()):
+            commands.sent_ns.clear()
+            commands.numbers.clear()
+            commands.at_ns.clear()
+        begin_ns = self._grid.begin()
+        self._thread = threading.Thread(target=self.run, name="software trigger", daemon=True)
         self._thread.start()
-        return None
+        return begin_ns
 
     def stop(self) -> None:
         """Make no more pulses."""
@@ -62,8 +90,48 @@ class SoftwareTrigger:
 
     def pulse_at(self, host_ns: int) -> int | None:
         """Return the last pulse that was made before ``host_ns``."""
-        index = bisect_right(self._times_ns, host_ns) - 1
-        return index if index >= 0 else None
+        index = bisect_right(self._made.sent_ns, host_ns) - 1
+        return self._made.numbers[index] if index >= 0 else None
+
+    def pulse_of(self, camera: str, buffer: Grabbed) -> StampPulse | None:
+        """Return the last pulse that was sent to ``camera`` before ``buffer`` arrived, and how late it was."""
+        commands = self._commands[camera]
+        index = bisect_right(commands.sent_ns, buffer.host_ns) - 1
+        if index < 0:
+            return None
+        number, at_ns = commands.numbers[index], commands.at_ns[index]
+        if at_ns is None:  # no answer yet: after it was sent, before the exposure ended
+            at_ns = max(buffer.host_ns - buffer.exposure_ns, commands.sent_ns[index])
+        late_ns, limit_ns = self._late_ns(number, at_ns), LATEST_TIME * self._grid.period_ns
+        self._slow_answers[camera] += late_ns > limit_ns
+        return StampPulse(number, min(late_ns, limit_ns))
+
+    def session_ns(self, host_ns: int) -> int | None:
+        """Return a host time from pulse 0 on [ns]; None before it."""
+        return host_ns - self._grid.begin_ns if self._made.sent_ns else None
+
+    def new_pulses(self) -> list[SentPulse]:
+        """Return the pulses sent since the last call."""
+        return [self._new.popleft() for _ in range(len(self._new))]
+
+    def skipped(self, before: int | None = None) -> int:
+        """Return how many pulses were skipped, of those ``before`` a number."""
+        return self._grid.skipped(before)
+
+    def notes(self, before: int | None = None) -> list[str]:
+        """Return what went wrong with the pulses ``before`` a number, one line each."""
+        notes = self._grid.skipped_note("software trigger", before)
+        for name, count in self._unsent.items():
+            notes.append(
+                f"camera '{name}': {count} pulses were not sent to it: the commands to the cameras before it took "
+                "too long; use a lower rate_hz or a trigger line"
+            )
+        for name, count in (+self._slow_answers).items():
+            notes.append(
+                f"camera '{name}': {count} frames have uncertain times: its trigger commands took "
+                "about half a period or longer; use a lower rate_hz or a trigger line"
+            )
+        return notes + [f"software trigger: {text}" for text in self.failed.values()]
 
     def frame_arrived(self, camera: str, host_ns: int) -> None:
         """Register the camera's frame of the last pulse; the next one waits until all have arrived."""
@@ -103,39 +171,71 @@ class SoftwareTrigger:
         self._changed.notify()
 
     def report(self) -> dict[str, object]:
-        """Return pulses made, and how many were late because frames were waited for."""
-        return {"pulses": len(self._times_ns), "late_pulses": self.late_pulses, **self.failed}
+        """Return pulses made, those skipped because frames were waited for, and what went wrong by camera."""
+        return {
+            "pulses": len(self._made.numbers),
+            "skipped_pulses": self._grid.skipped(),
+            "unsent": dict(self._unsent),
+            "slow_answers": dict(+self._slow_answers),
+            **self.failed,
+        }
 
     def close(self) -> None:
         """Stop."""
         self.stop()
 
-    def _run(self) -> None:
-        due = time.monotonic()
-        while not self._stop.is_set():
-            wait = due - time.monotonic()
-            if wait > 0 and self._stop.wait(wait):
+    def run(self) -> None:
+        """Make pulses until ``stop``; run by the thread that ``start`` starts."""
+        while True:
+            number = self._grid.await_next(self._stop)
+            if number is None:
                 return
-            if wait < -0.5 * self._period_s:
-                self.late_pulses += 1
-                due = time.monotonic()
-            with self._changed:
-                present = self._drivers.keys() - self._lost
-                self._awaited = {name for name in present if self._missed[name] < MISSES_TO_IGNORE}
-                self._fired_ns = None
-                self._times_ns.append(time.monotonic_ns())
-                self._polling.clear()
-            for name, driver in list(self._drivers.items()):
-                try:
-                    driver.software_trigger()
-                except DeviceError as error:  # the camera's own thread notes it and opens it again
-                    log.debug("software trigger: %s", error)
-                    self.failed.setdefault(name, str(error))
-            due += self._period_s
+            self._fire(number)
             self._await_frames()
+
+    def _fire(self, number: int) -> None:
+        with self._changed:
+            self._fired_ns = None
+            self._polling.clear()
+            self._awaited.clear()
+            self._made.numbers.append(number)
+            self._made.sent_ns.append(self._clock.now_ns())
+        sent = [pair for name in list(self._drivers) if (pair := self._command(name, number)) is not None]
+        if sent:
+            self._new.append(SentPulse(number, self._grid.nominal_ns(number), sent[0][0], sent[-1][1]))
+
+    def _command(self, name: str, number: int) -> tuple[int, int] | None:
+        """Trigger a camera; return the host times before and after [ns], None where it is not ready or it is late."""
+        commands = self._commands[name]
+        with self._changed:
+            before_ns = self._clock.now_ns()
+            if name in self._lost or before_ns < self._resting_until_ns[name]:
+                return None
+            if self._late_ns(number, before_ns) > LATEST_TIME * self._grid.period_ns:
+                self._unsent[name] += 1
+                return None
+            if self._missed[name] < MISSES_TO_IGNORE:
+                self._awaited.add(name)
+            commands.numbers.append(number)
+            commands.at_ns.append(None)
+            commands.sent_ns.append(before_ns)  # last: readers go by it
+        try:
+            commands.at_ns[-1] = self._drivers[name].software_trigger()
+        except DeviceError as error:  # the camera's own thread notes it and opens it again
+            log.debug("software trigger: %s", error)
+            with self._changed:
+                self.failed.setdefault(name, str(error))
+                after_ns = self._clock.now_ns()
+                self._resting_until_ns[name] = after_ns + REST * (after_ns - before_ns)
+                if name in self._awaited:
+                    self._stop_waiting(name)
+        return before_ns, self._clock.now_ns()
+
+    def _late_ns(self, number: int, at_ns: int) -> int:
+        return at_ns - self._grid.begin_ns - self._grid.nominal_ns(number)
 
     def _await_frames(self) -> None:
         with self._changed:
-            self._fired_ns = time.monotonic_ns()
+            self._fired_ns = self._clock.now_ns()
             while self._awaited and not self._stop.is_set():
                 self._changed.wait(0.05)

@@ -9,6 +9,7 @@ names it, and the run goes on.
 from mosca.recording.image_sequence import NumberedRecording
 from mosca.recording.mcap_source import McapRecording
 from mosca.recording.open import Recording, open_recording
+from mosca.recording.pulses import RecordedPulse
 from mosca.recording.writer import RecordingWriter
 
-__all__ = ["McapRecording", "NumberedRecording", "Recording", "RecordingWriter", "open_recording"]
+__all__ = ["McapRecording", "NumberedRecording", "RecordedPulse", "Recording", "RecordingWriter", "open_recording"]

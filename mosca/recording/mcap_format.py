@@ -17,7 +17,8 @@ The file is a plain MCAP file (mcap.dev) with uncompressed chunks; profile ``mos
   ``sequence`` are the frame's, as above. Channel ``/sets`` (JSON) ends each frame set, empty ones too: ``pulse`` and
   ``time_ns``, the set's number and time.
 - Channel ``/NAME`` for each further channel (commands, events, onboard streams) on the same clock as the
-  frames; message encoding ``json`` (an object a message) or ``application/octet-stream``.
+  frames; message encoding ``json`` (an object a message) or ``application/octet-stream``. A capture's ``/clock`` has
+  the pulses and the raw stamps of the frames (``mosca.recording.pulses``, docs/capture.md).
 
 A ``mosca.frame.v1`` message, little-endian, without padding::
 

@@ -17,6 +17,7 @@ from mosca.data.frames import CameraInfo, Frame, FrameSet
 from mosca.errors import InputError
 from mosca.recording import mcap_format as layout
 from mosca.recording.crash_buffer import Kept, read_tail, rescued
+from mosca.recording.pulses import RecordedPulse, recorded_pulses
 
 LARGEST_RECORD = 1 << 29
 _MAGIC = b"\x89MCAP0\r\n"
@@ -146,6 +147,10 @@ class McapRecording:
                     self._note(f"a message of {name} at {message.log_time} ns is lost: {error}")
                     continue
                 yield message.log_time, data
+
+    def pulses(self) -> tuple[RecordedPulse, ...]:
+        """Return the pulses of a capture by number, with their times and how each frame's was found; none without."""
+        return recorded_pulses(self.channel("clock"), self._all_cameras[0].frame_rate_hz, str(self.path))
 
     def close(self) -> None:
         """Free the file of every iteration that is under way; may be called twice."""

@@ -42,6 +42,22 @@ def opened(source: str, rig: Rig, rate_hz: float, pulses: int) -> FrameSource:
     return HardwareSource(devices, pulses)
 
 
+def device_notes(source: FrameSource) -> dict[str, str]:
+    """Return what happened to the devices of ``source``, for the record; nothing where it has none."""
+    from hardware.source import HardwareSource
+
+    if not isinstance(source, HardwareSource):
+        return {}
+    found = source.statistics
+    notes = {f"devices {k + 1}": note for k, note in enumerate(found.notes)}
+    if found.skipped_pulses:
+        notes["skipped pulses"] = f"{found.skipped_pulses} pulses were skipped"
+    if unproven := {name: one.unproven for name, one in found.cameras.items() if one.unproven}:
+        told = ", ".join(f"{n} of camera '{name}'" for name, n in unproven.items())
+        notes["unproven"] = f"frames whose pulses are not certain: {told}"
+    return notes
+
+
 def patient(settings: AssemblySettings, source: FrameSource) -> AssemblySettings:
     """Return settings that wait for late frames of devices up to a second, as memory allows: a run is not live."""
     wanted = max(info.frame_rate_hz for info in source.cameras)

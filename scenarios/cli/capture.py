@@ -56,10 +56,12 @@ def capture(
 
 def tell(outcome: "CaptureOutcome", out: Path) -> None:
     """Print the counts of each camera, and notes."""
-    shown = table("camera", "frames", "failed", "dropped", "overrun", "relocked", "reopened")
+    columns = ("frames", "failed", "dropped", "unproven", "overrun", "relocked", "reopened")
+    shown = table("camera", *columns)
     for name, row in outcome.cameras.items():
-        shown.add_row(name, *map(str, (row.frames, row.failed, row.dropped, row.overrun, row.relocked, row.reopened)))
+        shown.add_row(name, *(str(getattr(row, column)) for column in columns))
     print_table(shown)
     echo_lines(outcome.notes)
     ended = ", ended by hand" if outcome.stopped else ""
-    click.echo(f"{outcome.pulses} pulses, {outcome.lost} frame sets lost{ended}; {out}")
+    skipped = f" ({outcome.skipped} skipped)" if outcome.skipped else ""
+    click.echo(f"{outcome.pulses} pulses{skipped}, {outcome.lost} frame sets lost{ended}; {out}")

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from hardware.drivers import open_camera
 from hardware.onboard.commands import ProgramRun, read_program
+from hardware.pulse_grid import SentPulse
 from hardware.settings import RigHardware, read_hardware
 from hardware.source import HardwareSource, OpenCamera, OpenTrigger
 from hardware.triggers import open_trigger
@@ -66,6 +67,8 @@ class CameraRow:
     overrun: int = 0
     relocked: int = 0
     reopened: int = 0
+    unproven: int = 0
+    """Frames whose pulses are not certain."""
 
 
 @dataclass
@@ -76,6 +79,8 @@ class CaptureOutcome:
     lost: int = 0
     """Frame sets that this machine was too slow for."""
     lost_text: str = ""
+    skipped: int = 0
+    """Pulses that this machine could not send in their periods."""
     stopped: bool = False
     shown: int = 0
     cameras: dict[str, CameraRow] = field(default_factory=dict)
@@ -83,8 +88,9 @@ class CaptureOutcome:
 
     @property
     def whole(self) -> bool:
-        """Whether each pulse has a whole frame of each camera."""
-        return not self.lost and not any(c.failed or c.dropped or c.overrun for c in self.cameras.values())
+        """Whether each pulse has a whole frame of each camera, which is certainly of it."""
+        rows = self.cameras.values()
+        return not self.lost and not any(c.failed or c.dropped or c.overrun or c.unproven for c in rows)
 
 
 def capture(
@@ -239,21 +245,23 @@ def _now_ns(source: HardwareSource) -> int:
 
 
 def _write_clocks(recorder: Recorder, source: HardwareSource, intake: Intake) -> None:
-    """Write down the raw stamps of the latest frames, and one instant in all clocks of this machine."""
+    """Write down the latest pulses and raw stamps of frames, and one instant in all clocks of this machine."""
     now_ns = time.monotonic_ns()
     session_ns = source.session_ns(now_ns)
     if session_ns is None:
         return
-    stamps = intake.new_stamps()
-    if stamps:
+    stamps, sent = intake.new_stamps(), source.new_pulses()
+    if stamps or sent:
         clocks = {"host_ns": now_ns, "utc_ns": time.time_ns(), "session_ns": session_ns}
-        recorder.write_message("clock", session_ns, {**clocks, "cameras": stamps})
+        pulses = {key: [getattr(one, key) for one in sent] for key in SentPulse._fields}
+        recorder.write_message("clock", session_ns, {**clocks, "pulses": pulses, "cameras": stamps})
 
 
 def _write_statistics(recorder: Recorder, source: HardwareSource, intake: Intake) -> None:
     """Record the counts of the buffers until now; the last record is of the end."""
     account = {
         "cameras": {name: asdict(one) for name, one in source.statistics.cameras.items()},
+        "skipped_pulses": source.statistics.skipped_pulses,
         "notes": list(source.statistics.notes),
         "lost_sets": [list(pair) for pair in intake.lost.ranges],
     }
@@ -270,7 +278,13 @@ def _outcome(
         kept = source.statistics.cameras[name]
         dropped = max(pulses - seen.pulses, 0)
         rows[name] = CameraRow(
-            seen.whole - seen.left_out, seen.failed, dropped, kept.overrun, kept.relocked, kept.reopened
+            seen.whole - seen.left_out,
+            seen.failed,
+            dropped,
+            kept.overrun,
+            kept.relocked,
+            kept.reopened,
+            kept.unproven,
         )
     notes = list(source.statistics.notes)
     lost = intake.lost
@@ -283,7 +297,15 @@ def _outcome(
         notes += run.notes
     if view is not None and view.failed is not None:
         notes.append(f"view: ended early ({view.failed})")
-    return CaptureOutcome(pulses, lost.count, lost.text(), False, 0 if view is None else view.shown, rows, notes)
+    return CaptureOutcome(
+        pulses,
+        lost.count,
+        lost.text(),
+        source.statistics.skipped_pulses,
+        shown=0 if view is None else view.shown,
+        cameras=rows,
+        notes=notes,
+    )
 
 
 def _whole_pulses(intake: Intake) -> int:
@@ -306,6 +328,7 @@ def _about(source: HardwareSource, outcome: CaptureOutcome) -> dict[str, Any]:
     return {
         "ended": datetime.now(UTC).isoformat(timespec="seconds"),
         "pulses": outcome.pulses,
+        "skipped_pulses": outcome.skipped,
         "stopped_by_hand": outcome.stopped,
         "lost_sets": outcome.lost,
         "lost_set_numbers": outcome.lost_text,

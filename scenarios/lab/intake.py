@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from hardware.driver import Grabbed
+from hardware.pulse_numbers.camera_state import NumberedBuffer
 from hardware.source import HardwareSource
 from mosca.data.frames import Frame
 from mosca.synchronisation import Assembly
@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 FEWEST_WAITING, MOST_WAITING = 2, 500
 """Frame sets that may wait for detection."""
 REMEMBERED_FRAMES = 20_000
+STAMPS = ("index", "block", "device_ns", "host_ns", "pulse", "found")
+"""What is recorded of each frame's buffer: the camera's count, the stream's, the raw stamp of the camera's clock, its
+arrival, its pulse and how that was found."""
 
 
 @dataclass
@@ -93,7 +96,7 @@ class Intake:
             self._thread.join()
 
     def new_stamps(self) -> dict[str, dict[str, list[Any]]]:
-        """Return camera -> ``index``, ``block``, ``device_ns`` and ``host_ns`` of the frames since the last call."""
+        """Return camera -> ``STAMPS`` of the frames since the last call."""
         with self._guard:
             stamps, self._stamps = self._stamps, {}
         return stamps
@@ -101,9 +104,9 @@ class Intake:
     def _run(self) -> None:
         try:
             if self._settings is None:
-                for frame, buffer in self._source.with_buffers():
-                    self._count(frame, buffer)
-                    kept = self._recorder.take(frame, buffer.host_ns)
+                for frame, numbered in self._source.with_buffers():
+                    self._count(frame, numbered)
+                    kept = self._recorder.take(frame, numbered.buffer.host_ns)
                     self.cameras[frame.camera].left_out += not kept and frame.image is not None
             else:
                 self._detect(self._settings)
@@ -123,22 +126,21 @@ class Intake:
                 arrived = {n: self._arrivals.pop((n, f.index), 0) for n, f in frame_set.frames.items()}
             self._recorder.take_set(frame_set, detections, {n: t for n, t in arrived.items() if t})
 
-    def _count(self, frame: Frame, buffer: Grabbed) -> None:
+    def _count(self, frame: Frame, numbered: NumberedBuffer) -> None:
         """Count ``frame``, keep its buffer's stamps, offer it to the view."""
         seen = self.cameras[frame.camera]
         seen.whole += frame.image is not None
         seen.failed += frame.image is None
-        pulse = round(frame.time_ns / self._period_ns)
+        pulse, buffer = round(frame.time_ns / self._period_ns), numbered.buffer
         seen.pulses += pulse > seen.last
         seen.last = max(seen.last, pulse)
         if self._view is not None:
             self._view.offer(frame)
         with self._guard:
-            kept = self._stamps.setdefault(frame.camera, {"index": [], "block": [], "device_ns": [], "host_ns": []})
-            kept["index"].append(frame.index)
-            kept["block"].append(buffer.block_id)
-            kept["device_ns"].append(buffer.device_ns)
-            kept["host_ns"].append(buffer.host_ns)
+            kept = self._stamps.setdefault(frame.camera, {key: [] for key in STAMPS})
+            values = (frame.index, buffer.block_id, buffer.device_ns, buffer.host_ns, numbered.pulse, numbered.found)
+            for key, value in zip(STAMPS, values, strict=True):
+                kept[key].append(value)
             if self._settings is not None:
                 self._arrivals[frame.camera, frame.index] = buffer.host_ns
                 if len(self._arrivals) > REMEMBERED_FRAMES:
@@ -148,11 +150,11 @@ class Intake:
 class _Counted(WrappedSource):
     """A source that passes each frame to ``count`` on its way."""
 
-    def __init__(self, source: HardwareSource, count: Callable[[Frame, Grabbed], object]) -> None:
+    def __init__(self, source: HardwareSource, count: Callable[[Frame, NumberedBuffer], object]) -> None:
         super().__init__(source)
         self._rig, self._count = source, count
 
     def __iter__(self) -> Iterator[Frame]:
-        for frame, buffer in self._rig.with_buffers():
-            self._count(frame, buffer)
+        for frame, numbered in self._rig.with_buffers():
+            self._count(frame, numbered)
             yield frame

@@ -67,13 +67,16 @@ def check_rig_live(
             if len(one.images) < IMAGES_CHECKED and pulse >= len(one.images) * pulses // IMAGES_CHECKED:
                 one.images.append(frame.image)
         reports, notes = dict(source.reports), list(source.statistics.notes)
+        unproven = {name: one.unproven for name, one in source.statistics.cameras.items()}
     lines, whole = [], True
     for name, info in infos.items():
         one, report = seen[name], reports[name]
         lines.append(_device(name, report))
         lost = pulses - len(one.pulses)
-        whole = whole and not lost
+        whole = whole and not lost and not unproven[name]
         parts = [f"{len(one.pulses)} of {pulses} pulses at {rate_hz:g} Hz"]
+        if unproven[name]:
+            parts.append(f"{unproven[name]} frames whose pulses are not certain")
         if one.failed:
             parts.append(f"{one.failed} frames came damaged")
         if len(one.residuals_ns) > 1:

@@ -103,6 +103,8 @@ class _Gated:
         self._trigger, self._gate, self._own_pulses = trigger, gate, own_pulses
         self.stop, self.pulse_at, self.frame_arrived = trigger.stop, trigger.pulse_at, trigger.frame_arrived
         self.poll_timed_out, self.camera_lost = trigger.poll_timed_out, trigger.camera_lost
+        self.pulse_of, self.session_ns, self.new_pulses = trigger.pulse_of, trigger.session_ns, trigger.new_pulses
+        self.skipped, self.notes = trigger.skipped, trigger.notes
         self.report, self.close = trigger.report, trigger.close
 
     def start(self) -> int | None:
@@ -133,8 +135,8 @@ class RigOfStation(WrappedSource):
     def __iter__(self) -> Iterator[Frame]:
         if self.hardware.rig.shared.trigger.source == "master" and not self.gate.hold():
             return
-        for frame, buffer in self.hardware.with_buffers():
-            self._latest = frame, buffer.host_ns
+        for frame, numbered in self.hardware.with_buffers():
+            self._latest = frame, numbered.buffer.host_ns
             yield frame
 
     def arrival_ns(self, frame: Frame) -> int:

@@ -23,8 +23,8 @@ from reports.evidence import Evidence
 from reports.record import RunRecord
 from scenarios.build.calibration_faults import with_fault
 from scenarios.build.cameras import Calibrated, calibrated, true_rig, twin_source, virtual_cameras
+from scenarios.build.frame_sources import device_notes, patient
 from scenarios.build.frame_sources import opened as opened_source
-from scenarios.build.frame_sources import patient
 from scenarios.build.scene import build_scene, pipeline_settings
 from scenarios.build.worn_rig import worn_cameras, worn_rig, worn_settings
 from scenarios.run.continuous import collect_continuous
@@ -108,6 +108,8 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
         with _timed(timings, "frames_to_tracks"):
             collected, continuous = _tracked(opened, believed, spec, options, stack)
             collected = replace(collected, account=account(opened.source))
+        if options.source.startswith("hardware:"):
+            collected.assembly.notes.update(device_notes(opened.source))
         # the scenario defines where its markers are on a body, whatever the source of the frames
         bodies = rigid_bodies(built.scene or build_scene(spec, folder)) if spec.pipeline.bodies else ()
         poses = None

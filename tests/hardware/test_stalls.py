@@ -136,13 +136,19 @@ def test_a_software_trigger_waits_for_a_frame_as_long_as_nobody_has_looked_for_i
 
 
 def test_a_software_trigger_does_not_wait_for_a_camera_that_is_gone():
-    camera = Asked()
-    trigger = SoftwareTrigger({"a": camera}, 1000.0)
+    gone, there = Asked(), Asked()
+    trigger = SoftwareTrigger({"a": gone, "b": there}, 100.0)
     trigger.start()
     try:
-        fired(trigger, camera, 1)
+        at = fired(trigger, there, 1)
         trigger.camera_lost("a")
-        camera.wait_for(20)
+        for count in range(1, 20):
+            trigger.frame_arrived("b", fired(trigger, there, count))
+        there.wait_for(20)
+        assert gone.fired == 1  # asked no more: its command would hold up the others
+        trigger.poll_timed_out("a", at, at + SECOND)  # it answers again
+        trigger.frame_arrived("b", at)
+        gone.wait_for(2)
     finally:
         trigger.stop()
 

@@ -1,0 +1,97 @@
+"""The grid of the pulses that this computer sends: one a period, on time or not at all.
+
+A pulse that cannot be sent in the first part of its period is skipped and counted; the next one is on the grid. So
+pulse k is always near k periods, whatever held up this computer, and no frame of it can be taken for another's.
+"""
+
+import threading
+import time
+from typing import NamedTuple
+
+LATEST_START = 0.25
+"""Share of a period by which a pulse may be late; with half of it a busy machine skips more of them, with double of
+it a frame may be nearer to the next pulse."""
+LATEST_TIME = 0.45
+"""A frame's time is its pulse's plus this share of a period at most: readers take the pulse that is nearest."""
+
+
+UNREAD_PULSES = 100_000
+"""So many pulses are remembered for a recording that does not read them."""
+
+
+class HostClock:
+    """The computer's monotonic clock, and waiting by it; tests pass another."""
+
+    def now_ns(self) -> int:
+        """Return the time [ns]."""
+        return time.monotonic_ns()
+
+    def wait(self, event: threading.Event, seconds: float) -> bool:
+        """Wait until ``event`` is set, ``seconds`` at most; return whether it is."""
+        return event.wait(seconds)
+
+
+class SentPulse(NamedTuple):
+    """A pulse that this computer sent; host times are of its monotonic clock."""
+
+    number: int
+    nominal_ns: int
+    """Its time on the grid, from pulse 0 on [ns]."""
+    sent_ns: int
+    """Host time before the (first camera's) command [ns]."""
+    acknowledged_ns: int
+    """Host time when the (last camera's) command had returned [ns]."""
+
+
+class PulseGrid:
+    """Which pulse is due when; begun by ``begin``. ``rate_hz``: of the grid [1/s]."""
+
+    def __init__(self, rate_hz: float, clock: HostClock) -> None:
+        self.period_ns = 1e9 / rate_hz
+        self.clock = clock
+        self.begin_ns = 0
+        """Host time of pulse 0 on the grid [ns]."""
+        self._next = 0
+        self._skipped: list[tuple[int, int]] = []
+
+    def begin(self) -> int:
+        """Begin with pulse 0 now; return the host time [ns]."""
+        self.begin_ns = self.clock.now_ns()
+        self._next = 0
+        self._skipped = []
+        return self.begin_ns
+
+    def nominal_ns(self, number: int) -> int:
+        """Return the time of a pulse on the grid, from pulse 0 on [ns]."""
+        return round(number * self.period_ns)
+
+    def await_next(self, stop: threading.Event) -> int | None:
+        """Wait until a pulse is due and return its number, None once ``stop`` is set; skip those that are over."""
+        while not stop.is_set():
+            late_ns = self.clock.now_ns() - self.begin_ns - self.nominal_ns(self._next)
+            over = -int((LATEST_START * self.period_ns - late_ns) // self.period_ns)
+            if over > 0:
+                self._skipped.append((self._next, self._next + over))
+                self._next += over
+            elif late_ns < 0:
+                self.clock.wait(stop, -late_ns * 1e-9)
+            else:
+                self._next += 1
+                return self._next - 1
+        return None
+
+    def skipped(self, before: int | None = None) -> int:
+        """Return how many pulses were skipped, of those ``before`` a number."""
+        limit = self._next if before is None else before
+        return sum(max(min(last, limit) - first, 0) for first, last in list(self._skipped))
+
+    def skipped_note(self, what: str, before: int | None) -> list[str]:
+        """Return one line on the skipped pulses of ``what``; none where there were none."""
+        count = self.skipped(before)
+        if not count:
+            return []
+        return [
+            f"{what}: {count} of {self._next if before is None else before} pulses were skipped, the first was "
+            f"{self._skipped[0][0]}: they could not be sent in their periods; use a lower rate_hz, shorter "
+            "exposures, or a trigger line"
+        ]
