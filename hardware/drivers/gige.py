@@ -22,6 +22,7 @@ from hardware.drivers.aravis_library import (
 from hardware.drivers.aravis_library import load as load_library
 from hardware.drivers.blocks import BlockIds
 from hardware.drivers.configure import COUNTER_CHUNKS, capabilities_of, counter_chunk
+from hardware.drivers.discovery import confirmed
 from hardware.drivers.features import text
 from hardware.drivers.opened import GenICamCamera, chosen, claim, described, not_found, release
 from hardware.drivers.peer_socket import Address, PeerSocket, merged, tied, udp_sockets
@@ -72,13 +73,14 @@ def devices(producer: str = "") -> Sequence[Device]:
     aravis = load()
     with _discovery:
         aravis("update_device_list")
-        return _listed(aravis)
+        found = _listed(aravis)
+    return confirmed(found)
 
 
 def open_camera(name: str, settings: CameraHardware) -> "GigeCamera":
     """Open the camera with the serial number or at the address of ``settings``."""
     aravis = load()
-    device = chosen(_listed(aravis), settings)
+    device = _one(confirmed([one for one in _listed(aravis) if chosen([one], settings)]), name, settings)
     if device is None and settings.address:
         # discovery by unicast: a broadcast does not reach other subnets
         device = Device("gige", "GigE Vision camera", "", settings.address)
@@ -86,7 +88,7 @@ def open_camera(name: str, settings: CameraHardware) -> "GigeCamera":
     for _ in range(LOOKS):
         if device is None:
             seen |= {(one.serial, one.address): one for one in devices()}
-            device = chosen(tuple(seen.values()), settings)
+            device = _one(tuple(seen.values()), name, settings)
     if device is None:
         raise not_found(tuple(seen.values()), name, settings)
     claim(device, name)
@@ -102,6 +104,18 @@ def open_camera(name: str, settings: CameraHardware) -> "GigeCamera":
             f"is {described(camera.device)}. Leave one of them out"
         )
     return camera
+
+
+def _one(found: Sequence[Device], name: str, settings: CameraHardware) -> Device | None:
+    """Return the device that the settings name, None where there is none; DeviceError where two have its serial."""
+    named = [device for device in found if chosen([device], settings)]
+    if len({device.address for device in named}) > 1:
+        there = ", ".join(device.address for device in named)
+        raise DeviceError(
+            f"camera '{name}': serial '{settings.serial}' is told by devices at {there}; one of them is not the "
+            "camera: give its address too"
+        )
+    return named[0] if named else None
 
 
 def _opened(aravis: Aravis, name: str, device: Device, settings: CameraHardware, tries: int = LOOKS) -> "GigeCamera":

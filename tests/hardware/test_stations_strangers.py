@@ -7,9 +7,12 @@ from dataclasses import replace
 import pytest
 from loopback import until
 from memory_transport import Exchange
+from needs import needs_module
 from ready_station import infos
+from test_transport_engines import free_endpoint
 from test_transport_stations import LONG, PATIENT, SIZES, Station, read, soon, texts, whole
 
+from hardware.transport import Trust, open_transport
 from hardware.transport.messages import pack_detections, pack_health, unpack_detections
 from hardware.transport.receiver import Receiver
 from hardware.transport.sender import Sender
@@ -212,6 +215,37 @@ def test_answers_and_orders_are_signed_and_belong_to_their_query():
     assert asked == [b"question", b"2"]
     assert station.refused["A"] == 2
     assert asker.refused["A"] == 1
+
+
+def test_over_the_network_too_a_stranger_changes_nothing():
+    """The same attacks by the engine, from a program that reaches the port."""
+    needs_module("zenoh", "stations")
+    endpoint = free_endpoint()
+    heard = []
+
+    class Ends:
+        def open(self):
+            return open_transport(connect=[endpoint], jam_s=60.0, trust=Trust(KEY))
+
+    here = open_transport(listen=[endpoint], jam_s=60.0, trust=Trust(KEY))
+    here._inner.subscribe(TOPIC, lambda key, data: heard.append(data))
+    with Receiver(here, ("A", "B"), SIZES, None, PATIENT) as receiver:
+        forger = open_transport(connect=[endpoint], jam_s=60.0)
+        stations = ends_of(Ends())
+        until(lambda: heard)
+        plain = message_of(heard[0][48:], epoch=3)
+        until(lambda: forger.publish(TOPIC, plain) and receiver.statistics.stations["A"].forged > 0)
+        for _ in range(200):
+            assert forger.publish(TOPIC, heard[0])
+            assert forger.publish(TOPIC, plain)
+        until(lambda: here.refused["A"] > 400)
+        ended(stations)
+        sets = list(receiver)
+        forger.close()
+    assert [s.pulse for s in sets] == list(range(60))
+    assert whole(sets)
+    assert receiver.statistics.stations["A"].forged > 400
+    assert {f"a message in its name {why}; refused" for why in (FORGED, REPLAYED)} <= set(texts(receiver, "A"))
 
 
 def test_keys_are_made_once_and_read_or_refused(tmp_path):

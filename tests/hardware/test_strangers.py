@@ -2,11 +2,13 @@
 
 import logging
 import os
+import select
 import socket
 import struct
+import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 
 import numpy as np
 import pytest
@@ -16,13 +18,14 @@ from needs import needs_aravis
 from paced import PERIOD_NS
 from test_drivers_emulated import opened
 
-from hardware.driver import REFUSED, CameraDriver, Grabbed
-from hardware.drivers import open_camera
+from hardware.driver import REFUSED, CameraDriver, Device, DeviceError, Grabbed
+from hardware.drivers import gige, open_camera
 from hardware.drivers.gige import STREAM_SOURCE_REGISTER, GigeCamera
 from hardware.drivers.peer_socket import MOST_NAMED, udp_sockets
 from hardware.emulate.gige_vision import MAXIMUM_BLOCK_ID, Command
 from hardware.emulate.serve import served
 from hardware.emulate.stream import ImageLayout, image_packets
+from hardware.settings import CameraHardware
 
 ADDRESS = "127.0.7.1"
 STRANGER = "127.0.7.99"
@@ -178,3 +181,89 @@ def test_invented_addresses_are_counted_together(monkeypatch: pytest.MonkeyPatch
         assert len(counts) == MOST_NAMED + 1
         assert counts[f"{REFUSED} other addresses"] == 4
         camera.close()
+
+
+@contextmanager
+def answering(contents: list[bytes], also_at: str = "") -> Iterator[None]:
+    """Answer each discovery by broadcast with ``contents``, and each that is sent to ``also_at`` with the first."""
+    with ExitStack() as stack:
+        sockets = []
+        for place in ("255.255.255.255", "127.255.255.255", *([also_at] if also_at else [])):
+            made = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+            made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            made.bind((place, 3956))
+            sockets.append(made)
+        attack = stack.enter_context(stranger())
+        over = threading.Event()
+
+        def serve() -> None:
+            while not over.is_set():
+                for made in select.select(sockets, [], [], 0.05)[0]:
+                    data, client = made.recvfrom(2048)
+                    (number,) = struct.unpack_from(">H", data, 6)
+                    direct = made is sockets[-1] and also_at
+                    for content in contents[:1] if direct else contents:
+                        answer = struct.pack(">HHHH", 0, Command.DISCOVERY + 1, len(content), number) + content
+                        (made if direct else attack).sendto(answer, client)
+
+        thread = threading.Thread(target=serve)
+        thread.start()
+        try:
+            yield
+        finally:
+            over.set()
+            thread.join()
+
+
+def answer(address: str, serial: bytes, model: bytes = b"Rogue") -> bytes:
+    """Return what a device says of itself: its address, model and serial number."""
+    content = bytearray(248)
+    content[12:16] = socket.inet_aton(address)  # its hardware address, so that all are different
+    content[36:40] = socket.inet_aton(address)
+    content[104 : 104 + len(model)] = model
+    content[216 : 216 + len(serial)] = serial
+    return bytes(content)
+
+
+def test_malformed_and_forged_answers_to_a_discovery_are_no_cameras(caplog: pytest.LogCaptureFixture) -> None:
+    with served(ArraySource(1, 1, SHAPE), first_address=ADDRESS) as devices, caplog.at_level(logging.WARNING):
+        identity = devices.device("cam0").identity
+        serial = identity.serial.encode()
+        forged = [
+            answer("127.0.7.98", b"GHOST"),
+            answer(ADDRESS, b"OTHER"),
+            answer("127.0.7.97", serial),
+            answer("0.0.0.0", b"NOWHERE"),
+            answer("127.0.7.96", b"\xff" * 16, b"\xff" * 32),
+            b"",
+            bytes(range(30)),
+            bytes(500),
+        ]
+        with answering(forged):
+            found = gige.devices()
+            assert [one for one in found if one.address.startswith("127.0.7.")] == [
+                Device("gige", identity.model, identity.serial, ADDRESS)
+            ]
+            for settings in ({"address": ADDRESS}, {"serial": identity.serial}):
+                camera = open_camera("cam0", CameraHardware.model_validate({"driver": "gige", **settings}))
+                assert camera.statistics() == {}
+                camera.close()
+    for told in (
+        "Rogue GHOST at 127.0.7.98: answers to broadcasts, but nothing ",
+        f"Rogue OTHER at {ADDRESS}: answers to broadcasts, but '{identity.serial}' at {ADDRESS} is what answers",
+        f"Rogue {identity.serial} at 127.0.7.97: answers to broadcasts, but nothing ",
+        "Rogue NOWHERE at 0.0.0.0: answers to broadcasts, but its address cannot be used",
+    ):
+        assert told in caplog.text
+
+
+def test_a_serial_number_that_two_devices_tell_is_refused() -> None:
+    with served(ArraySource(1, 1, SHAPE), first_address=ADDRESS) as devices:
+        serial = devices.device("cam0").identity.serial
+        with answering([answer("127.0.7.95", serial.encode())], also_at="127.0.7.95"):
+            gige.devices()
+            with pytest.raises(
+                DeviceError, match=r"serial 'TWIN\w+' is told by devices at .*127.0.7.95.*address too"
+            ):
+                open_camera("cam0", CameraHardware(driver="gige", serial=serial))
+            open_camera("cam0", CameraHardware(driver="gige", serial=serial, address=ADDRESS)).close()
