@@ -64,8 +64,8 @@ class PeerSocket:
         self._looked_s = time.monotonic()
         self._watch: socket.socket | None = None
         descriptor = next((fd for fd, address in udp_sockets().items() if address == local), None)
-        if descriptor is None:
-            raise DeviceError(f"no socket at {local[0]}:{local[1]}")
+        if descriptor is None or not peer[0]:
+            raise DeviceError(f"no socket at {local[0]}:{local[1]} for '{peer[0]}'")
         with socket.socket(fileno=os.dup(descriptor)) as library:
             try:
                 if peer[1] == 0:
