@@ -16,6 +16,9 @@ from mosca.data.arrays import Array
 from mosca.data.frames import StampEvent
 from mosca.errors import MoscaError
 
+REFUSED = "refused packets of"
+"""Begins the names of those of a driver's counts that say who else sent to a camera's ports."""
+
 
 class DeviceError(MoscaError):
     """A camera or trigger that is missing, busy, refuses a setting or stopped answering; in one line."""

@@ -15,7 +15,7 @@ from dataclasses import asdict
 from typing import Self
 
 from hardware.camera_readers import QUEUED_BYTES, CameraReaders
-from hardware.driver import CameraDriver, ClockReading, DeviceError, DeviceReport, Grabbed
+from hardware.driver import REFUSED, CameraDriver, ClockReading, DeviceError, DeviceReport, Grabbed
 from hardware.drivers import open_camera
 from hardware.end_of_take import EndOfTake, drained
 from hardware.frame_maker import FrameMaker
@@ -233,7 +233,10 @@ class HardwareSource:
                 self.statistics.note(note)
         for name, driver in self._drivers.items():
             try:
-                self.statistics.cameras[name].driver = dict(driver.statistics())
+                counts = self.statistics.cameras[name].driver = dict(driver.statistics())
+                for what, number in counts.items():
+                    if what.startswith(REFUSED):
+                        self.statistics.note(f"camera '{name}': {number} {what}, which sent to its ports")
                 driver.disarm()
             except DeviceError as error:
                 self.statistics.note(str(error))

@@ -7,6 +7,7 @@ without ``arv_``; https://aravisproject.github.io/aravis/ documents them.
 import ctypes
 import functools
 import os
+import socket
 import sys
 from collections.abc import Callable
 from ctypes import POINTER, c_char_p, c_double, c_int, c_int64, c_size_t, c_uint, c_uint64, c_void_p
@@ -73,7 +74,11 @@ _SIGNATURES: dict[str, tuple[Any, tuple[Any, ...], bool]] = {
     "camera_gv_set_packet_size_adjustment": (None, (c_void_p, c_int), False),
     "camera_gv_set_stream_options": (None, (c_void_p, c_int), False),
     "gv_device_is_controller": (c_int, (c_void_p,), False),
+    "gv_device_get_interface_address": (c_void_p, (c_void_p,), False),
+    "gv_device_get_device_address": (c_void_p, (c_void_p,), False),
+    "gv_stream_get_port": (ctypes.c_uint16, (c_void_p,), False),
     "gv_device_get_timestamp_tick_frequency": (c_uint64, (c_void_p,), True),
+    "device_read_register": (c_int, (c_void_p, c_uint64, POINTER(ctypes.c_uint32)), True),
     "device_write_register": (c_int, (c_void_p, c_uint64, ctypes.c_uint32), True),
     "device_get_feature": (c_void_p, (c_void_p, c_char_p), False),
     "device_get_genicam_xml": (c_void_p, (c_void_p, POINTER(c_size_t)), False),
@@ -118,6 +123,7 @@ _GLIB: dict[str, tuple[Any, ...]] = {
     "g_free": (c_void_p,),
     "g_object_unref": (c_void_p,),
     "g_type_check_instance_is_a": (c_void_p, c_size_t),
+    "g_socket_address_to_native": (c_void_p, c_void_p, c_size_t, c_void_p),
     "g_value_init": (c_void_p, c_size_t),
     "g_value_set_uint": (c_void_p, c_uint),
     "g_value_set_int": (c_void_p, c_int),
@@ -134,7 +140,8 @@ class Aravis:
         self._glib = library
         for name, arguments in _GLIB.items():
             call = getattr(library, name)
-            call.restype, call.argtypes = c_int if name.endswith("_is_a") else None, arguments
+            truth = name.endswith(("_is_a", "_to_native"))
+            call.restype, call.argtypes = c_int if truth else None, arguments
         for name, (result, arguments, errs) in _SIGNATURES.items():
             call = getattr(library, f"arv_{name}")
             call.restype = result
@@ -164,6 +171,21 @@ class Aravis:
         self._glib.g_value_init(ctypes.byref(holder), G_TYPES[kind])
         getattr(self._glib, f"g_value_set_{kind}")(ctypes.byref(holder), value)
         self._glib.g_object_set_property(instance, name.encode(), ctypes.byref(holder))
+
+    def ipv4(self, address: int) -> str:
+        """Return the IPv4 address of a GSocketAddress, "" where it is none."""
+        native = (ctypes.c_ubyte * 16)()  # struct sockaddr_in: the address stands in bytes 4 to 8
+        taken = address and self._glib.g_socket_address_to_native(address, native, len(native), None)
+        return socket.inet_ntoa(bytes(native[4:8])) if taken else ""
+
+    def register(self, device: int, address: int) -> int:
+        """Return a device's register; 0 where it has none."""
+        value = ctypes.c_uint32(0)
+        try:
+            self("device_read_register", device, address, ctypes.byref(value))
+        except AravisError:
+            return 0
+        return value.value
 
     def strings(self, name: str, *arguments: Any) -> tuple[str, ...]:
         """Return the texts of a call that fills a count and returns an array of texts that it keeps."""

@@ -5,7 +5,7 @@ import ctypes
 import logging
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
@@ -22,8 +22,10 @@ from hardware.drivers.aravis_library import (
 from hardware.drivers.aravis_library import load as load_library
 from hardware.drivers.blocks import BlockIds
 from hardware.drivers.configure import COUNTER_CHUNKS, capabilities_of, counter_chunk
+from hardware.drivers.discovery import confirmed
 from hardware.drivers.features import text
 from hardware.drivers.opened import GenICamCamera, chosen, claim, described, not_found, release
+from hardware.drivers.peer_socket import Address, PeerSocket, merged, tied, udp_sockets
 from hardware.drivers.pixels import whole_image
 from hardware.settings import CameraHardware
 
@@ -32,6 +34,8 @@ log = logging.getLogger("mosca.hardware.drivers")
 PROTOCOL = "GigEVision"
 # the library has one list for all
 _discovery = threading.RLock()
+# the socket of a camera's control channel is known by being new
+_opening = threading.Lock()
 # a camera that is busy may answer later than the library listens, which is for a second
 LOOKS = 3
 # buffers hold a second at 100 Hz, and no more than a quarter of a gigabyte
@@ -39,6 +43,10 @@ BUFFERS, LEAST_BUFFERS, BUFFER_BYTES = 100, 8, 1 << 28
 # the bootstrap register of the time [ms] without a sign of life after which a camera lets go of its program; 3 s as
 # they come. A machine that is held up for some seconds must not lose all its cameras
 HEARTBEAT_REGISTER, HEARTBEAT_MS = 0x0938, 10_000
+# bootstrap registers of the program's port at which a camera is controlled, and of the camera's port that it streams
+# from; both may be absent, and read 0
+CONTROL_PORT_REGISTER, STREAM_SOURCE_REGISTER = 0x0A04, 0x0D1C
+GVCP_PORT = 3956
 STREAM_PROPERTIES: tuple[tuple[str, str, float], ...] = (
     # what the kernel may keep while this program waits for a core (net.core.rmem_max allows how much)
     ("socket-buffer-size", "int", 1 << 23),
@@ -65,13 +73,14 @@ def devices(producer: str = "") -> Sequence[Device]:
     aravis = load()
     with _discovery:
         aravis("update_device_list")
-        return _listed(aravis)
+        found = _listed(aravis)
+    return confirmed(found)
 
 
 def open_camera(name: str, settings: CameraHardware) -> "GigeCamera":
     """Open the camera with the serial number or at the address of ``settings``."""
     aravis = load()
-    device = chosen(_listed(aravis), settings)
+    device = _one(confirmed([one for one in _listed(aravis) if chosen([one], settings)]), name, settings)
     if device is None and settings.address:
         # discovery by unicast: a broadcast does not reach other subnets
         device = Device("gige", "GigE Vision camera", "", settings.address)
@@ -79,7 +88,7 @@ def open_camera(name: str, settings: CameraHardware) -> "GigeCamera":
     for _ in range(LOOKS):
         if device is None:
             seen |= {(one.serial, one.address): one for one in devices()}
-            device = chosen(tuple(seen.values()), settings)
+            device = _one(tuple(seen.values()), name, settings)
     if device is None:
         raise not_found(tuple(seen.values()), name, settings)
     claim(device, name)
@@ -95,6 +104,18 @@ def open_camera(name: str, settings: CameraHardware) -> "GigeCamera":
             f"is {described(camera.device)}. Leave one of them out"
         )
     return camera
+
+
+def _one(found: Sequence[Device], name: str, settings: CameraHardware) -> Device | None:
+    """Return the device that the settings name, None where there is none; DeviceError where two have its serial."""
+    named = [device for device in found if chosen([device], settings)]
+    if len({device.address for device in named}) > 1:
+        there = ", ".join(device.address for device in named)
+        raise DeviceError(
+            f"camera '{name}': serial '{settings.serial}' is told by devices at {there}; one of them is not the "
+            "camera: give its address too"
+        )
+    return named[0] if named else None
 
 
 def _opened(aravis: Aravis, name: str, device: Device, settings: CameraHardware, tries: int = LOOKS) -> "GigeCamera":
@@ -139,8 +160,13 @@ class GigeCamera(GenICamCamera):
         self._blocks = BlockIds()
         self._counter: bytes | None = None
         self._chunks = 0
+        self._control_socket: PeerSocket | None = None
+        self._stream_socket: PeerSocket | None = None
         try:
-            self._camera = aravis("camera_new", (device.address or device.serial).encode())
+            with _opening:
+                before = udp_sockets()
+                self._camera = aravis("camera_new", (device.address or device.serial).encode())
+                made = {fd: local for fd, local in udp_sockets().items() if before.get(fd) != local}
         except AravisError as error:
             raise _NoAnswer(
                 f"camera '{name}': {described(device)} does not open ({error}); check power, cable and network, "
@@ -155,18 +181,43 @@ class GigeCamera(GenICamCamera):
                     f"camera '{name}': {described(device)} is controlled by another program; close that first"
                 )
             super().__init__(name, device, AravisFeatures(aravis, self._device))
+            self._tie_control(made.values())
             # one that refuses keeps its own time, and is as good as before
             with contextlib.suppress(AravisError):
                 aravis("device_write_register", self._device, HEARTBEAT_REGISTER, HEARTBEAT_MS)
             serial = decoded(aravis("camera_get_device_serial_number", self._camera))
             self.device = Device("gige", text(self.features, "DeviceModelName"), serial, device.address)
         except AravisError as error:
-            aravis.unref(self._camera)
+            self._let_go()
             raise _NoAnswer(f"camera '{name}': {described(device)} does not answer ({error})") from None
         except BaseException:
             # else it would stay under this program's control, and no program could open it
-            aravis.unref(self._camera)
+            self._let_go()
             raise
+
+    def _let_go(self) -> None:
+        if self._control_socket is not None:
+            self._control_socket.close()
+        camera, self._camera, self._device = self._camera, 0, 0
+        self._aravis.unref(camera)
+
+    def _tie_control(self, made: Collection[Address]) -> None:
+        """Take answers from the camera only; ``made``: the sockets that came with it."""
+        device, aravis = self._device, self._aravis
+        here = aravis.ipv4(aravis("gv_device_get_interface_address", device))
+        self._peer = aravis.ipv4(aravis("gv_device_get_device_address", device))
+        ports = [port for host, port in made if host == here]
+        told = aravis.register(device, CONTROL_PORT_REGISTER)
+        port = told if told in ports else ports[0] if len(ports) == 1 else 0
+        self._here = here
+        self._control_socket = tied((here, port), (self._peer, GVCP_PORT), f"camera '{self.name}', control")
+
+    def _tie_stream(self) -> None:
+        """Take the stream from the camera's source port only."""
+        aravis = self._aravis
+        source = aravis.register(self._device, STREAM_SOURCE_REGISTER) & 0xFFFF
+        local = (self._here, aravis("gv_stream_get_port", self._arv_stream))
+        self._stream_socket = tied(local, (self._peer, source), f"camera '{self.name}', stream")
 
     def _asked(self) -> Capabilities:
         try:
@@ -194,6 +245,7 @@ class GigeCamera(GenICamCamera):
             if not stream:
                 raise self._error("gives no stream; is its address in the network of this interface?")
             self._arv_stream = stream
+            self._tie_stream()
             for name, kind, value in STREAM_PROPERTIES:
                 aravis.set_property(stream, name, kind, value)
             payload = aravis("camera_get_payload", self._camera)
@@ -211,6 +263,9 @@ class GigeCamera(GenICamCamera):
         aravis = self._aravis
         buffer = aravis("stream_timeout_pop_buffer", self._arv_stream, round(timeout_s * 1e6))
         host_ns = time.monotonic_ns()
+        for one in (self._control_socket, self._stream_socket):
+            if one is not None:
+                one.look()
         if not buffer:
             if not aravis("gv_device_is_controller", self._device):
                 raise self._gone("control lost: no heartbeat, a restart, or another program took it")
@@ -272,6 +327,8 @@ class GigeCamera(GenICamCamera):
 
     def _drop_stream(self) -> None:
         if self._arv_stream:
+            if self._stream_socket is not None:
+                self._stream_socket.close()
             stream, self._arv_stream = self._arv_stream, 0
             self._aravis.unref(stream)
 
@@ -279,7 +336,7 @@ class GigeCamera(GenICamCamera):
         if not self._arv_stream:
             return {}
         aravis, stream = self._aravis, self._arv_stream
-        return {
+        return merged((self._control_socket, self._stream_socket)) | {
             decoded(aravis("stream_get_info_name", stream, number)): aravis("stream_get_info_uint64", stream, number)
             for number in range(aravis("stream_get_n_infos", stream))
         }
@@ -289,5 +346,4 @@ class GigeCamera(GenICamCamera):
         if self._chunks:
             self._aravis.unref(self._chunks)
             self._chunks = 0
-        camera, self._camera, self._device = self._camera, 0, 0
-        self._aravis.unref(camera)
+        self._let_go()

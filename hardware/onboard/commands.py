@@ -11,7 +11,7 @@ A program file (TOML) lists commands with their times, and the sources of events
     [[event]]
     name = "imu"
     kind = "udp"                    # datagrams received at address; "tcp": lines from that server
-    address = "0.0.0.0:7001"
+    address = "192.168.7.1:7001"     # of the interface that they come to
 
     [[program]]
     at_s = 1.0                      # from the first pulse on

@@ -32,6 +32,9 @@ ECHO_NS = 300_000_000
 """A message so soon after a token was withdrawn was under way: the station is not back."""
 
 
+TWO_VOICES = "speaks with two voices: do two stations have this name?"
+
+
 class Listener:
     """States of ``stations`` that show ``cameras`` (name -> width, height); used by one thread.
 
@@ -95,6 +98,8 @@ class Listener:
             match kind, what:
                 case "message", bytes():
                     self._take_message(state, unpack_detections(what), received_ns)
+                case "refused", str():
+                    self._note_once(station, "error", what)
                 case "health", bytes():
                     self._take_health(state, unpack_health(what), received_ns)
                 case "clock", (bytes() as answer, int() as asked_ns, int() as answered_ns):
@@ -109,17 +114,25 @@ class Listener:
 
     def _take_message(self, state: StationState, message: DetectionMessage, received_ns: int) -> None:
         if not self._of_this_start(state, message.epoch, received_ns):
+            if message.epoch not in state.earlier:
+                state.hold(message, received_ns)
             return
         state.count(message)
         if state.pending or not self._align(state, message, received_ns):
             state.add_pending(message, received_ns)
 
-    def _of_this_start(self, state: StationState, epoch: int, received_ns: int) -> bool:
-        """Note that the station sends; False for a message of an earlier start."""
-        if epoch in state.earlier:
+    def _of_this_start(self, state: StationState, epoch: int, received_ns: int, answer: bool = False) -> bool:
+        """Note that the station sends; False for a message of an earlier start, or of one that is not confirmed.
+
+        Only an ``answer`` to a query of its clock begins a start: a message may be forged, or be sent again.
+        """
+        quiet = received_ns - state.confirmed_ns > self.settings.silence_s * 1e9
+        if epoch in state.earlier and not (answer and quiet):
             state.statistics.stale += 1
             if received_ns - (state.heard_ns or 0) < self.settings.silence_s * 1e9 and state.has_token:
-                self._note_once(state.name, "error", "speaks with two voices: do two stations have this name?")
+                self._note_once(state.name, "error", TWO_VOICES)
+            return False
+        if not answer and epoch != state.epoch:
             return False
         if epoch != state.epoch:
             first = state.epoch is None
@@ -149,6 +162,11 @@ class Listener:
         shift = pulses.shift(state.name)
         if shift is None:  # it counts wrongly: it votes again
             return False
+        ahead_ns = (pulses.start_ns or 0) + (message.pulse + shift) * pulses.period_ns - arrival_ns
+        if ahead_ns > self.settings.merge.oldest_s * 1e9:  # sets of earlier pulses would not be waited for
+            state.statistics.spoilt += 1
+            self._note_once(state.name, "error", "sends pulses that are not due yet; they are left out")
+            return True
         # what waited at the station itself follows in a burst
         buffered = arrival_ns < state.aligned_ns
         self._deliver(state, message, received_ns, (shift, pulses.period_ns), buffered)
@@ -245,8 +263,15 @@ class Listener:
 
     def _take_clock(self, state: StationState, answer: bytes, asked_ns: int, answered_ns: int) -> None:
         epoch, remote_ns = unpack_clock(answer)
-        if not self._of_this_start(state, epoch, answered_ns):
+        if not self._of_this_start(state, epoch, answered_ns, answer=True):
             return
+        state.confirmed_ns = asked_ns
+        held = len(state.held)
+        for message, received_ns in state.take_held():
+            self._take_message(state, message, received_ns)
+            held -= 1
+        if len(state.held) < held:
+            self._note_once(state.name, "error", TWO_VOICES)
         state.clock.take(asked_ns, remote_ns, answered_ns)
         state.statistics.clock_error_ns, state.statistics.clock_skew = state.clock.error_ns, state.clock.skew
 

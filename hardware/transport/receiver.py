@@ -15,6 +15,7 @@ from typing import Self
 from hardware.transport.listener import Listener
 from hardware.transport.merger import MergedSet
 from hardware.transport.messages import NOT_YET, YES, MessageError, pack_clock, unpack_clock, unpack_heard
+from hardware.transport.signed import SignedTransport
 from hardware.transport.station_state import Event, ReceiverSettings, ReceiverStatistics
 from hardware.transport.transport import (
     EVERY_TOKEN,
@@ -68,6 +69,8 @@ class Receiver:
         self._changed = threading.Condition()
         self._over = False
         self._stop, self._closed = threading.Event(), False
+        if isinstance(transport, SignedTransport):
+            transport.on_refused = lambda station, why: self._post("refused", station, why)
         transport.declare_queryable(key_of(check_station(name), "rig"), lambda _: rig.encode())
         transport.declare_queryable(HEARD, self._received_to_end)
         transport.declare_token(key_of(name, "alive"))
@@ -147,7 +150,7 @@ class Receiver:
             self.statistics.overrun += 1
             return
         now_ns = time.monotonic_ns()
-        if kind != "token" and station in self._heard_ns:
+        if kind not in ("token", "refused") and station in self._heard_ns:
             self._heard_ns[station] = now_ns
         self._inbox.put((kind, station, what, now_ns))
 
@@ -215,6 +218,7 @@ class Receiver:
                 continue
             looked_ns = now_ns
             listener.check(now_ns, self._heard_ns)
+            self._count_refused()
             if not listener.all_ended:
                 ended_ns = None
             elif ended_ns is None:
@@ -226,9 +230,17 @@ class Receiver:
             if kind != "stop":
                 listener.take(kind, station, what, received_ns)
         self._hand_out(listener.rest(time.monotonic_ns()))
+        self._count_refused()
         with self._changed:
             self._over = True
             self._changed.notify_all()
+
+    def _count_refused(self) -> None:
+        if isinstance(self._transport, SignedTransport):
+            for station, statistics in self.statistics.stations.items():
+                statistics.forged = self._transport.refused[station]
+            named = sum(statistics.forged for statistics in self.statistics.stations.values())
+            self.statistics.strangers = self._transport.refused.total() - named
 
     def _hand_out(self, sets: Sequence[MergedSet]) -> None:
         if not sets:

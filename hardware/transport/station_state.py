@@ -51,6 +51,10 @@ class StationStatistics:
     """Messages dropped before their pulse was known."""
     stale: int = 0
     """Messages of an earlier start."""
+    unconfirmed: int = 0
+    """Messages of a start that the station did not confirm: forged, or of a session that is over."""
+    forged: int = 0
+    """Messages in its name that were not signed, or sent again (``hardware.transport.signed``)."""
     spoilt: int = 0
     """Messages that could not be read."""
     refused: int = 0
@@ -75,6 +79,8 @@ class ReceiverStatistics:
     merge: MergeStatistics
     left_out: int = 0
     """Sets that were not consumed in time."""
+    strangers: int = 0
+    """Refused messages under names that are no station's."""
     overrun: int = 0
     """Messages dropped at a full queue."""
 
@@ -92,6 +98,10 @@ class StationState:
     has_token: bool = False
     silent: bool = False
     heard_ns: int | None = None
+    confirmed_ns: int = 0
+    """When its clock was last asked and answered under this epoch."""
+    held: deque[tuple[DetectionMessage, int]] = field(default_factory=deque)
+    """Messages under an epoch that its clock has not told yet."""
     quiet_ns: int = 0
     gone_ns: int = 0
     aligned_ns: int = 0
@@ -126,6 +136,7 @@ class StationState:
         """Forget what was known of an earlier start."""
         if self.epoch is not None:
             self.earlier.add(self.epoch)
+        self.earlier.discard(epoch)
         self.epoch = epoch
         self.statistics.starts += 1
         self.clock = RemoteClock()
@@ -149,6 +160,24 @@ class StationState:
             expected = self.expected.get(camera.name, 0)
             self.statistics.lost += max(camera.sent - expected, 0)
             self.expected[camera.name] = max(camera.sent, expected)
+
+    def hold(self, message: DetectionMessage, received_ns: int) -> None:
+        """Keep a message until the station's clock tells its epoch."""
+        self.held.append((message, received_ns))
+        if len(self.held) > MOST_PENDING:
+            self.held.popleft()
+            self.statistics.unconfirmed += 1
+
+    def take_held(self) -> list[tuple[DetectionMessage, int]]:
+        """Return the held messages of the present epoch; drop others that came before its clock was asked.
+
+        Who answers after such a message came has not ended since: its sender is another.
+        """
+        mine = [item for item in self.held if item[0].epoch == self.epoch]
+        waiting = [item for item in self.held if item[0].epoch != self.epoch and item[1] >= self.confirmed_ns]
+        self.statistics.unconfirmed += len(self.held) - len(mine) - len(waiting)
+        self.held = deque(waiting)
+        return mine
 
     def add_pending(self, message: DetectionMessage, received_ns: int) -> None:
         """Keep a message until its pulse is known."""

@@ -75,6 +75,11 @@ def check_endpoint(text: str) -> str:
     return text
 
 
+def host_of(endpoint: str) -> str:
+    """Return the host of an endpoint that ``check_endpoint`` has passed."""
+    return re.sub(r":\d+(?:[?#].*)?$", "", endpoint.partition("/")[2]).strip("[]")
+
+
 def check_station(name: str) -> str:
     """Return ``name`` where it can be a station's; InputError lists what is allowed."""
     if not re.fullmatch(r"[A-Za-z0-9_-]{1,60}", name):

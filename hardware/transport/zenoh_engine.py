@@ -138,7 +138,7 @@ def _reason(error: Exception) -> str:
     """Return what is wrong in a few words, else the engine's message without its source locations."""
     for message, reason in (
         ("Address already in use", "another program listens there; choose another port, or end that program"),
-        ("Cannot assign requested address", "this machine has no such address; 0.0.0.0 listens on all it has"),
+        ("Cannot assign requested address", "this machine has no such address; name that of its interface"),
     ):
         if message in str(error):
             return reason

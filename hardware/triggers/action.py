@@ -104,7 +104,9 @@ class ActionTrigger(External):
         flags = SCHEDULED if self._table.lead_ms else 0
         command = struct.pack(">BBHHH", 0x42, flags, ACTION_CMD, len(keys), request) + keys
         try:
-            self._socket.sendto(command, (self._table.broadcast, GVCP_PORT))
+            # else the socket would receive from all interfaces
+            self._socket.connect((self._table.broadcast, GVCP_PORT))
+            self._socket.send(command)
         except OSError as error:  # the pulse is lost for all cameras; its frames are missing and counted
             log.debug("action command not sent (%s)", error)
             self.lost += 1

@@ -2,14 +2,41 @@
 
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from mosca.errors import InputError
 from scenarios.cli.options import FILE, POSITIVE, SET, Number, echo_lines
 
+if TYPE_CHECKING:
+    from hardware.transport import Trust
+
 SETTINGS_HELP = "TOML file with [detection], [match], [track] and [volume]"
+
+
+LISTEN_HELP = "endpoint to listen on, with the address of the interface, e.g. tcp/10.0.0.1:7447"
+
+
+def _trusted(command: Callable[..., None]) -> Callable[..., None]:
+    """Add the options that say whose messages are taken."""
+    for option in (
+        click.option("--insecure", is_flag=True, help="take every program's messages, on a network of their own"),
+        click.option("--key", type=FILE, help="key file that all stations share; without it this PC only"),
+    ):
+        command = option(command)
+    return command
+
+
+def _trust(key: Path | None, insecure: bool) -> "Trust":
+    from hardware.transport import Trust
+    from hardware.transport.signed import read_key
+
+    if key is not None and insecure:
+        raise InputError(f"--key {key} and --insecure given; leave one of them out")
+    return Trust(None if key is None else read_key(key), insecure)
 
 
 @click.group()
@@ -27,6 +54,7 @@ def station() -> None:
 @click.option("--fps", type=POSITIVE, help="frame rate of a recording that does not tell its own [Hz]")
 @click.option("--seconds", type=POSITIVE, help="end after this  [default: Ctrl-C]")
 @click.option("--settings", type=FILE, help=SETTINGS_HELP)
+@_trusted
 @SET
 def detect(
     rig: Path,
@@ -36,22 +64,25 @@ def detect(
     fps: float | None,
     seconds: float | None,
     settings: Path | None,
+    key: Path | None,
+    insecure: bool,
     overrides: tuple[str, ...],
 ) -> None:
     """Detect on this PC's cameras and send what is found.
 
     \b
-    Example:  mosca station detect --rig left.toml --name A --connect tcp/10.0.0.1:7447
+    Example:  mosca station detect --rig left.toml --name A --connect tcp/10.0.0.1:7447 --key rig.key
     """
     from scenarios.lab.station_verbs import detect_on_station
 
-    echo_lines(detect_on_station(rig, name, connect, recording, fps, seconds, settings, overrides, click.echo))
+    trust = _trust(key, insecure)
+    echo_lines(detect_on_station(rig, name, connect, recording, fps, seconds, settings, overrides, trust, click.echo))
 
 
 @station.command("reconstruct")
 @click.option("--rig", required=True, type=FILE, help="rig file (TOML) with the cameras of all stations")
 @click.option("--stations", required=True, help="their names, e.g. A,B")
-@click.option("--listen", required=True, multiple=True, help="endpoint to listen on, e.g. tcp/0.0.0.0:7447")
+@click.option("--listen", required=True, multiple=True, help=LISTEN_HELP)
 @click.option("--out", required=True, type=FILE, help="tracks: .npz, .csv, .c3d or .trc")
 @click.option("--seconds", type=POSITIVE, help="end after this  [default: when all end]")
 @click.option(
@@ -62,6 +93,7 @@ def detect(
     help="a set waits so long for its cameras",
 )
 @click.option("--settings", type=FILE, help=SETTINGS_HELP)
+@_trusted
 @SET
 def reconstruct(
     rig: Path,
@@ -71,18 +103,21 @@ def reconstruct(
     seconds: float | None,
     deadline_ms: float,
     settings: Path | None,
+    key: Path | None,
+    insecure: bool,
     overrides: tuple[str, ...],
 ) -> None:
     """Merge what stations detect into tracks. Exit code 1 where a camera is missing in any set.
 
     \b
-    Example:  mosca station reconstruct --rig all.toml --stations A,B --listen tcp/0.0.0.0:7447 --out take.csv
+    Example:  mosca station reconstruct --rig all.toml --stations A,B --listen tcp/10.0.0.1:7447 --key rig.key
+                  --out take.csv
     """
     from scenarios.lab.station_verbs import reconstruct_stations
 
     names = tuple(part.strip() for part in stations.split(",") if part.strip())
     lines, whole = reconstruct_stations(
-        rig, names, listen, out, seconds, deadline_ms * 1e-3, settings, overrides, click.echo
+        rig, names, listen, out, seconds, deadline_ms * 1e-3, settings, overrides, _trust(key, insecure), click.echo
     )
     echo_lines(lines)
     sys.exit(0 if whole else 1)
@@ -92,23 +127,24 @@ def reconstruct(
 @click.option("--of", "name", default="reconstruct", show_default=True, help="the station whose rig file is wanted")
 @click.option("--connect", required=True, multiple=True, help="where it, or the reconstructing station, is")
 @click.option("--out", required=True, type=FILE, help="rig file to write")
-def rig_of(name: str, connect: tuple[str, ...], out: Path) -> None:
+@_trusted
+def rig_of(name: str, connect: tuple[str, ...], out: Path, key: Path | None, insecure: bool) -> None:
     """Fetch a station's rig file with its calibration.
 
     \b
-    Example:  mosca station rig --connect tcp/10.0.0.1:7447 --out all.toml
+    Example:  mosca station rig --connect tcp/10.0.0.1:7447 --key rig.key --out all.toml
     """
     from hardware.transport import open_transport
     from hardware.transport.transport import check_station, key_of
     from mosca.data.files.whole_file import check_writable, whole_file
 
-    key = key_of(check_station(name), "rig")
+    topic = key_of(check_station(name), "rig")
     check_writable(out)
-    transport = open_transport(connect)
+    transport = open_transport(connect, trust=_trust(key, insecure))
     try:
         text, until = None, time.monotonic() + 5.0
         while text is None and time.monotonic() < until:
-            text = transport.query(key, b"", 1.0)
+            text = transport.query(topic, b"", 1.0)
             time.sleep(0.1)
     finally:
         transport.close()
@@ -117,3 +153,17 @@ def rig_of(name: str, connect: tuple[str, ...], out: Path) -> None:
     with whole_file(out) as temporary:
         temporary.write_bytes(text)
     click.echo(f"{out}")
+
+
+@station.command("key")
+@click.argument("file", type=FILE)
+def make_key(file: Path) -> None:
+    """Make the key that all stations of a rig share; copy FILE to each of them.
+
+    \b
+    Example:  mosca station key rig.key
+    """
+    from hardware.transport.signed import write_key
+
+    write_key(file)
+    click.echo(f"{file}: copy it to every station, and give it as --key")

@@ -112,6 +112,8 @@ def summary_lines(statistics: ReceiverStatistics) -> list[str]:
                 "refused by its engine": s.refused,
                 "before its pulses were known": s.unplaced,
                 "of an earlier start": s.stale,
+                "of a start that it does not confirm": s.unconfirmed,
+                "not signed or sent again": s.forged,
                 "unreadable": s.spoilt,
                 "times silent": s.silent,
                 "times gone": s.gone,
@@ -122,6 +124,8 @@ def summary_lines(statistics: ReceiverStatistics) -> list[str]:
         lines.append(f"station {name}: {s.received} messages ({clock})" + (f"; {counts}" if counts else ""))
     if statistics.left_out:
         lines.append(f"{statistics.left_out} merged sets left out: the reconstruction was behind")
+    if statistics.strangers:
+        lines.append(f"{statistics.strangers} messages under other names were not signed, and refused")
     if statistics.overrun:
         lines.append(f"{statistics.overrun} messages found no room: this PC was behind")
     return lines

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from hardware.settings import HardwareTable, read_hardware
-from hardware.transport import open_transport
+from hardware.transport import Trust, open_transport
 from hardware.transport.merger import MergeSettings
 from hardware.transport.receiver import Receiver
 from hardware.transport.sender import Sender
@@ -42,6 +42,7 @@ def detect_on_station(
     seconds: float | None,
     settings_path: Path | None,
     overrides: tuple[str, ...],
+    trust: Trust,
     report: Report,
 ) -> list[str]:
     """Run a detecting station until its source ends, ``seconds`` are over, or Ctrl-C; return the report."""
@@ -61,7 +62,7 @@ def detect_on_station(
         source = PacedRecording(SelectedCameras(open_recording(recording, cameras, fps), names))
     with before_others():  # the engine's threads too
         try:
-            transport = open_transport(connect)
+            transport = open_transport(connect, trust=trust)
             sender = Sender(transport, name, source.cameras, text)
         except BaseException:
             source.close()
@@ -97,6 +98,7 @@ def reconstruct_stations(
     deadline_s: float,
     settings_path: Path | None,
     overrides: tuple[str, ...],
+    trust: Trust,
     report: Report,
 ) -> tuple[list[str], bool]:
     """Merge and reconstruct until all stations end, ``seconds`` are over, or Ctrl-C.
@@ -115,7 +117,7 @@ def reconstruct_stations(
         stack.enter_context(before_others())
         stack.enter_context(prompt())
         receiver = Receiver(
-            open_transport(listen=listen),
+            open_transport(listen=listen, trust=trust),
             stations,
             {table.name: table.size for table in file.camera},
             rate,

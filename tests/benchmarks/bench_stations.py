@@ -22,7 +22,7 @@ TESTS = Path(__file__).resolve().parent.parent
 for folder in (TESTS.parent, TESTS / "scenarios", TESTS / "hardware"):
     sys.path.insert(0, str(folder))
 
-from namespaces import pcs, why_not  # noqa: E402
+from namespaces import TRUST, pcs, why_not  # noqa: E402
 from ready_station import SIZE  # noqa: E402
 
 from hardware.transport import open_transport  # noqa: E402
@@ -63,7 +63,7 @@ def measure(two, given) -> None:
         with (
             before_others(),
             prompt(),
-            Receiver(open_transport(listen=endpoints), ("A", "B"), sizes, settings=settings) as here,
+            Receiver(open_transport(listen=endpoints, trust=TRUST), ("A", "B"), sizes, settings=settings) as here,
         ):
             for k, (name, pc) in enumerate(two.items()):
                 if given.detect:

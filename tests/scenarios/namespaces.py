@@ -8,7 +8,10 @@ from contextlib import contextmanager
 
 import pytest
 
+from hardware.transport import Trust
+
 PORT = 7461
+TRUST = Trust(bytes(range(32)))
 
 
 def why_not():

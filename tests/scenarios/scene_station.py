@@ -10,7 +10,7 @@ import time
 
 from station_scene import image, rig
 
-from hardware.transport import open_transport
+from hardware.transport import Trust, open_transport
 from hardware.transport.sender import Sender
 from mosca.data.frames import CameraInfo, Frame
 from mosca.detection.detect import DetectionSettings
@@ -53,7 +53,11 @@ def main():
     settings = DetectionSettings(split_pairs=pairs == ["1"])
     offset = sum(name.encode()) * 10**12
     sender = Sender(
-        open_transport(connect=[endpoint]), name, source.cameras, "", lambda: time.monotonic_ns() + offset
+        open_transport(connect=[endpoint], trust=Trust(bytes(range(32)))),
+        name,
+        source.cameras,
+        "",
+        lambda: time.monotonic_ns() + offset,
     )
     source.gate.sender = sender
     print("ready", flush=True)

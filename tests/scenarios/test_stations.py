@@ -19,10 +19,11 @@ from memory_transport import Exchange
 from needs import needs_module
 
 from hardware.settings import read_hardware
-from hardware.transport import open_transport
+from hardware.transport import Trust, open_transport
 from hardware.transport.merger import MergeSettings
 from hardware.transport.receiver import Receiver
 from hardware.transport.sender import Sender
+from hardware.transport.signed import read_key
 from hardware.transport.station_state import ReceiverSettings
 from hardware.trigger import External
 from mosca.data.files.rig_file import rig_toml, write_rig
@@ -269,22 +270,24 @@ def test_the_verbs_from_recordings_to_tracks(tmp_path, monkeypatch):
     bare = "".join(f'[[camera]]\nname = "{name}"\nsize = [320, 240]\n' for name in NAMES)
     (tmp_path / "all.toml").write_text(bare)
     out, results = tmp_path / "tracks.csv", {}
+    assert invoke("key", tmp_path / "rig.key").exit_code == 0
+    key = read_key(tmp_path / "rig.key")
 
     def detect(name):
         rig_path, recording = tmp_path / f"{name}.toml", tmp_path / name
         results[name] = detect_on_station(
-            rig_path, name, [endpoint], recording, None, None, None, (), lambda line: None
+            rig_path, name, [endpoint], recording, None, None, None, (), Trust(key), lambda line: None
         )
 
     def fetch():
-        rig_of.callback("reconstruct", (endpoint,), tmp_path / "got.toml")
+        rig_of.callback("reconstruct", (endpoint,), tmp_path / "got.toml", tmp_path / "rig.key", insecure=False)
 
     threads = [threading.Thread(target=detect, args=(name,)) for name in "AB"] + [threading.Thread(target=fetch)]
     for thread in threads:
         thread.start()
     done = invoke(
         "reconstruct", "--rig", tmp_path / "all.toml", "--stations", "A,B", "--listen", endpoint, "--out", out,
-        "--deadline-ms", "2000",
+        "--deadline-ms", "2000", "--key", tmp_path / "rig.key",
     )  # fmt: skip
     for thread in threads:
         thread.join()

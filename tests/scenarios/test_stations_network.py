@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from namespaces import needs_namespaces, pcs
+from namespaces import TRUST, needs_namespaces, pcs
 
 HARDWARE = Path(__file__).resolve().parent.parent / "hardware"
 sys.path.insert(0, str(HARDWARE))
@@ -55,7 +55,7 @@ def listening(two_pcs, silence_s):
     settings = ReceiverSettings(
         MergeSettings(deadline_s=60.0, oldest_s=60.0), silence_s, start_wait_s=60.0, queued=2 * LONG
     )
-    with Receiver(open_transport(listen=endpoints), ("A", "B"), SIZES, settings=settings) as here:
+    with Receiver(open_transport(listen=endpoints, trust=TRUST), ("A", "B"), SIZES, settings=settings) as here:
         yield here
 
 
