@@ -21,7 +21,7 @@ from scenarios.cli import motion as cli_motion
 from scenarios.cli import rig as cli_rig
 from scenarios.cli import station as cli_station
 from scenarios.cli import tracks as cli_tracks
-from scenarios.cli.options import FILE, log_to_stderr, print_table, table
+from scenarios.cli.options import FILE, OUT_FILE, OUT_FOLDER, OutFile, log_to_stderr, print_table, table
 from scenarios.cli.progress import Progress
 from scenarios.run.interrupt import was_interrupted
 
@@ -48,9 +48,9 @@ def cli(verbose: int, quiet: bool) -> None:
 @click.option(
     "--set", "overrides", multiple=True, metavar="KEY=VALUE", help="change a key, e.g. capture.duration_s=2"
 )
-@click.option("--out", type=FILE, help="run folder  [default: runs/SCENARIO]")
+@click.option("--out", type=OUT_FOLDER, help="run folder  [default: runs/SCENARIO]")
 @click.option("--rrd", is_flag=True, help="also write run.rrd for the Rerun viewer")
-@click.option("--record", type=FILE, help="also record the frames into this folder")
+@click.option("--record", type=OUT_FOLDER, help="also record the frames into this folder")
 @click.option(
     "--truth",
     type=FILE,
@@ -98,13 +98,16 @@ def run(
         with Progress(name) as shown:
             options = RunOptions(source, workers or os.cpu_count() or 1, log, record, truth, shown)
             result = run_scenario(spec, name, path.parent, options)
+        # before anything is written: no full disk and no failing page loses the figures
+        _print_metrics(result.record)
+        print_table(summary_table([result.record]))
+        click.echo(f"{name}: {result.record.verdict}")
+        sys.stdout.flush()
         write_run(result, target, log)
     finally:
         if log is not None:
             log.unlink(missing_ok=True)
-    _print_metrics(result.record)
-    print_table(summary_table([result.record]))
-    click.echo(f"{name}: {result.record.verdict}; {target / 'report.html'}")
+    click.echo(f"{target / 'report.html'}")
     sys.exit(EXIT_PASSED if result.record.passed else EXIT_BROKEN)
 
 
@@ -112,12 +115,12 @@ def run(
 @click.argument("paths", nargs=-1, type=FILE)
 @click.option("--tier", type=click.Choice(["quick", "full"]), default="quick", show_default=True)
 @click.option("--jobs", type=click.IntRange(1, 256), help="scenarios at a time  [default: all cores]")
-@click.option("--out", type=FILE, default=Path("runs/suite"), show_default=True, help="folder of run folders")
-@click.option("--junit", type=FILE, help="write JUnit XML here")
+@click.option("--out", type=OUT_FOLDER, default=Path("runs/suite"), show_default=True, help="folder of run folders")
+@click.option("--junit", type=OutFile(makes_folders=True), help="write JUnit XML here")
 @click.option("--compare", type=FILE, help="folder of baselines to compare with  [default: the committed ones]")
 @click.option("--update-baselines", is_flag=True, help="make these results the baselines (say why in CHANGELOG)")
 @click.option(
-    "--baselines", type=FILE, help="folder that --update-baselines writes to  [default: the committed ones]"
+    "--baselines", type=OUT_FOLDER, help="folder that --update-baselines writes to  [default: the committed ones]"
 )
 @click.option(
     "--spread",
@@ -159,6 +162,8 @@ def suite(
 
     if compare is not None:
         work.check_baselines(compare)
+    for replicate in replicates:
+        work.check_replicate(entries, replicate)
     with Progress("suite") as shown:
         count = 0
 
@@ -170,6 +175,9 @@ def suite(
             shown(count, len(entries))
 
         outcomes = work.run_suite(entries, out, jobs or os.cpu_count() or 1, report)
+    # before anything is written: no full disk loses the figures
+    print_table(summary_table([o.record for o in outcomes if o.record is not None]))
+    sys.stdout.flush()
     if update_baselines:
         work.update_baselines(outcomes, baselines or work.BASELINES, replicates)
         click.echo(f"{len(outcomes)} baselines written to {baselines or work.BASELINES}; say why in CHANGELOG.md")
@@ -177,13 +185,12 @@ def suite(
         outcomes = work.compared(outcomes, compare or work.BASELINES)
     if junit is not None:
         work.write_junit(outcomes, junit)
-    print_table(summary_table([o.record for o in outcomes if o.record is not None]))
     bad = [line for o in outcomes for line in work.complaints(o)]
     for line in bad:
         click.echo(line, err=True)
     passed = sum(o.passed for o in outcomes)
     click.echo(f"{passed} of {len(outcomes)} scenarios as they should be; reports in {out}")
-    if any(o.record is None for o in outcomes):
+    if any(o.error for o in outcomes):
         sys.exit(EXIT_ERROR)
     sys.exit(EXIT_PASSED if passed == len(outcomes) else EXIT_BROKEN)
 
@@ -204,7 +211,7 @@ def list_() -> None:
 
 
 @cli.command()
-@click.argument("path", type=FILE)
+@click.argument("path", type=OUT_FILE)
 def new(path: Path) -> None:
     """Write a commented scenario file to start from.
 
@@ -219,7 +226,7 @@ def new(path: Path) -> None:
 
 @cli.command()
 @click.argument("runs", nargs=-1, required=True, type=FILE)
-@click.option("--out", type=FILE, default=Path("comparison.html"), show_default=True, help="page to write")
+@click.option("--out", type=OUT_FILE, default=Path("comparison.html"), show_default=True, help="page to write")
 def report(runs: tuple[Path, ...], out: Path) -> None:
     """Compare run folders on one page.
 
@@ -270,7 +277,7 @@ def twin() -> None:
 
 @twin.command("fidelity")
 @click.option("--quick", is_flag=True, help="fewer cases, in a few seconds; without other renderers")
-@click.option("--out", type=FILE, help="folder for fidelity.html (with pictures) and fidelity.json")
+@click.option("--out", type=OUT_FOLDER, help="folder for fidelity.html (with pictures) and fidelity.json")
 def twin_fidelity(quick: bool, out: Path | None) -> None:
     """Hold the virtual cameras against outside witnesses and print each figure beside its bar.
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from mosca.errors import InputError
-from scenarios.cli.options import FILE, POSITIVE, SET, Number, echo_lines
+from scenarios.cli.options import FILE, OUT_FILE, POSITIVE, SET, Number, echo_lines
 
 SETTINGS_HELP = "TOML file with [detection], [match], [track] and [volume]"
 
@@ -52,7 +52,7 @@ def detect(
 @click.option("--rig", required=True, type=FILE, help="rig file (TOML) with the cameras of all stations")
 @click.option("--stations", required=True, help="their names, e.g. A,B")
 @click.option("--listen", required=True, multiple=True, help="endpoint to listen on, e.g. tcp/0.0.0.0:7447")
-@click.option("--out", required=True, type=FILE, help="tracks: .npz, .csv, .c3d or .trc")
+@click.option("--out", required=True, type=OUT_FILE, help="tracks: .npz, .csv, .c3d or .trc")
 @click.option("--seconds", type=POSITIVE, help="end after this  [default: when all end]")
 @click.option(
     "--deadline-ms",
@@ -91,7 +91,7 @@ def reconstruct(
 @station.command("rig")
 @click.option("--of", "name", default="reconstruct", show_default=True, help="the station whose rig file is wanted")
 @click.option("--connect", required=True, multiple=True, help="where it, or the reconstructing station, is")
-@click.option("--out", required=True, type=FILE, help="rig file to write")
+@click.option("--out", required=True, type=OUT_FILE, help="rig file to write")
 def rig_of(name: str, connect: tuple[str, ...], out: Path) -> None:
     """Fetch a station's rig file with its calibration.
 

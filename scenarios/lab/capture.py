@@ -110,7 +110,7 @@ def capture(
 
             warm_up(source.cameras, settings)
         stack.enter_context(prompt())
-        writer = stack.enter_context(_recording(request, source))
+        writer = stack.enter_context(_recording(request, source, pulses))
         recorder = Recorder(writer, source.cameras, request.waiting_bytes)
         stack.callback(recorder.close)
         source.on_image = None if request.detections else recorder.keep_early
@@ -169,10 +169,12 @@ def _calibrated(path: Path) -> Rig | None:
     return read_rig(path)
 
 
-def _recording(request: CaptureRequest, source: HardwareSource) -> RecordingWriter:
+def _recording(request: CaptureRequest, source: HardwareSource, pulses: int | None) -> RecordingWriter:
     text = request.rig.read_text(encoding="utf-8")
     if request.detections:
         return RecordingWriter(request.out, source.cameras, text, holds="detections", tail_bytes=0)
+    # before packing, as nobody knows how far these images pack; without an end the take may fill the disk
+    check_folder(request.out, (pulses or 0) * sum(info.image_bytes for info in source.cameras))
     return RecordingWriter(request.out, source.cameras, text, holds="frames", tail_bytes=request.waiting_bytes)
 
 

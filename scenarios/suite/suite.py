@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from junitparser import Error, Failure, JUnitXml, TestCase, TestSuite
 
+from mosca.data.files.whole_file import whole_file
 from mosca.errors import InputError, MoscaError
 from reports.compare import Regression, missing, regressions
 from reports.record import RunRecord, read_record, write_record
@@ -21,7 +22,9 @@ BASELINES = Path(__file__).resolve().parents[2] / "reports" / "baselines"
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of one scenario: its record, or the known error that kept it from running, and its seconds."""
+    """What became of one scenario: its record, the known error that kept it from running or its folder from being
+    written, and its seconds.
+    """
 
     name: str
     record: RunRecord | None
@@ -33,7 +36,8 @@ class Outcome:
     @property
     def passed(self) -> bool:
         """Whether it ran, met its limits and regressed in nothing."""
-        return self.record is not None and self.record.passed and not self.worse and not self.gone
+        whole = self.record is not None and self.record.passed and not self.error
+        return whole and not self.worse and not self.gone
 
 
 def run_suite(entries: Sequence[Entry], out: Path, jobs: int, told: Callable[[Outcome], None]) -> list[Outcome]:
@@ -64,6 +68,12 @@ def check_baselines(folder: Path) -> None:
         raise InputError(f"{folder}: no such folder of baselines; 'mosca suite --update-baselines' makes one")
 
 
+def check_replicate(entries: Sequence[Entry], folder: Path) -> None:
+    """Raise InputError where ``folder``, of a suite run, lacks the record of one of ``entries``."""
+    for entry in entries:
+        read_record(folder / entry.name / "record.json")
+
+
 def compared(outcomes: Sequence[Outcome], baselines: Path) -> list[Outcome]:
     """Return the outcomes with what is worse than in the baselines; a scenario without a baseline has none."""
     return [_compared(outcome, baselines) for outcome in outcomes]
@@ -75,7 +85,7 @@ def update_baselines(outcomes: Sequence[Outcome], baselines: Path, replicates: S
     ``replicates``: folders of suite runs of the same product with other processor features; each metric's spread
     among them goes into its baseline.
     """
-    failed = [o.name for o in outcomes if o.record is None or not o.record.passed]
+    failed = [o.name for o in outcomes if not o.passed]
     if failed:
         raise InputError(f"baselines are not updated while {', '.join(failed)} failed; mend that first")
     records = [o.record for o in outcomes if o.record is not None]
@@ -110,7 +120,7 @@ def write_junit(outcomes: Sequence[Outcome], path: Path) -> None:
     suite = TestSuite("mosca suite")
     for outcome in outcomes:
         case = TestCase(outcome.name, classname="mosca.scenarios", time=outcome.seconds)
-        if outcome.record is None:
+        if outcome.error:
             case.result = [Error(outcome.error)]
         elif not outcome.passed:
             case.result = [Failure("; ".join(complaints(outcome)))]
@@ -119,14 +129,16 @@ def write_junit(outcomes: Sequence[Outcome], path: Path) -> None:
     document = JUnitXml()
     document.add_testsuite(suite)
     path.parent.mkdir(parents=True, exist_ok=True)
-    document.write(str(path), pretty=True)
+    with whole_file(path) as temporary:
+        document.write(str(temporary), pretty=True)
 
 
 def complaints(outcome: Outcome) -> list[str]:
     """Return what is wrong with an outcome, a line each."""
+    lines = [f"{outcome.name}: {outcome.error}"] if outcome.error else []
     if outcome.record is None:
-        return [f"{outcome.name}: {outcome.error}"]
-    lines = [] if outcome.record.passed else [f"{outcome.name}: {outcome.record.verdict}"]
+        return lines
+    lines += [] if outcome.record.passed else [f"{outcome.name}: {outcome.record.verdict}"]
     lines += [f"regression: {r}" for r in outcome.worse]
     lines += [f"{outcome.name}: metric '{name}' of the baseline is gone" for name in outcome.gone]
     return lines
@@ -135,17 +147,20 @@ def complaints(outcome: Outcome) -> list[str]:
 def _run_one(path: str, name: str, out: str) -> Outcome:
     """Run one scenario in a worker process."""
     os.environ.setdefault("OMP_NUM_THREADS", "1")
-    from scenarios.run.folder import write_run
+    from scenarios.run.folder import check_out, write_run
     from scenarios.run.scenario import run_scenario
     from scenarios.spec.scenario import load_scenario
 
     start = time.perf_counter()
+    record = None
     try:
+        check_out(Path(out))
         result = run_scenario(load_scenario(Path(path)), name, Path(path).parent)
+        record = result.record
         write_run(result, Path(out))
     except MoscaError as error:
-        return Outcome(name, None, str(error), time.perf_counter() - start)
-    return Outcome(name, result.record, "", time.perf_counter() - start)
+        return Outcome(name, record, str(error), time.perf_counter() - start)
+    return Outcome(name, record, "", time.perf_counter() - start)
 
 
 def _compared(outcome: Outcome, baselines: Path) -> Outcome:
