@@ -2,7 +2,10 @@
 
 import logging
 import os
+import signal
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +26,7 @@ from scenarios.cli import station as cli_station
 from scenarios.cli import tracks as cli_tracks
 from scenarios.cli.options import FILE, OUT_FILE, OUT_FOLDER, OutFile, log_to_stderr, print_table, table
 from scenarios.cli.progress import Progress
-from scenarios.run.interrupt import was_interrupted
+from scenarios.run.interrupt import EXIT_STOPPED, was_interrupted
 
 LOG = logging.getLogger(__name__)
 EXIT_PASSED, EXIT_BROKEN, EXIT_ERROR = 0, 1, 2
@@ -88,13 +91,13 @@ def run(
     target = out or Path("runs") / name
     from reports.compare import summary_table
     from scenarios.run.folder import check_out, write_run
+    from scenarios.run.one_writer import one_writer
     from scenarios.run.scenario import run_scenario
     from scenarios.types import RunOptions
 
     check_out(target)
-    target.parent.mkdir(parents=True, exist_ok=True)
     log = target.parent / f".{target.name}.rrd" if rrd else None
-    try:
+    with one_writer(target), _removed_in_the_end(log):
         with Progress(name) as shown:
             options = RunOptions(source, workers or os.cpu_count() or 1, log, record, truth, shown)
             result = run_scenario(spec, name, path.parent, options)
@@ -104,9 +107,6 @@ def run(
         click.echo(f"{name}: {result.record.verdict}")
         sys.stdout.flush()
         write_run(result, target, log)
-    finally:
-        if log is not None:
-            log.unlink(missing_ok=True)
     click.echo(f"{target / 'report.html'}")
     sys.exit(EXIT_PASSED if result.record.passed else EXIT_BROKEN)
 
@@ -158,6 +158,7 @@ def suite(
     if not entries:
         raise InputError(f"no scenario of tier '{tier}' in {', '.join(map(str, paths)) or 'the project'}")
     from reports.compare import summary_table
+    from scenarios.run.one_writer import one_writer
     from scenarios.suite import suite as work
 
     if compare is not None:
@@ -174,22 +175,27 @@ def suite(
             LOG.info("%s: %s, %.1f s", outcome.name, state, outcome.seconds)
             shown(count, len(entries))
 
-        outcomes = work.run_suite(entries, out, jobs or os.cpu_count() or 1, report)
+        with one_writer(out):
+            outcomes = work.run_suite(entries, out, jobs or os.cpu_count() or 1, report)
+    stopped = [o.name for o in outcomes if o.error == work.STOPPED]
     # before anything is written: no full disk loses the figures
     print_table(summary_table([o.record for o in outcomes if o.record is not None]))
     sys.stdout.flush()
-    if update_baselines:
+    if update_baselines and not stopped:
         work.update_baselines(outcomes, baselines or work.BASELINES, replicates)
         click.echo(f"{len(outcomes)} baselines written to {baselines or work.BASELINES}; say why in CHANGELOG.md")
     else:
         outcomes = work.compared(outcomes, compare or work.BASELINES)
     if junit is not None:
         work.write_junit(outcomes, junit)
-    bad = [line for o in outcomes for line in work.complaints(o)]
+    bad = [line for o in outcomes if o.name not in stopped for line in work.complaints(o)]
     for line in bad:
         click.echo(line, err=True)
     passed = sum(o.passed for o in outcomes)
     click.echo(f"{passed} of {len(outcomes)} scenarios as they should be; reports in {out}")
+    if stopped:
+        click.echo(f"stopped by hand: {len(stopped)} scenarios did not end: {', '.join(stopped)}", err=True)
+        sys.exit(EXIT_STOPPED)
     if any(o.error for o in outcomes):
         sys.exit(EXIT_ERROR)
     sys.exit(EXIT_PASSED if passed == len(outcomes) else EXIT_BROKEN)
@@ -340,13 +346,24 @@ def main() -> None:
     except (click.Abort, KeyboardInterrupt, SystemError) as error:
         if isinstance(error, SystemError) and not was_interrupted(error):
             raise
+        # the end of the process waits for threads and processes; one more Ctrl-C does not
+        signal.signal(signal.SIGINT, lambda *_: os._exit(EXIT_STOPPED))
         click.echo("mosca: stopped; nothing was left half written", err=True)
-        sys.exit(130)
+        sys.exit(EXIT_STOPPED)
     except OSError as error:
         if error.filename is None and error.errno is None:
             raise
         click.echo(f"mosca: {error.filename or 'disk'}: {error.strerror}", err=True)
         sys.exit(EXIT_ERROR)
+
+
+@contextmanager
+def _removed_in_the_end(path: Path | None) -> Iterator[None]:
+    try:
+        yield
+    finally:
+        if path is not None:
+            path.unlink(missing_ok=True)
 
 
 def _print_metrics(record: Any) -> None:

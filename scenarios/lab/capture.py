@@ -22,6 +22,7 @@ from scenarios.lab.intake import Intake
 from scenarios.lab.priority import before_others, prompt
 from scenarios.lab.recorder import WAITING_BYTES, Recorder
 from scenarios.run.interrupt import between_steps
+from scenarios.run.one_writer import one_writer
 
 if TYPE_CHECKING:
     from mosca.pipeline import PipelineSettings
@@ -53,6 +54,11 @@ class CaptureRequest:
     program: Path | None = None
     """Commands and events (``hardware.onboard.commands``)."""
     waiting_bytes: int = WAITING_BYTES
+
+    @property
+    def ends(self) -> bool:
+        """Whether it ends without Ctrl-C."""
+        return self.frames is not None or self.seconds is not None
 
 
 @dataclass
@@ -97,6 +103,14 @@ def capture(
 
     ``opener`` and ``trigger_opener`` are for tests.
     """
+    check_out(request.out)
+    with one_writer(request.out):
+        return _captured(request, progress, opener, trigger_opener)
+
+
+def _captured(
+    request: CaptureRequest, progress: Progress | None, opener: OpenCamera, trigger_opener: OpenTrigger
+) -> CaptureOutcome:
     check_out(request.out)
     hardware = read_hardware(request.rig)
     program = None if request.program is None else read_program(request.program)
