@@ -21,6 +21,7 @@ from hardware.drivers.aravis_library import (
 )
 from hardware.drivers.aravis_library import load as load_library
 from hardware.drivers.blocks import BlockIds
+from hardware.drivers.camera_control import HEARTBEAT_REGISTER, wait_for_control
 from hardware.drivers.configure import COUNTER_CHUNKS, capabilities_of, counter_chunk
 from hardware.drivers.features import text
 from hardware.drivers.opened import GenICamCamera, chosen, claim, described, not_found, release
@@ -36,9 +37,9 @@ _discovery = threading.RLock()
 LOOKS = 3
 # buffers hold a second at 100 Hz, and no more than a quarter of a gigabyte
 BUFFERS, LEAST_BUFFERS, BUFFER_BYTES = 100, 8, 1 << 28
-# the bootstrap register of the time [ms] without a sign of life after which a camera lets go of its program; 3 s as
-# they come. A machine that is held up for some seconds must not lose all its cameras
-HEARTBEAT_REGISTER, HEARTBEAT_MS = 0x0938, 10_000
+# without a sign of life for so long a camera lets go of its program; 3 s as they come. A machine that is held up for
+# some seconds must not lose all its cameras
+HEARTBEAT_MS = 10_000
 STREAM_PROPERTIES: tuple[tuple[str, str, float], ...] = (
     # what the kernel may keep while this program waits for a core (net.core.rmem_max allows how much)
     ("socket-buffer-size", "int", 1 << 23),
@@ -151,9 +152,7 @@ class GigeCamera(GenICamCamera):
                 raise DeviceError(f"camera '{name}': {described(device)} is no GigE Vision camera")
             self._device = aravis("camera_get_device", self._camera)
             if not aravis("gv_device_is_controller", self._device):
-                raise DeviceError(
-                    f"camera '{name}': {described(device)} is controlled by another program; close that first"
-                )
+                wait_for_control(aravis, self._device, f"camera '{name}': {described(device)}")
             super().__init__(name, device, AravisFeatures(aravis, self._device))
             # one that refuses keeps its own time, and is as good as before
             with contextlib.suppress(AravisError):
