@@ -113,6 +113,15 @@ def _ctrl_c_held_back() -> Iterator[None]:
 def _begin_worker() -> None:
     # between two scenarios there is nothing to end
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    """End this worker when the suite was killed: nobody would wait for its scenario."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
 
 
 def _end_scenario(number: int, frame: FrameType | None) -> None:

@@ -88,6 +88,7 @@ def test_a_full_disk_is_told_before_the_run(tmp_path, monkeypatch):
     try:
         with no_work(monkeypatch):
             line = refusal("run", write_tiny(tmp_path), "--out", disk / "x", cwd=tmp_path)
+            assert "runs: cannot be written: No space left" in refusal("run", tmp_path / "tiny.toml", cwd=disk)
         assert f"{disk}/x: cannot be written: No space left on device; make room" in line
         assert list(disk.iterdir()) == []
     finally:

@@ -11,6 +11,7 @@ from command_line import MOSCA, mosca
 from tiny_scenario import write_tiny
 
 from scenarios.lab import capture as capture_module
+from scenarios.run.one_writer import one_writer
 
 
 def begun(words, cwd):
@@ -41,6 +42,7 @@ def suite(tmp_path):
     process.communicate()
 
 
+@pytest.mark.slow
 def test_a_suite_sums_up_what_is_done(tmp_path, suite):
     os.killpg(suite.pid, signal.SIGINT)
     told, errors = suite.communicate(timeout=600)
@@ -64,6 +66,14 @@ def test_a_suite_ends_without_tracebacks_however_often_it_is_told(tmp_path, suit
     assert suite.returncode == 130, errors
     assert "Traceback" not in errors
     assert sorted(p.name for p in (tmp_path / "x").iterdir()) == ["short"]
+
+
+@pytest.mark.slow
+def test_no_worker_outlives_a_killed_suite(tmp_path, suite):
+    suite.kill()
+    suite.communicate(timeout=600)  # until the workers have closed its output, too
+    with one_writer(tmp_path / "x/long"):
+        pass
 
 
 def test_a_run_says_how_far_it_was(tmp_path):
