@@ -77,6 +77,7 @@ _SIGNATURES: dict[str, tuple[Any, tuple[Any, ...], bool]] = {
     "gv_device_get_interface_address": (c_void_p, (c_void_p,), False),
     "gv_device_get_device_address": (c_void_p, (c_void_p,), False),
     "gv_stream_get_port": (ctypes.c_uint16, (c_void_p,), False),
+    "gv_device_take_control": (c_int, (c_void_p,), True),
     "gv_device_get_timestamp_tick_frequency": (c_uint64, (c_void_p,), True),
     "device_read_register": (c_int, (c_void_p, c_uint64, POINTER(ctypes.c_uint32)), True),
     "device_write_register": (c_int, (c_void_p, c_uint64, ctypes.c_uint32), True),

@@ -21,6 +21,7 @@ from hardware.drivers.aravis_library import (
 )
 from hardware.drivers.aravis_library import load as load_library
 from hardware.drivers.blocks import BlockIds
+from hardware.drivers.camera_control import HEARTBEAT_REGISTER, wait_for_control
 from hardware.drivers.configure import COUNTER_CHUNKS, capabilities_of, counter_chunk
 from hardware.drivers.discovery import confirmed
 from hardware.drivers.features import text
@@ -40,9 +41,9 @@ _opening = threading.Lock()
 LOOKS = 3
 # buffers hold a second at 100 Hz, and no more than a quarter of a gigabyte
 BUFFERS, LEAST_BUFFERS, BUFFER_BYTES = 100, 8, 1 << 28
-# the bootstrap register of the time [ms] without a sign of life after which a camera lets go of its program; 3 s as
-# they come. A machine that is held up for some seconds must not lose all its cameras
-HEARTBEAT_REGISTER, HEARTBEAT_MS = 0x0938, 10_000
+# without a sign of life for so long a camera lets go of its program; 3 s as they come. A machine that is held up for
+# some seconds must not lose all its cameras
+HEARTBEAT_MS = 10_000
 # bootstrap registers of the program's port at which a camera is controlled, and of the camera's port that it streams
 # from; both may be absent, and read 0
 CONTROL_PORT_REGISTER, STREAM_SOURCE_REGISTER = 0x0A04, 0x0D1C
@@ -177,9 +178,7 @@ class GigeCamera(GenICamCamera):
                 raise DeviceError(f"camera '{name}': {described(device)} is no GigE Vision camera")
             self._device = aravis("camera_get_device", self._camera)
             if not aravis("gv_device_is_controller", self._device):
-                raise DeviceError(
-                    f"camera '{name}': {described(device)} is controlled by another program; close that first"
-                )
+                wait_for_control(aravis, self._device, f"camera '{name}': {described(device)}")
             super().__init__(name, device, AravisFeatures(aravis, self._device))
             self._tie_control(made.values())
             # one that refuses keeps its own time, and is as good as before

@@ -4,6 +4,7 @@ import time
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
+from ipaddress import IPv4Address
 from threading import Condition
 
 from hardware.emulate.acquisition import (
@@ -183,6 +184,7 @@ class EmulatedCamera:
             "PtpOffsetFromMaster": lambda: self._ptp[1],
             "ControlPrivilege": lambda: privilege.level,
             "PrimaryPort": lambda: privilege.holder[1] if privilege.holder else 0,
+            "PrimaryIP": lambda: int(IPv4Address(privilege.holder[0])) if privilege.holder else 0,
         }
 
     # what a write causes

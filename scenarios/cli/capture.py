@@ -9,6 +9,7 @@ import click
 from mosca.errors import InputError
 from scenarios.cli.options import FILE, POSITIVE, echo_lines, print_table, table
 from scenarios.cli.progress import Progress
+from scenarios.run.interrupt import EXIT_STOPPED
 
 if TYPE_CHECKING:
     from scenarios.lab.capture import CaptureOutcome
@@ -37,7 +38,8 @@ def capture(
 ) -> None:
     """Record the cameras of a rig; Ctrl-C ends the take properly.
 
-    Exit codes: 0 each pulse has a whole frame of each camera, 1 something was lost (see the table).
+    Exit codes: 0 each pulse has a whole frame of each camera, 1 something was lost (see the table), 130 Ctrl-C came
+    before the end that --frames or --seconds set.
 
     \b
     Example:  mosca capture --rig rig.toml --out lab/take1 --seconds 30
@@ -51,6 +53,8 @@ def capture(
     with Progress(out.name) as shown:
         outcome = work(request, shown)
     tell(outcome, out)
+    if outcome.stopped and request.ends:
+        sys.exit(EXIT_STOPPED)
     sys.exit(0 if outcome.whole else EXIT_LOST)
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from mosca.errors import InputError
-from scenarios.cli.options import FILE, POSITIVE, Number, print_table, table
+from scenarios.cli.options import OUT_FILE, POSITIVE, Number, print_table, table
 from scenarios.cli.progress import Progress
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ SHARE = Number(0.0, 1.0)
 @click.option("--reboot", "reboots", multiple=True, metavar="CAMERA@S", help="this camera reboots after S seconds")
 @click.option("--drift", type=Number(), default=0.0, metavar="PPM", help="the clocks drift from -PPM to +PPM")
 @click.option("--seed", type=click.IntRange(min=0), default=0, help="of the losses")
-@click.option("--rig-out", type=FILE, help="write a rig file with which 'mosca capture --rig' grabs from them")
+@click.option("--rig-out", type=OUT_FILE, help="write a rig file with which 'mosca capture --rig' grabs from them")
 @click.option(
     "--trigger",
     type=click.Choice(["Line1", "serial", "Software", "Action1", "Off"]),

@@ -4,14 +4,14 @@ from typing import Any
 
 import click
 
-from scenarios.cli.options import FILE, LAG, POSITIVE, SET, echo_lines
+from scenarios.cli.options import FILE, LAG, OUT_FILE, POSITIVE, SET, echo_lines
 
 
 @click.command()
 @click.argument("source")
 @click.option("--rig", type=FILE, help="calibrated rig file; a scenario and hardware:RIG.toml bring their own")
-@click.option("--out", type=FILE, help="tracks: .npz, .csv, .c3d or .trc; until the end OUT.part.csv grows")
-@click.option("--record", type=FILE, help="write counts and the stages' times here: .json")
+@click.option("--out", type=OUT_FILE, help="tracks: .npz, .csv, .c3d or .trc; until the end OUT.part.csv grows")
+@click.option("--record", type=OUT_FILE, help="write counts and the stages' times here: .json")
 @click.option("--seconds", type=POSITIVE, help="end after this  [default: the source's end]")
 @click.option("--fps", type=POSITIVE, help="frame rate of a recording that does not tell its own [Hz]")
 @click.option("--rate", type=POSITIVE, help="pace of recording or scenario [Hz]  [default: its own]")

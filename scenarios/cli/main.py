@@ -2,7 +2,10 @@
 
 import logging
 import os
+import signal
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -21,9 +24,9 @@ from scenarios.cli import motion as cli_motion
 from scenarios.cli import rig as cli_rig
 from scenarios.cli import station as cli_station
 from scenarios.cli import tracks as cli_tracks
-from scenarios.cli.options import FILE, log_to_stderr, print_table, table
+from scenarios.cli.options import FILE, OUT_FILE, OUT_FOLDER, OutFile, log_to_stderr, print_table, table
 from scenarios.cli.progress import Progress
-from scenarios.run.interrupt import was_interrupted
+from scenarios.run.interrupt import EXIT_STOPPED, was_interrupted
 
 LOG = logging.getLogger(__name__)
 EXIT_PASSED, EXIT_BROKEN, EXIT_ERROR = 0, 1, 2
@@ -48,9 +51,9 @@ def cli(verbose: int, quiet: bool) -> None:
 @click.option(
     "--set", "overrides", multiple=True, metavar="KEY=VALUE", help="change a key, e.g. capture.duration_s=2"
 )
-@click.option("--out", type=FILE, help="run folder  [default: runs/SCENARIO]")
+@click.option("--out", type=OUT_FOLDER, help="run folder  [default: runs/SCENARIO]")
 @click.option("--rrd", is_flag=True, help="also write run.rrd for the Rerun viewer")
-@click.option("--record", type=FILE, help="also record the frames into this folder")
+@click.option("--record", type=OUT_FOLDER, help="also record the frames into this folder")
 @click.option(
     "--truth",
     type=FILE,
@@ -88,23 +91,23 @@ def run(
     target = out or Path("runs") / name
     from reports.compare import summary_table
     from scenarios.run.folder import check_out, write_run
+    from scenarios.run.one_writer import one_writer
     from scenarios.run.scenario import run_scenario
     from scenarios.types import RunOptions
 
     check_out(target)
-    target.parent.mkdir(parents=True, exist_ok=True)
     log = target.parent / f".{target.name}.rrd" if rrd else None
-    try:
+    with one_writer(target), _removed_in_the_end(log):
         with Progress(name) as shown:
             options = RunOptions(source, workers or os.cpu_count() or 1, log, record, truth, shown)
             result = run_scenario(spec, name, path.parent, options)
+        # before anything is written: no full disk and no failing page loses the figures
+        _print_metrics(result.record)
+        print_table(summary_table([result.record]))
+        click.echo(f"{name}: {result.record.verdict}")
+        sys.stdout.flush()
         write_run(result, target, log)
-    finally:
-        if log is not None:
-            log.unlink(missing_ok=True)
-    _print_metrics(result.record)
-    print_table(summary_table([result.record]))
-    click.echo(f"{name}: {result.record.verdict}; {target / 'report.html'}")
+    click.echo(f"{target / 'report.html'}")
     sys.exit(EXIT_PASSED if result.record.passed else EXIT_BROKEN)
 
 
@@ -112,12 +115,12 @@ def run(
 @click.argument("paths", nargs=-1, type=FILE)
 @click.option("--tier", type=click.Choice(["quick", "full"]), default="quick", show_default=True)
 @click.option("--jobs", type=click.IntRange(1, 256), help="scenarios at a time  [default: all cores]")
-@click.option("--out", type=FILE, default=Path("runs/suite"), show_default=True, help="folder of run folders")
-@click.option("--junit", type=FILE, help="write JUnit XML here")
+@click.option("--out", type=OUT_FOLDER, default=Path("runs/suite"), show_default=True, help="folder of run folders")
+@click.option("--junit", type=OutFile(makes_folders=True), help="write JUnit XML here")
 @click.option("--compare", type=FILE, help="folder of baselines to compare with  [default: the committed ones]")
 @click.option("--update-baselines", is_flag=True, help="make these results the baselines (say why in CHANGELOG)")
 @click.option(
-    "--baselines", type=FILE, help="folder that --update-baselines writes to  [default: the committed ones]"
+    "--baselines", type=OUT_FOLDER, help="folder that --update-baselines writes to  [default: the committed ones]"
 )
 @click.option(
     "--spread",
@@ -155,10 +158,13 @@ def suite(
     if not entries:
         raise InputError(f"no scenario of tier '{tier}' in {', '.join(map(str, paths)) or 'the project'}")
     from reports.compare import summary_table
+    from scenarios.run.one_writer import one_writer
     from scenarios.suite import suite as work
 
     if compare is not None:
         work.check_baselines(compare)
+    for replicate in replicates:
+        work.check_replicate(entries, replicate)
     with Progress("suite") as shown:
         count = 0
 
@@ -169,21 +175,28 @@ def suite(
             LOG.info("%s: %s, %.1f s", outcome.name, state, outcome.seconds)
             shown(count, len(entries))
 
-        outcomes = work.run_suite(entries, out, jobs or os.cpu_count() or 1, report)
-    if update_baselines:
+        with one_writer(out):
+            outcomes = work.run_suite(entries, out, jobs or os.cpu_count() or 1, report)
+    stopped = [o.name for o in outcomes if o.error == work.STOPPED]
+    # before anything is written: no full disk loses the figures
+    print_table(summary_table([o.record for o in outcomes if o.record is not None]))
+    sys.stdout.flush()
+    if update_baselines and not stopped:
         work.update_baselines(outcomes, baselines or work.BASELINES, replicates)
         click.echo(f"{len(outcomes)} baselines written to {baselines or work.BASELINES}; say why in CHANGELOG.md")
     else:
         outcomes = work.compared(outcomes, compare or work.BASELINES)
     if junit is not None:
         work.write_junit(outcomes, junit)
-    print_table(summary_table([o.record for o in outcomes if o.record is not None]))
-    bad = [line for o in outcomes for line in work.complaints(o)]
+    bad = [line for o in outcomes if o.name not in stopped for line in work.complaints(o)]
     for line in bad:
         click.echo(line, err=True)
     passed = sum(o.passed for o in outcomes)
     click.echo(f"{passed} of {len(outcomes)} scenarios as they should be; reports in {out}")
-    if any(o.record is None for o in outcomes):
+    if stopped:
+        click.echo(f"stopped by hand: {len(stopped)} scenarios did not end: {', '.join(stopped)}", err=True)
+        sys.exit(EXIT_STOPPED)
+    if any(o.error for o in outcomes):
         sys.exit(EXIT_ERROR)
     sys.exit(EXIT_PASSED if passed == len(outcomes) else EXIT_BROKEN)
 
@@ -204,7 +217,7 @@ def list_() -> None:
 
 
 @cli.command()
-@click.argument("path", type=FILE)
+@click.argument("path", type=OUT_FILE)
 def new(path: Path) -> None:
     """Write a commented scenario file to start from.
 
@@ -219,7 +232,7 @@ def new(path: Path) -> None:
 
 @cli.command()
 @click.argument("runs", nargs=-1, required=True, type=FILE)
-@click.option("--out", type=FILE, default=Path("comparison.html"), show_default=True, help="page to write")
+@click.option("--out", type=OUT_FILE, default=Path("comparison.html"), show_default=True, help="page to write")
 def report(runs: tuple[Path, ...], out: Path) -> None:
     """Compare run folders on one page.
 
@@ -270,7 +283,7 @@ def twin() -> None:
 
 @twin.command("fidelity")
 @click.option("--quick", is_flag=True, help="fewer cases, in a few seconds; without other renderers")
-@click.option("--out", type=FILE, help="folder for fidelity.html (with pictures) and fidelity.json")
+@click.option("--out", type=OUT_FOLDER, help="folder for fidelity.html (with pictures) and fidelity.json")
 def twin_fidelity(quick: bool, out: Path | None) -> None:
     """Hold the virtual cameras against outside witnesses and print each figure beside its bar.
 
@@ -333,13 +346,24 @@ def main() -> None:
     except (click.Abort, KeyboardInterrupt, SystemError) as error:
         if isinstance(error, SystemError) and not was_interrupted(error):
             raise
+        # the end of the process waits for threads and processes; one more Ctrl-C does not
+        signal.signal(signal.SIGINT, lambda *_: os._exit(EXIT_STOPPED))
         click.echo("mosca: stopped; nothing was left half written", err=True)
-        sys.exit(130)
+        sys.exit(EXIT_STOPPED)
     except OSError as error:
         if error.filename is None and error.errno is None:
             raise
         click.echo(f"mosca: {error.filename or 'disk'}: {error.strerror}", err=True)
         sys.exit(EXIT_ERROR)
+
+
+@contextmanager
+def _removed_in_the_end(path: Path | None) -> Iterator[None]:
+    try:
+        yield
+    finally:
+        if path is not None:
+            path.unlink(missing_ok=True)
 
 
 def _print_metrics(record: Any) -> None:

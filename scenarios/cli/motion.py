@@ -5,7 +5,7 @@ from pathlib import Path
 import click
 
 from mosca.errors import InputError
-from scenarios.cli.options import FILE, POSITIVE
+from scenarios.cli.options import FILE, OUT_FILE, POSITIVE
 
 
 @click.group()
@@ -15,7 +15,7 @@ def motion() -> None:
 
 @motion.command()
 @click.argument("source", type=FILE)
-@click.argument("out", type=FILE)
+@click.argument("out", type=OUT_FILE)
 @click.option("--skeleton", type=FILE, help="ASF file that belongs to an AMC file")
 @click.option("--fps", type=POSITIVE, help="frame rate, where the file lies or cannot say  [default: AMC 120 Hz]")
 @click.option("--metres-per-unit", type=POSITIVE, help="unit of a BVH file  [default: 0.01 m, for SOURCE and OUT]")

@@ -9,6 +9,8 @@ from typing import Any
 
 import click
 
+from mosca.data.files.whole_file import check_folder, check_writable
+
 
 class Number(click.FloatRange):
     """A finite number in a range: ``nan`` and ``inf`` are numbers to Python, and no lengths of time or rates."""
@@ -21,7 +23,36 @@ class Number(click.FloatRange):
         return number
 
 
+class OutFile(click.Path):
+    """A file to write: its place is tried while the command line is read, before any work."""
+
+    def __init__(self, makes_folders: bool = False) -> None:
+        """``makes_folders``: the verb makes the folders above the file."""
+        super().__init__(path_type=Path)
+        self._makes_folders = makes_folders
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the path; InputError where no file can be written there."""
+        path: Path = super().convert(value, param, ctx)  # type: ignore[assignment]
+        if self._makes_folders and not path.parent.is_dir():
+            check_folder(path.parent)
+        else:
+            check_writable(path)
+        return path
+
+
+class OutFolder(click.Path):
+    """A folder to write into, tried in the same way."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the path; InputError where no files can be written there."""
+        path: Path = super().convert(value, param, ctx)  # type: ignore[assignment]
+        check_folder(path)
+        return path
+
+
 FILE = click.Path(path_type=Path)
+OUT_FILE, OUT_FOLDER = OutFile(), OutFolder(path_type=Path)
 LAG = click.option("--lag", type=int, metavar="FRAMES", help="smooth each position with so many frames after it")
 SET = click.option(
     "--set", "overrides", multiple=True, metavar="KEY=VALUE", help="change a setting, e.g. detection.contrast_dn=10"

@@ -6,14 +6,16 @@ from typing import Any, Literal
 import click
 
 from mosca.errors import InputError
-from scenarios.cli.options import FILE, POSITIVE, Number, echo_lines
+from scenarios.cli.options import FILE, OUT_FILE, POSITIVE, Number, echo_lines
 from scenarios.cli.progress import Progress
 
 
 @click.command()
 @click.argument("recording", type=FILE)
 @click.option("--target", required=True, type=FILE, help="target file (TOML): what was put before the cameras")
-@click.option("--out", required=True, type=FILE, help="rig file to write (.toml); its page goes beside it (.html)")
+@click.option(
+    "--out", required=True, type=OUT_FILE, help="rig file to write (.toml); its page goes beside it (.html)"
+)
 @click.option(
     "--lens",
     type=click.Choice(["mosca", "opencv", "fisheye"]),
@@ -211,7 +213,7 @@ def target() -> None:
 
 @target.command("sheet")
 @click.argument("path", type=FILE)
-@click.option("--out", required=True, type=FILE, help="sheet to write: .pdf or .svg; more sheets get numbers")
+@click.option("--out", required=True, type=OUT_FILE, help="sheet to write: .pdf or .svg; more sheets get numbers")
 @click.option("--page", type=click.Choice(["A4", "A3", "A2", "letter"]), help="paper  [default: what it takes]")
 @click.option("--colour", type=click.Choice(["white", "black"]), default="white", show_default=True, help="of dots")
 def target_sheet(path: Path, out: Path, page: str | None, colour: Literal["white", "black"]) -> None:

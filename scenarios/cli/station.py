@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from mosca.errors import InputError
-from scenarios.cli.options import FILE, POSITIVE, SET, Number, echo_lines
+from scenarios.cli.options import FILE, OUT_FILE, POSITIVE, SET, Number, echo_lines
 
 if TYPE_CHECKING:
     from hardware.transport import Trust
@@ -83,7 +83,7 @@ def detect(
 @click.option("--rig", required=True, type=FILE, help="rig file (TOML) with the cameras of all stations")
 @click.option("--stations", required=True, help="their names, e.g. A,B")
 @click.option("--listen", required=True, multiple=True, help=LISTEN_HELP)
-@click.option("--out", required=True, type=FILE, help="tracks: .npz, .csv, .c3d or .trc")
+@click.option("--out", required=True, type=OUT_FILE, help="tracks: .npz, .csv, .c3d or .trc")
 @click.option("--seconds", type=POSITIVE, help="end after this  [default: when all end]")
 @click.option(
     "--deadline-ms",
@@ -126,7 +126,7 @@ def reconstruct(
 @station.command("rig")
 @click.option("--of", "name", default="reconstruct", show_default=True, help="the station whose rig file is wanted")
 @click.option("--connect", required=True, multiple=True, help="where it, or the reconstructing station, is")
-@click.option("--out", required=True, type=FILE, help="rig file to write")
+@click.option("--out", required=True, type=OUT_FILE, help="rig file to write")
 @_trusted
 def rig_of(name: str, connect: tuple[str, ...], out: Path, key: Path | None, insecure: bool) -> None:
     """Fetch a station's rig file with its calibration.

@@ -8,7 +8,7 @@ from typing import Any, Literal
 import click
 
 from mosca.errors import InputError
-from scenarios.cli.options import FILE, LAG, POSITIVE, SET, echo_lines
+from scenarios.cli.options import FILE, LAG, OUT_FILE, POSITIVE, SET, echo_lines
 from scenarios.cli.progress import Progress
 
 
@@ -64,7 +64,7 @@ def _exclude(what: str, options: dict[str, object]) -> None:
 @click.command()
 @click.argument("recording", type=FILE)
 @click.option("--rig", required=True, type=FILE, help="rig file (TOML; also aniposelib, Caliscope, Pose2Sim)")
-@click.option("--out", required=True, type=FILE, help="tracks: .npz, .csv, .c3d or .trc")
+@click.option("--out", required=True, type=OUT_FILE, help="tracks: .npz, .csv, .c3d or .trc")
 @click.option("--fps", type=float, help="frame rate of a recording that does not tell its own [Hz]")
 @click.option("--settings", type=FILE, help="TOML file with [background], [detection], [match], [track] and [volume]")
 @SET
@@ -120,7 +120,7 @@ def labels() -> None:
 
 @labels.command()
 @click.argument("tracks", type=FILE)
-@click.option("--out", required=True, type=FILE, help="marker model to write: .toml")
+@click.option("--out", required=True, type=OUT_FILE, help="marker model to write: .toml")
 @click.option(
     "--name", "names", multiple=True, metavar="TRACK=LABEL", help="name a track, e.g. 7=LFHD, where the file does not"
 )
@@ -148,7 +148,7 @@ def learn(tracks: Path, out: Path, names: tuple[str, ...], limbs: tuple[str, ...
 @labels.command()
 @click.argument("tracks", type=FILE)
 @click.option("--model", required=True, type=FILE, help="marker model: .toml")
-@click.option("--out", required=True, type=FILE, help="the same tracks with labels: .npz, .csv, .c3d or .trc")
+@click.option("--out", required=True, type=OUT_FILE, help="the same tracks with labels: .npz, .csv, .c3d or .trc")
 @click.option("--fps", type=POSITIVE, help="frame rate to state in .c3d and .trc  [default: from the samples' times]")
 def apply(tracks: Path, model: Path, out: Path, fps: float | None) -> None:
     """Name the tracks of a file by a marker model.
@@ -163,7 +163,7 @@ def apply(tracks: Path, model: Path, out: Path, fps: float | None) -> None:
 
 @labels.command()
 @click.argument("tracks", type=FILE)
-@click.option("--out", required=True, type=FILE, help="the same tracks with labels: .npz, .csv, .c3d or .trc")
+@click.option("--out", required=True, type=OUT_FILE, help="the same tracks with labels: .npz, .csv, .c3d or .trc")
 @click.option(
     "--name", "names", multiple=True, metavar="NUMBER=LABEL", help="label of a lamp  [default: lamp/NUMBER, all]"
 )
@@ -190,7 +190,7 @@ def blink(
 @labels.command()
 @click.argument("recording", type=FILE)
 @click.option("--rig", required=True, type=FILE, help="calibrated rig file")
-@click.option("--out", required=True, type=FILE, help="tracks, labelled code/NUMBER: .npz, .csv, .c3d or .trc")
+@click.option("--out", required=True, type=OUT_FILE, help="tracks, labelled code/NUMBER: .npz, .csv, .c3d or .trc")
 @click.option("--fps", type=POSITIVE, help="frame rate of a recording that does not tell its own [Hz]")
 @click.option(
     "--colour",
@@ -223,7 +223,7 @@ def bodies() -> None:
 
 @bodies.command("learn")
 @click.argument("tracks", type=FILE)
-@click.option("--out", required=True, type=FILE, help="definitions to write: .toml")
+@click.option("--out", required=True, type=OUT_FILE, help="definitions to write: .toml")
 @click.option(
     "--body",
     "named",
@@ -249,9 +249,9 @@ def learn_bodies(tracks: Path, out: Path, named: tuple[str, ...], frames: str | 
 @bodies.command("find")
 @click.argument("tracks", type=FILE)
 @click.option("--bodies", "definitions", required=True, type=FILE, help="their definitions: .toml")
-@click.option("--out", required=True, type=FILE, help="poses: .csv with covariances, or .tum of one body")
+@click.option("--out", required=True, type=OUT_FILE, help="poses: .csv with covariances, or .tum of one body")
 @click.option("--body", metavar="NAME", help="this body alone  [default: all; .tum: the only one]")
-@click.option("--tracks-out", type=FILE, help="the same tracks, labelled by their bodies")
+@click.option("--tracks-out", type=OUT_FILE, help="the same tracks, labelled by their bodies")
 @click.option("--fps", type=POSITIVE, help="frame rate to state in .c3d and .trc  [default: from the times]")
 def find_bodies(
     tracks: Path, definitions: Path, out: Path, body: str | None, tracks_out: Path | None, fps: float | None
@@ -268,7 +268,7 @@ def find_bodies(
 
 @click.command()
 @click.argument("tracks", nargs=-1, required=True, type=FILE)
-@click.option("--out", required=True, type=FILE, help="one set of tracks: .npz, .csv, .c3d or .trc")
+@click.option("--out", required=True, type=OUT_FILE, help="one set of tracks: .npz, .csv, .c3d or .trc")
 @click.option("--fps", type=POSITIVE, help="frame rate to state in .c3d and .trc  [default: from the samples' times]")
 def zones(tracks: tuple[Path, ...], out: Path, fps: float | None) -> None:
     """Stitch the tracks of several zones into one set; all have the same pulses and the same frame.

@@ -16,6 +16,7 @@ from mosca.camera.projection import lens_directions
 from mosca.data.calibration import Calibration
 from mosca.data.files.rig_file import read_rig, write_rig
 from mosca.data.files.target_file import PointsTarget, read_target_file
+from mosca.data.files.whole_file import check_writable
 from mosca.data.rig import Rig
 from mosca.data.targets import ScaleBar
 from mosca.data.wands import LFrame
@@ -61,8 +62,8 @@ def calibrate(request: CalibrateOptions, progress: Callable[[int, int | None], N
     out = request.out
     if out.suffix != ".toml":
         raise InputError(f"{out}: a rig file ends in .toml")
-    if not out.resolve().parent.is_dir():
-        raise InputError(f"{out}: no folder {out.parent}; make it first")
+    for path in (out, out.with_suffix(".html")):
+        check_writable(path)
     target = read_target_file(request.target)
     if isinstance(target, PointsTarget):
         return _from_points(request, target, settings)

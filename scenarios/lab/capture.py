@@ -23,6 +23,7 @@ from scenarios.lab.intake import Intake
 from scenarios.lab.priority import before_others, prompt
 from scenarios.lab.recorder import WAITING_BYTES, Recorder
 from scenarios.run.interrupt import between_steps
+from scenarios.run.one_writer import one_writer
 
 if TYPE_CHECKING:
     from mosca.pipeline import PipelineSettings
@@ -54,6 +55,11 @@ class CaptureRequest:
     program: Path | None = None
     """Commands and events (``hardware.onboard.commands``)."""
     waiting_bytes: int = WAITING_BYTES
+
+    @property
+    def ends(self) -> bool:
+        """Whether it ends without Ctrl-C."""
+        return self.frames is not None or self.seconds is not None
 
 
 @dataclass
@@ -104,6 +110,14 @@ def capture(
     ``opener`` and ``trigger_opener`` are for tests.
     """
     check_out(request.out)
+    with one_writer(request.out):
+        return _captured(request, progress, opener, trigger_opener)
+
+
+def _captured(
+    request: CaptureRequest, progress: Progress | None, opener: OpenCamera, trigger_opener: OpenTrigger
+) -> CaptureOutcome:
+    check_out(request.out)
     hardware = read_hardware(request.rig)
     program = None if request.program is None else read_program(request.program)
     settings = _settings(request)
@@ -116,7 +130,7 @@ def capture(
 
             warm_up(source.cameras, settings)
         stack.enter_context(prompt())
-        writer = stack.enter_context(_recording(request, source))
+        writer = stack.enter_context(_recording(request, source, pulses))
         recorder = Recorder(writer, source.cameras, request.waiting_bytes)
         stack.callback(recorder.close)
         source.on_image = None if request.detections else recorder.keep_early
@@ -175,10 +189,12 @@ def _calibrated(path: Path) -> Rig | None:
     return read_rig(path)
 
 
-def _recording(request: CaptureRequest, source: HardwareSource) -> RecordingWriter:
+def _recording(request: CaptureRequest, source: HardwareSource, pulses: int | None) -> RecordingWriter:
     text = request.rig.read_text(encoding="utf-8")
     if request.detections:
         return RecordingWriter(request.out, source.cameras, text, holds="detections", tail_bytes=0)
+    # before packing, as nobody knows how far these images pack; without an end the take may fill the disk
+    check_folder(request.out, (pulses or 0) * sum(info.image_bytes for info in source.cameras))
     return RecordingWriter(request.out, source.cameras, text, holds="frames", tail_bytes=request.waiting_bytes)
 
 

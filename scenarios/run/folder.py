@@ -1,12 +1,14 @@
-"""The run folder: checked before a long run, written whole or not at all."""
+"""The run folder: tried before a long run, and written with what can be written."""
 
 import os
 import shutil
 import tempfile
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 from mosca.data.files.rig_file import write_rig
+from mosca.data.files.whole_file import check_folder, whole_file, write_text
 from mosca.data.tracks import write_npz
 from mosca.errors import InputError
 from mosca.formats.bodies.bodies_csv import write_bodies_csv
@@ -16,6 +18,8 @@ from reports.page import write_page
 from reports.record import write_record
 from scenarios.run.scenario import RunResult
 
+RECORD = "record.json"
+
 
 def check_out(out: Path) -> None:
     """Raise InputError where ``out`` cannot become a run folder; ask before a long run, not after it."""
@@ -23,36 +27,79 @@ def check_out(out: Path) -> None:
         raise InputError(f"{out}: is a file; choose a folder with --out")
     if out.exists() and not (out / "record.json").exists() and any(out.iterdir()):
         raise InputError(f"{out}: holds other files and no record.json; choose a new folder with --out")
+    # an earlier run folder is replaced by one that is made beside it
+    check_folder(out.parent)
 
 
 def write_run(result: RunResult, out: Path, rrd: Path | None = None) -> None:
-    """Write the run folder; it appears whole or not at all. An earlier run folder there is replaced."""
+    """Write the run folder: the record first, the pages last; it appears when all was tried.
+
+    An earlier run folder there is replaced. Where a file cannot be written, the others are all the same; InputError
+    says then which there are, which not, and why. Without its record there is no run folder, and an earlier one
+    stays.
+    """
     check_out(out)
     out.parent.mkdir(parents=True, exist_ok=True)
-    part = Path(tempfile.mkdtemp(dir=out.parent, prefix=f".{out.name}."))
     try:
-        write_record(result.record, part / "record.json")
-        write_npz(result.tracks, part / "tracks.npz")
-        write_tracks_csv(result.tracks, part / "tracks.csv")
-        write_page(part / "report.html", result.record, result.evidence)
-        if result.poses is not None:
-            write_bodies_csv(result.poses, part / "bodies.csv")
-        if result.commands is not None:
-            _write_commands(result.commands, part / "commands.csv")
-        if result.calibration is not None:
-            write_rig(result.calibration.calibration.rig, part / "rig.toml")
-            write_calibration_page(
-                part / "calibration.html", result.calibration.calibration, result.calibration.evidence
-            )
-        if rrd is not None:
-            shutil.move(rrd, part / "run.rrd")
-        part.chmod(0o755)
-        if out.exists():
-            shutil.rmtree(out)
-        os.replace(part, out)
-    except BaseException:
+        part = Path(tempfile.mkdtemp(dir=out.parent, prefix=f".{out.name}."))
+    except OSError as error:
+        raise InputError(f"{out}: not written: {error.strerror}; make room, or choose another place") from None
+    failed: dict[str, Exception] = {}
+    try:
+        for name, write in _files(result, rrd).items():
+            try:
+                write(part / name)
+            except Exception as error:  # kept, and raised below
+                failed[name] = error
+        if RECORD not in failed:
+            part.chmod(0o755)
+            if out.exists():
+                shutil.rmtree(out)
+            os.replace(part, out)
+    finally:
         shutil.rmtree(part, ignore_errors=True)
-        raise
+    _raise_failed(failed, out)
+
+
+def _files(result: RunResult, rrd: Path | None) -> dict[str, Callable[[Path], object]]:
+    """Return name of each file of a run folder -> what writes it there; what cannot be made again comes first."""
+    own = result.calibration
+    files: dict[str, Callable[[Path], object] | None] = {
+        RECORD: lambda path: write_record(result.record, path),
+        "tracks.npz": lambda path: _write_tracks(result, path),
+        "tracks.csv": lambda path: write_tracks_csv(result.tracks, path),
+        "bodies.csv": None if (poses := result.poses) is None else lambda path: write_bodies_csv(poses, path),
+        "commands.csv": None if result.commands is None else lambda path: _write_commands(result.commands, path),
+        "rig.toml": None if own is None else lambda path: write_rig(own.calibration.rig, path),
+        "run.rrd": None if rrd is None else lambda path: shutil.move(rrd, path),
+        "report.html": lambda path: write_page(path, result.record, result.evidence),
+        "calibration.html": None
+        if own is None
+        else lambda path: write_calibration_page(path, own.calibration, own.evidence),
+    }
+    return {name: write for name, write in files.items() if write is not None}
+
+
+def _raise_failed(failed: Mapping[str, Exception], out: Path) -> None:
+    """Raise InputError for files that the disk did not take; any other error is a bug, and comes out as it is."""
+    for error in failed.values():
+        if not isinstance(error, InputError | OSError):
+            raise error
+    if failed:
+        # text of the first: one disk has one reason
+        first = next(iter(failed.values()))
+        cause = first.__cause__ if isinstance(first, InputError) else first
+        reason = cause.strerror if isinstance(cause, OSError) else str(first)
+        there = ", ".join(sorted(p.name for p in out.iterdir())) if RECORD not in failed else "nothing"
+        raise InputError(
+            f"{out}: not written: {', '.join(failed)} ({reason}); written: {there}; make room, or choose another "
+            "place, and run again"
+        )
+
+
+def _write_tracks(result: RunResult, path: Path) -> None:
+    with whole_file(path) as temporary:
+        write_npz(result.tracks, temporary)
 
 
 def _write_commands(commands: Any, path: Path) -> None:
@@ -61,4 +108,4 @@ def _write_commands(commands: Any, path: Path) -> None:
         ",".join((str(int(t)), *(repr(float(v)) for v in row)))
         for t, row in zip(commands.time_ns, commands.values, strict=True)
     ]
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    write_text(path, "\n".join(lines) + "\n")

@@ -6,6 +6,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 
+EXIT_STOPPED = 130
+"""As shells have it: 128 and the number of the signal."""
+
 
 @contextmanager
 def first_ctrl_c(on_first: Callable[[], None]) -> Iterator[None]:

@@ -8,6 +8,7 @@ import numpy as np
 
 from mosca.calibration.monitoring.rig_keeper import RigKeeper
 from mosca.data.detections import Detections
+from mosca.data.files.whole_file import check_folder
 from mosca.data.frames import FrameSource
 from mosca.data.rig import Rig
 from mosca.data.tracks import Samples, table
@@ -125,6 +126,8 @@ def recorded(
     """Return ``source``, recorded if requested, with the commands that drove its subject."""
     if options.record_to is None:
         return source
+    needs = spec.capture.pulses * sum(info.image_bytes for info in source.cameras)
+    check_folder(options.record_to, needs)
     writer = stack.enter_context(RecordingWriter(options.record_to, source.cameras))
     if twin is not None and twin.scene.commands is not None:
         target = spec.scene.target if isinstance(spec.scene, RobotScene) else "robot"

@@ -4,6 +4,7 @@ import difflib
 from dataclasses import dataclass
 from pathlib import Path
 
+from mosca.data.files.whole_file import write_text
 from mosca.errors import InputError
 from scenarios.spec.scenario import Scenario, load_scenario
 
@@ -73,4 +74,4 @@ def write_template(path: Path) -> None:
         raise InputError(f"{path}: a scenario file ends in .toml")
     if not path.parent.is_dir():
         raise InputError(f"{path}: no folder {path.parent}; make it first")
-    path.write_text(TEMPLATE.read_text(encoding="utf-8"), encoding="utf-8")
+    write_text(path, TEMPLATE.read_text(encoding="utf-8"))

@@ -2,26 +2,38 @@
 
 import multiprocessing
 import os
+import shutil
+import signal
+import threading
 import time
-from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import FrameType
 
 import numpy as np
 from junitparser import Error, Failure, JUnitXml, TestCase, TestSuite
 
+from mosca.data.files.whole_file import whole_file
 from mosca.errors import InputError, MoscaError
 from reports.compare import Regression, missing, regressions
 from reports.record import RunRecord, read_record, write_record
+from scenarios.run.interrupt import first_ctrl_c, was_interrupted
 from scenarios.spec.catalog import Entry
 
 BASELINES = Path(__file__).resolve().parents[2] / "reports" / "baselines"
+STOPPED = "stopped by hand"
+POLL_S = 0.1
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of one scenario: its record, or the known error that kept it from running, and its seconds."""
+    """What became of one scenario: its record, the known error that kept it from running or its folder from being
+    written, and its seconds.
+    """
 
     name: str
     record: RunRecord | None
@@ -33,35 +45,108 @@ class Outcome:
     @property
     def passed(self) -> bool:
         """Whether it ran, met its limits and regressed in nothing."""
-        return self.record is not None and self.record.passed and not self.worse and not self.gone
+        whole = self.record is not None and self.record.passed and not self.error
+        return whole and not self.worse and not self.gone
 
 
 def run_suite(entries: Sequence[Entry], out: Path, jobs: int, told: Callable[[Outcome], None]) -> list[Outcome]:
     """Run ``entries`` in ``jobs`` processes, each scenario into ``out``/name; ``told`` is called as each ends.
 
     Outcomes are in the order of the entries. The longest start first, so that all cores end at about the same time.
+    Ctrl-C ends those that run; these and those that did not begin have the error ``STOPPED``.
     """
     order = sorted(entries, key=_weight, reverse=True)
     done: dict[str, Outcome] = {}
+    asked = threading.Event()
     # spawn: a forked child would inherit threads of the parent's libraries in unknown states
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(min(jobs, max(1, len(order))), mp_context=context) as pool:
-        waiting = {pool.submit(_run_one, str(e.path), e.name, str(out / e.name)): e for e in order}
+    jobs = min(jobs, max(1, len(order)))
+    with first_ctrl_c(asked.set), ProcessPoolExecutor(jobs, mp_context=context, initializer=_begin_worker) as pool:
+        with _ctrl_c_held_back():
+            pending = {pool.submit(_run_one, str(e.path), e.name, str(out / e.name)) for e in order}
         try:
-            for future in as_completed(waiting):
-                outcome = future.result()
-                done[outcome.name] = outcome
-                told(outcome)
+            while pending:
+                if asked.is_set():
+                    pending = {future for future in pending if not future.cancel()}
+                    for worker in multiprocessing.active_children():
+                        worker.terminate()
+                ended, pending = wait(pending, POLL_S, FIRST_COMPLETED)
+                for outcome in filter(None, (_outcome_of(future, asked.is_set()) for future in ended)):
+                    done[outcome.name] = outcome
+                    told(outcome)
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
+            for worker in multiprocessing.active_children():
+                worker.kill()
+                worker.join()
+            _remove_unfinished(out / entry.name for entry in order)
             raise
-    return [done[e.name] for e in entries]
+    return [done.get(e.name) or Outcome(e.name, None, STOPPED, 0.0) for e in entries]
+
+
+def _outcome_of(future: "Future[Outcome]", stopping: bool) -> Outcome | None:
+    """Return a scenario's outcome, None of one that was stopped before it could tell."""
+    try:
+        return future.result()
+    except (KeyboardInterrupt, BrokenProcessPool):
+        if not stopping:
+            raise
+        return None
+
+
+@contextmanager
+def _ctrl_c_held_back() -> Iterator[None]:
+    """Hold Ctrl-C back from this thread and for good from processes begun here: this process alone decides.
+
+    The terminal sends it to all of them; where signals cannot be held back (Windows), workers end by themselves.
+    """
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _begin_worker() -> None:
+    # between two scenarios there is nothing to end
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    """End this worker when the suite was killed: nobody would wait for its scenario."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
+
+
+def _end_scenario(number: int, frame: FrameType | None) -> None:
+    # once: a second one must not end the tidying up
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    raise KeyboardInterrupt
+
+
+def _remove_unfinished(folders: Iterable[Path]) -> None:
+    """Remove what killed processes left beside their run folders."""
+    for folder in folders:
+        for left in folder.parent.glob(f".{folder.name}.*"):
+            shutil.rmtree(left) if left.is_dir() else left.unlink()
 
 
 def check_baselines(folder: Path) -> None:
     """Raise InputError where there is no folder of baselines."""
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder of baselines; 'mosca suite --update-baselines' makes one")
+
+
+def check_replicate(entries: Sequence[Entry], folder: Path) -> None:
+    """Raise InputError where ``folder``, of a suite run, lacks the record of one of ``entries``."""
+    for entry in entries:
+        read_record(folder / entry.name / "record.json")
 
 
 def compared(outcomes: Sequence[Outcome], baselines: Path) -> list[Outcome]:
@@ -75,7 +160,7 @@ def update_baselines(outcomes: Sequence[Outcome], baselines: Path, replicates: S
     ``replicates``: folders of suite runs of the same product with other processor features; each metric's spread
     among them goes into its baseline.
     """
-    failed = [o.name for o in outcomes if o.record is None or not o.record.passed]
+    failed = [o.name for o in outcomes if not o.passed]
     if failed:
         raise InputError(f"baselines are not updated while {', '.join(failed)} failed; mend that first")
     records = [o.record for o in outcomes if o.record is not None]
@@ -107,7 +192,7 @@ def write_junit(outcomes: Sequence[Outcome], path: Path) -> None:
     suite = TestSuite("mosca suite")
     for outcome in outcomes:
         case = TestCase(outcome.name, classname="mosca.scenarios", time=outcome.seconds)
-        if outcome.record is None:
+        if outcome.error:
             case.result = [Error(outcome.error)]
         elif not outcome.passed:
             case.result = [Failure("; ".join(complaints(outcome)))]
@@ -116,14 +201,16 @@ def write_junit(outcomes: Sequence[Outcome], path: Path) -> None:
     document = JUnitXml()
     document.add_testsuite(suite)
     path.parent.mkdir(parents=True, exist_ok=True)
-    document.write(str(path), pretty=True)
+    with whole_file(path) as temporary:
+        document.write(str(temporary), pretty=True)
 
 
 def complaints(outcome: Outcome) -> list[str]:
     """Return what is wrong with an outcome, a line each."""
+    lines = [f"{outcome.name}: {outcome.error}"] if outcome.error else []
     if outcome.record is None:
-        return [f"{outcome.name}: {outcome.error}"]
-    lines = [] if outcome.record.passed else [f"{outcome.name}: {outcome.record.verdict}"]
+        return lines
+    lines += [] if outcome.record.passed else [f"{outcome.name}: {outcome.record.verdict}"]
     lines += [f"regression: {r}" for r in outcome.worse]
     lines += [f"{outcome.name}: metric '{name}' of the baseline is gone" for name in outcome.gone]
     return lines
@@ -132,17 +219,29 @@ def complaints(outcome: Outcome) -> list[str]:
 def _run_one(path: str, name: str, out: str) -> Outcome:
     """Run one scenario in a worker process."""
     os.environ.setdefault("OMP_NUM_THREADS", "1")
-    from scenarios.run.folder import write_run
+    from scenarios.run.folder import check_out, write_run
+    from scenarios.run.one_writer import one_writer
     from scenarios.run.scenario import run_scenario
     from scenarios.spec.scenario import load_scenario
 
     start = time.perf_counter()
+    record = None
+    before = signal.signal(signal.SIGTERM, _end_scenario)
     try:
-        result = run_scenario(load_scenario(Path(path)), name, Path(path).parent)
-        write_run(result, Path(out))
+        check_out(Path(out))
+        with one_writer(Path(out)):
+            result = run_scenario(load_scenario(Path(path)), name, Path(path).parent)
+            record = result.record
+            write_run(result, Path(out))
     except MoscaError as error:
-        return Outcome(name, None, str(error), time.perf_counter() - start)
-    return Outcome(name, result.record, "", time.perf_counter() - start)
+        return Outcome(name, record, str(error), time.perf_counter() - start)
+    except (KeyboardInterrupt, SystemError) as error:
+        if not was_interrupted(error):
+            raise
+        return Outcome(name, None, STOPPED, time.perf_counter() - start)
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    return Outcome(name, record, "", time.perf_counter() - start)
 
 
 def _compared(outcome: Outcome, baselines: Path) -> Outcome:

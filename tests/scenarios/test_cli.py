@@ -125,7 +125,7 @@ def test_other_bad_input(tmp_path):
 def test_ctrl_c_leaves_no_run_folder_and_a_readable_recording(tmp_path):
     path = scenario(tmp_path)
     process = subprocess.Popen(
-        [*MOSCA, "run", str(path), "--set", "capture.duration_s=600", "--out", "x", "--record", "rec"],
+        [*MOSCA, "run", str(path), "--set", "capture.duration_s=60", "--out", "x", "--record", "rec"],
         cwd=tmp_path,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,

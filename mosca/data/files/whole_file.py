@@ -1,6 +1,7 @@
-"""Files that are written whole or not at all."""
+"""Files that are written whole or not at all, and places to write that are tried before the work."""
 
 import os
+import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -8,19 +9,27 @@ from pathlib import Path
 
 from mosca.errors import InputError
 
+TRIED_BYTES = 1 << 16
+"""Written on trial: a full disk still makes empty files."""
+
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
     """Yield a temporary path beside ``path`` with the same suffix; renamed to ``path`` at the end.
 
     When the body raises, the temporary file is removed and an existing file at ``path`` is untouched. Raises
-    InputError where the folder is missing or not writable, or ``path`` is a folder.
+    InputError where the folder is missing or not writable, ``path`` is a folder, or the disk is full.
     """
     temporary = _begun(path)
     try:
         yield temporary
         temporary.chmod(0o644)
         temporary.replace(path)
+    except OSError as error:
+        # errors of writing name no file, or the temporary one; others are of files that the body reads
+        if error.errno is None or error.filename not in (None, str(temporary)):
+            raise
+        raise InputError(f"{path}: not written: {error.strerror}; make room, or choose another place") from error
     finally:
         temporary.unlink(missing_ok=True)
 
@@ -33,18 +42,57 @@ def write_text(path: Path, text: str) -> None:
 
 def check_writable(path: Path) -> None:
     """Raise InputError where ``whole_file`` could not write ``path``: asked before long work, not after it."""
-    _begun(path).unlink()
+    with _removed(_begun(path)) as temporary:
+        _try(temporary, path)
 
 
-def check_folder(path: Path) -> None:
-    """Raise InputError where the folder ``path``, and those above it that are missing, could not be made."""
+def check_folder(path: Path, needs_bytes: int = 0) -> None:
+    """Raise InputError where files could not be written into the folder ``path``: asked before long work.
+
+    Parameters
+    ----------
+    path
+        The folder; it, and those above it, may be missing.
+    needs_bytes
+        Roughly what will be written; 0 where that is not known.
+    """
     there = next((folder for folder in (path, *path.absolute().parents) if folder.exists()), path)
     if not there.is_dir():
-        raise InputError(f"{path}: {there} is no folder; choose another place")
+        what = "is a file" if there == path else f"{there} is no folder"
+        raise InputError(f"{path}: {what}; choose another place")
     try:
-        Path(tempfile.mkdtemp(dir=there, prefix=f".{path.name}.")).rmdir()
+        tried = Path(tempfile.mkdtemp(dir=there, prefix=f".{path.name}."))
     except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror}") from None
+        raise _unwritable(path, error) from error
+    with _removed(tried):
+        _try(tried / "tried", path)
+    free = shutil.disk_usage(there).free
+    if needs_bytes > free:
+        raise InputError(
+            f"{path}: {needs_bytes / 1e9:.3g} GB may be needed, {free / 1e9:.3g} GB are free there; make room, "
+            "choose another place, or write less"
+        )
+
+
+@contextmanager
+def _removed(path: Path) -> Iterator[Path]:
+    """Yield ``path``; the file or folder is gone afterwards."""
+    try:
+        yield path
+    finally:
+        shutil.rmtree(path) if path.is_dir() else path.unlink()
+
+
+def _try(file: Path, path: Path) -> None:
+    """Write to ``file``; InputError names ``path``."""
+    try:
+        file.write_bytes(b"\0" * TRIED_BYTES)
+    except OSError as error:
+        raise _unwritable(path, error) from error
+
+
+def _unwritable(path: Path, error: OSError) -> InputError:
+    return InputError(f"{path}: cannot be written: {error.strerror}; make room, or choose another place")
 
 
 def _begun(path: Path) -> Path:
@@ -55,6 +103,6 @@ def _begun(path: Path) -> Path:
     try:
         handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}.", suffix=path.suffix)
     except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror}") from None
+        raise _unwritable(path, error) from error
     os.close(handle)
     return Path(name)
