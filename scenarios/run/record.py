@@ -12,11 +12,13 @@ from mosca.data.rig import Rig
 from mosca.data.truth import Truth
 from mosca.diagnostics.camera_health import CameraHealth
 from reports.evidence import CameraView, ErrorTable, Evidence, MarkerCounts
+from reports.metrics import METRICS
 from reports.record import Metric, MetricBlocks, RunRecord
 from scenarios.build.cameras import Calibrated
 from scenarios.run.provenance import provenance
+from scenarios.score.limits import loose_limits
 from scenarios.score.tracks import limits_met
-from scenarios.spec.scenario import METRICS, Scenario
+from scenarios.spec.scenario import Scenario
 from scenarios.types import Collected, Score, Scored
 
 
@@ -26,12 +28,13 @@ def record_of(
     """Return the record of a run of ``source``; ``known``: the nominal calibration."""
     scores, collected, not_judged = worth.scores, worth.collected, worth.not_judged
     limits = {metric: limit for metric, limit in spec.limits.items() if metric not in not_judged}
-    met = limits_met(scores, limits, lambda metric: METRICS[metric][1])
+    met = limits_met(scores, limits, lambda metric: METRICS[metric].sense)
     rows = tuple(_metric(metric, score, spec, met) for metric, score in scores.items() if np.isfinite(score.value))
     broken = [metric for metric, ok in met.items() if not ok]
     notes = " ".join(collected.assembly.notes.values())
     unnoticed = [phrase for phrase in spec.told if phrase not in notes]
     passed, verdict = _verdict(spec, broken, not_judged)
+    verdict = "; ".join((verdict, *loose_limits(rows, spec.loose_limit)))
     if unnoticed and not not_judged:
         passed, verdict = False, f"{verdict}; not noticed: {'; '.join(unnoticed)}"
     return RunRecord(
@@ -59,10 +62,9 @@ def record_of(
 
 
 def _metric(name: str, score: Score, spec: Scenario, met: Mapping[str, bool]) -> Metric:
-    unit, sense = METRICS[name]
+    kind = METRICS[name]
     return Metric(
-        name, score.value, unit, score.n, score.ci95, "none", spec.limits.get(name),
-        "at_most" if sense == "at_most" else "at_least", met.get(name),
+        name, score.value, kind.unit, score.n, score.ci95, "none", spec.limits.get(name), kind.sense, met.get(name),
         MetricBlocks(score.sums, score.weights) if score.sums else None,
     )  # fmt: skip
 
