@@ -5,7 +5,7 @@ The published JSON schema (``mosca schema``) is made from these tables, so that 
 
 import tomllib
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import BeforeValidator, Field, WithJsonSchema, model_validator
 
@@ -166,6 +166,8 @@ Limits = Annotated[dict[str, float], BeforeValidator(read_limits), WithJsonSchem
 
 class Scenario(Table):
     """One scenario: subject, cameras, disturbances, and the accuracy that is claimed."""
+
+    FILE_KIND: ClassVar[str] = "scenario"
 
     title: str = Field(description="what is claimed, in one line")
     description: str = Field("", description="why, and where the limits come from")

@@ -57,7 +57,7 @@ def test_capture(refused, given, told):
 @pytest.mark.parametrize(
     ("find", "put", "more", "told"),
     [
-        ('"gige"', '"usb9"', "", "'usb9' given; Input should be 'gige', 'pylon', 'gentl' or 'webcam'"),
+        ('"gige"', '"usb9"', "", "'usb9' given; 'gige', 'pylon', 'gentl' or 'webcam' is wanted"),
         (FIRST, 'serial = "1"', "", "'driver' is missing"),
         (FIRST, 'driver = "gige"', "", "serial or address is needed"),
         (FIRST, FIRST + '\nexposure_us = "800 us"', "", "'800 us' given"),
