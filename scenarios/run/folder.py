@@ -40,7 +40,8 @@ def write_run(result: RunResult, out: Path, rrd: Path | None = None) -> None:
         if result.commands is not None:
             _write_commands(result.commands, part / "commands.csv")
         if result.calibration is not None:
-            write_rig(result.calibration.calibration.rig, part / "rig.toml")
+            if not result.calibration.calibration.refused:  # its page says why; nobody can measure with it
+                write_rig(result.calibration.calibration.rig, part / "rig.toml")
             write_calibration_page(
                 part / "calibration.html", result.calibration.calibration, result.calibration.evidence
             )
