@@ -3,8 +3,7 @@
 import math
 from collections.abc import Sequence
 
-SHARES = ("completeness", "coverage95", "relative_accuracy", "efficiency")
-"""Metrics of unit "1" that people read in percent."""
+from reports.metrics import kind_of
 
 
 def shown(values: Sequence[float], unit: str, name: str = "") -> tuple[tuple[float, ...], str]:
@@ -25,7 +24,8 @@ def _scale(size: float, unit: str, name: str) -> tuple[float, str]:
     if unit == "rad" and size < 0.1:
         return 1e3, "mrad"
     if unit == "1":
-        return (100.0, "%") if name.startswith(SHARES) else (1.0, "")
+        kind = kind_of(name)
+        return (100.0, "%") if kind is not None and kind.quantity == "share" else (1.0, "")
     return 1.0, unit
 
 

@@ -11,6 +11,7 @@ import struct
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from ipaddress import IPv4Interface
 from threading import Event, Thread
 
 from hardware.emulate import gige_vision
@@ -223,17 +224,26 @@ def control_sockets(identity: Identity) -> tuple[socket.socket, ...]:
     Raises InputError where its address is not to be had, or serves another device.
     """
     address = identity.address
+    unicast = _unicast(identity.name, address)
+    everyone = dict.fromkeys(("255.255.255.255", str(address.network.broadcast_address)))
+    return unicast, *(_bound(one, share=True) for one in everyone)
+
+
+def check_address(name: str, address: IPv4Interface) -> None:
+    """Raise InputError where camera ``name`` could not be served at ``address``; nothing stays open."""
+    _unicast(name, address).close()
+
+
+def _unicast(name: str, address: IPv4Interface) -> socket.socket:
     try:
-        unicast = _bound(str(address.ip), share=False)
+        return _bound(str(address.ip), share=False)
     except OSError as error:
         taken = error.errno == errno.EADDRINUSE
         reason = (
             f"already serves a camera (port {GVCP_PORT} is taken)" if taken else "is not to be had on this machine"
         )
         hint = "choose another first address" if taken else f"give the interface that address, or use {LOOPBACK}"
-        raise InputError(f"camera '{identity.name}': address {address.ip} {reason}; {hint}") from None
-    everyone = dict.fromkeys(("255.255.255.255", str(address.network.broadcast_address)))
-    return unicast, *(_bound(one, share=True) for one in everyone)
+        raise InputError(f"camera '{name}': address {address.ip} {reason}; {hint}") from None
 
 
 def _bound(address: str, share: bool) -> socket.socket:

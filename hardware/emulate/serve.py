@@ -12,7 +12,7 @@ import numpy as np
 
 from hardware.emulate.acquisition import SECOND, PendingImage
 from hardware.emulate.camera import EmulatedCamera
-from hardware.emulate.control import Control, control_sockets
+from hardware.emulate.control import Control, check_address, control_sockets
 from hardware.emulate.faults import FAULTLESS, FaultDraws, Faults
 from hardware.emulate.gige_vision import FORMAT_OF_DEPTH, PIXEL_FORMATS
 from hardware.emulate.identity import Identity
@@ -217,6 +217,8 @@ def served(
             if name not in names:
                 raise InputError(f"{what}: camera '{name}' given; the source has {', '.join(names)}")
     places = _places(names, first_address, addresses or {})
+    for name, place in zip(names, places, strict=True):
+        check_address(name, place)  # before frames are rendered, which may take minutes
     with ExitStack() as stack:
         store = FrameStore(source, ahead, loop)
         stack.callback(store.close)

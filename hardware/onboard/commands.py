@@ -32,7 +32,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
@@ -82,6 +82,8 @@ class CommandTable(Table):
 
 class Program(Table):
     """A program file."""
+
+    FILE_KIND: ClassVar[str] = "program"
 
     target: list[TargetTable] = Field(default_factory=list)
     event: list[EventTable] = Field(default_factory=list)

@@ -39,6 +39,7 @@ from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass as checked_dataclass
 
 from mosca.data.detections import Detections
+from mosca.data.files.toml import in_words
 from mosca.errors import MoscaError
 
 VERSION = 1
@@ -189,7 +190,7 @@ def unpack_health(data: bytes) -> HealthMessage:
     try:
         return _HEALTH.validate_json(data[4:])
     except ValidationError as error:
-        raise MessageError(f"health: {error.errors()[0]['msg']}") from None
+        raise MessageError(f"health: {in_words(error.errors()[0])}") from None
 
 
 def pack_clock(epoch: int, clock_ns: int) -> bytes:

@@ -12,6 +12,7 @@ The protocol is lines of ASCII, 115,200 baud; the generator answers each request
 | anything else | ``E text`` | not understood, or not now |
 """
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -64,6 +65,8 @@ def pulses_at_ping(answer: str, number: int, rate_hz: float) -> float | None:
     words = answer.split()
     if len(words) != 4 or words[:2] != ["P", str(number)]:
         return None
+    if not all(re.fullmatch("[0-9]{1,18}", word) for word in words[2:]):
+        return None  # a disturbed line: one ping less
     return int(words[2]) + int(words[3]) * 1e-6 * rate_hz
 
 

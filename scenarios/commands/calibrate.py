@@ -85,7 +85,8 @@ def calibrate(request: CalibrateOptions, progress: Callable[[int, int | None], N
     write_calibration_page(page, calibration, evidence)
     if calibration.refused:
         first = calibration.refused[0]
-        raise CalibrationError(f"{out} not written: {first.code}: {first.message} (see {page})")
+        kept = "; the earlier file is unchanged" if out.exists() else ""
+        raise CalibrationError(f"{out} not written{kept}: {first.code}: {first.message} (see {page})")
     write_rig(calibration.rig, out)
     return [*summary_lines(calibration), f"{out} written; {page}"]
 

@@ -1,7 +1,7 @@
 """The file of the lamps that worn cameras carry: ``mosca reconstruct --continuous --worn LAMPS.toml``."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import numpy as np
 from pydantic import Field
@@ -23,6 +23,8 @@ class LampSpec(Table):
 
 class LampFile(Table):
     """Lamps of worn cameras, and the cameras whose poses the rig file has right: they are the frame and the metre."""
+
+    FILE_KIND: ClassVar[str] = "lamps"
 
     bit_s: Positive = Field(description="how long a lamp shows a bit [s]")
     known: tuple[str, ...] = Field(description="cameras whose poses in the rig file are right, two or more")

@@ -4,7 +4,7 @@ import logging
 from collections.abc import Callable
 from itertools import chain, islice
 from pathlib import Path
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -56,6 +56,8 @@ class BackgroundSpec(Table):
 
 class ReconstructSpec(StageTables):
     """Settings file of ``mosca reconstruct``."""
+
+    FILE_KIND: ClassVar[str] = "settings"
 
     background: BackgroundSpec = BackgroundSpec()
     volume: VolumeSpec | None = Field(None, description="box in which targets can be; default: everywhere")

@@ -70,7 +70,10 @@ def _files(result: RunResult, rrd: Path | None) -> dict[str, Callable[[Path], ob
         "tracks.csv": lambda path: write_tracks_csv(result.tracks, path),
         "bodies.csv": None if (poses := result.poses) is None else lambda path: write_bodies_csv(poses, path),
         "commands.csv": None if result.commands is None else lambda path: _write_commands(result.commands, path),
-        "rig.toml": None if own is None else lambda path: write_rig(own.calibration.rig, path),
+        # of a refused calibration its page says why; nobody can measure with it
+        "rig.toml": None
+        if own is None or own.calibration.refused
+        else lambda path: write_rig(own.calibration.rig, path),
         "run.rrd": None if rrd is None else lambda path: shutil.move(rrd, path),
         "report.html": lambda path: write_page(path, result.record, result.evidence),
         "calibration.html": None

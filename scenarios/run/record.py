@@ -12,12 +12,14 @@ from mosca.data.rig import Rig
 from mosca.data.truth import Truth
 from mosca.diagnostics.camera_health import CameraHealth
 from reports.evidence import CameraView, ErrorTable, Evidence, MarkerCounts
+from reports.metrics import METRICS
 from reports.record import Metric, MetricBlocks, RunRecord
 from scenarios.build.cameras import Calibrated, deliveries
 from scenarios.run.provenance import provenance
 from scenarios.score.delivery import expected_share, losses
+from scenarios.score.limits import loose_limits
 from scenarios.score.tracks import limits_met
-from scenarios.spec.scenario import METRICS, Scenario
+from scenarios.spec.scenario import Scenario
 from scenarios.types import Collected, Score, Scored
 
 
@@ -27,7 +29,7 @@ def record_of(
     """Return the record of a run of ``source``; ``known``: the nominal calibration."""
     scores, collected, not_judged = worth.scores, worth.collected, worth.not_judged
     limits = {metric: limit for metric, limit in _limits(spec, worth).items() if metric not in not_judged}
-    met = limits_met(scores, limits, lambda metric: METRICS[metric][1])
+    met = limits_met(scores, limits, lambda metric: METRICS[metric].sense)
     rows = tuple(
         _metric(metric, score, limits.get(metric), met)
         for metric, score in scores.items()
@@ -40,6 +42,7 @@ def record_of(
     if "sets_complete" in broken and "sets_complete" not in spec.fails_on:
         missing = losses(collected.assembly, spec.capture.pulses, spec.capture.frame_rate_hz)
         passed, verdict = False, f"{verdict}; {missing}"
+    verdict = "; ".join((verdict, *loose_limits(rows, spec.loose_limit)))
     if unnoticed and not not_judged:
         passed, verdict = False, f"{verdict}; not noticed: {'; '.join(unnoticed)}"
     return RunRecord(
@@ -76,10 +79,9 @@ def _limits(spec: Scenario, worth: Scored) -> dict[str, float]:
 
 
 def _metric(name: str, score: Score, limit: float | None, met: Mapping[str, bool]) -> Metric:
-    unit, sense = METRICS[name]
+    kind = METRICS[name]
     return Metric(
-        name, score.value, unit, score.n, score.ci95, "none", limit,
-        "at_most" if sense == "at_most" else "at_least", met.get(name),
+        name, score.value, kind.unit, score.n, score.ci95, "none", limit, kind.sense, met.get(name),
         MetricBlocks(score.sums, score.weights) if score.sums else None,
     )  # fmt: skip
 

@@ -88,6 +88,9 @@ class _Opened:
 def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | None = None) -> RunResult:
     """Run ``spec``; its file names are relative to ``folder``. PremiseError where a premise fails."""
     options = options or RunOptions()
+    if options.source == "twin" and options.truth is not None:
+        raise InputError(f"--truth {options.truth}: the twin has its own truth; leave --truth out, or give --source")
+    given_truth = None if options.source == "twin" else requested_truth(options)
     LOG.info("%s: frames of %s", name, options.source)
     timings: dict[str, float] = {}
     with ExitStack() as stack, _timed(timings, "total"):
@@ -119,7 +122,7 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
         if own is not None:
             for k, one in enumerate(f for f in own.calibration.findings if f.severity == "warn"):
                 collected.assembly.notes[f"calibration {k + 1}"] = f"{one.code}: {one.message}"
-        truth = requested_truth(options) if opened.twin is None else opened.twin.truth()
+        truth = given_truth if opened.twin is None else opened.twin.truth()
         if opened.twin is not None and isinstance(truth, Truth) and options.record_to is not None:
             write_truth(truth, options.record_to / "truth.npz")
 

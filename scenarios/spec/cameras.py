@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
+from mosca.data.files.rig_file import Pixels
 from mosca.data.files.toml import NotNegative, Positive, Table, Vector
 from mosca.data.lamp_codes import LAMP_NUMBERS
 
@@ -24,7 +25,7 @@ class Cameras(Table):
     radius_m: Positive = Field(4.0, description="radius of the ring about the working space's centre [m]")
     height_m: float | tuple[float, ...] = Field(1.6, description="height of the cameras above the floor [m]")
     look_at_m: Vector | None = Field(None, description="where they look; default: the working space's centre")
-    size_px: tuple[int, int] = Field((656, 491), description="image width and height [px]")
+    size_px: tuple[Pixels, Pixels] = Field((656, 491), description="image width and height [px]")
     pixel_pitch_mm: Positive = Field(0.0099, description="pixel pitch mx = my [mm]")
     c_mm: Positive = Field(7.5, description="principal distance [mm]")
     K1_per_mm2: float = Field(1.0e-3, description="radial distortion, as the paper's Table 2 has it")
@@ -148,7 +149,7 @@ class CameraSpec(Table):
     place_m: Vector = Field((0.0, 0.0, 0.0), description="where on the body it sits, body axes [m]")
     forward: Vector = Field((1.0, 0.0, 0.0), description="where it looks, body axes")
     up: Vector = Field((0.0, 0.0, 1.0), description="its upper side, body axes")
-    size_px: tuple[int, int] | None = Field(None, description="image of a new camera [px]")
+    size_px: tuple[Pixels, Pixels] | None = Field(None, description="image of a new camera [px]")
     fisheye_deg: Annotated[float, Field(gt=10, le=190)] | None = Field(
         None, description="a new camera is a fisheye that sees this angle across the image's width [deg]"
     )

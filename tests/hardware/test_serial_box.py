@@ -15,6 +15,7 @@ from needs import needs_module
 
 from hardware.driver import DeviceError
 from hardware.emulate.pulse_generators import PulseBox
+from hardware.triggers import pulse_protocol
 from hardware.triggers.pulse_protocol import Ping, fit_pulses, pulses_at_ping, pulses_made
 from hardware.triggers.serial_box import SerialTrigger
 
@@ -119,3 +120,9 @@ def test_the_box_answers_anything_with_one_line():
             assert "\n" not in answer
 
         any_text()
+
+
+@pytest.mark.parametrize("rest", ["x y", "12 x", "² 3", "-1 5", "9" * 5000 + " 1", "\ufffd \ufffd"])
+def test_garbage_in_an_answer_is_one_ping_less_and_no_error(rest):
+    assert pulse_protocol.pulses_at_ping(f"P 7 {rest}", 7, 100.0) is None
+    assert pulse_protocol.pulses_at_ping("P 7 12 5000", 7, 100.0) == 12.5

@@ -175,10 +175,20 @@ def test_every_other_set_is_looked_at_and_what_is_missing_is_left_out():
     assert sorted(zip(found.camera.tolist(), found.frame.tolist(), strict=True)) == sorted(
         3 * [(0, 0), (0, 1), (0, 2), (1, 0), (1, 2)]
     )
-    with pytest.raises(InputError, match="2 frame sets of cam1 show nothing of the target"):
+    with pytest.raises(
+        InputError, match="0 of 2 frame sets of cam1 show the target; its numbers are 8, 17, 230, 401; seen are none"
+    ):
         read_sightings(Images([[empty], [empty]]), reader_of(coded_field()))
     with pytest.raises(InputError, match="every = 0 given"):
         read_sightings(Images([[empty]]), reader_of(coded_field()), 0)
+
+
+def test_a_wrong_field_is_told_with_the_numbers_that_are_seen():
+    other = Field((PlacedTarget("code/005", CodedTarget.of_dot(5, 0.01), np.zeros(3), np.array([0.0, 0.0, 1.0])),))
+    with pytest.raises(
+        InputError, match="0 of 2 frame sets of cam1 show the target; its numbers are 5; seen are 17, "
+    ):
+        read_sightings(Images([[painted()], [painted()]]), reader_of(other))
 
 
 def test_one_view_of_a_few_marks_is_refused():

@@ -12,6 +12,7 @@ def lab_folder(tmp_path_factory):
     """A recording, rig files with devices that are not there and without devices, tracks, and files of no use."""
     from station_scene import Scene
     from station_scene import rig as scene_rig
+    from tiny_scenario import TINY
 
     from mosca.data.files.rig_file import rig_toml
     from mosca.data.tracks import Samples, table
@@ -36,6 +37,9 @@ def lab_folder(tmp_path_factory):
         write_tracks(table([samples]), lab / name, 100.0)
     (lab / "bytes.toml").write_bytes(b"\xff\xfe no toml")
     (lab / "bytes.csv").write_bytes(b"\xff\xfe,1\n")
+    (lab / "scene.toml").write_text(TINY.format(top="", duration_s=0.3, cameras="", limits="position_rms = 0.01"))
+    (lab / "wand.toml").write_text('kind = "wand"\nalong_m = [0.0, 0.2, 0.5]\ndiameter_m = 0.02\n')
+    (lab / "empty.toml").write_text("")
     (lab / "other.toml").write_text('title = "x"\n')
     (lab / "background.toml").write_text("[background]\nkind = 'mean'\n")
     (lab / "file.txt").write_text("mine")

@@ -15,6 +15,7 @@ from capture_rig import Line, openers, write_rig
 from loopback import free_address
 from needs import needs_aravis, needs_module
 
+from hardware.emulate.store import FrameStore
 from scenarios.lab import capture as capture_module
 
 FIRST = 'driver = "gige"\nserial = "nobody-a1"'
@@ -57,7 +58,7 @@ def test_capture(refused, given, told):
 @pytest.mark.parametrize(
     ("find", "put", "more", "told"),
     [
-        ('"gige"', '"usb9"', "", "'usb9' given; Input should be 'gige', 'pylon', 'gentl' or 'webcam'"),
+        ('"gige"', '"usb9"', "", "'usb9' given; 'gige', 'pylon', 'gentl' or 'webcam' is wanted"),
         (FIRST, 'serial = "1"', "", "'driver' is missing"),
         (FIRST, 'driver = "gige"', "", "serial or address is needed"),
         (FIRST, FIRST + '\nexposure_us = "800 us"', "", "'800 us' given"),
@@ -265,3 +266,13 @@ def test_serving_where_somebody_serves_already(refused):
         other.bind((address, 3956))
         told = refused("twin serve take --seconds 0.1 --address", address)
     assert f"camera 'a1': address {address} already serves a camera (port 3956 is taken)" in told
+
+
+def test_a_taken_address_is_told_before_a_frame_is_rendered(refused, monkeypatch):
+    read = []
+    monkeypatch.setattr(FrameStore, "fill", lambda self, progress=None: read.append(self))
+    address = free_address()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.bind((address, 3956))
+        assert "port 3956 is taken" in refused("twin serve take --seconds 0.1 --address", address)
+    assert read == []

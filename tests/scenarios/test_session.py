@@ -248,6 +248,8 @@ def test_a_fault_that_is_told_of_is_caught(with_sessions, tmp_path):
     assert len(result.tracks) == 0
     write_run(result, tmp_path / "out")
     assert "mixed-units" in (tmp_path / "out/calibration.html").read_text()
+    assert result.calibration.calibration.refused
+    assert list(tmp_path.rglob("rig.toml")) == []
 
 
 def test_a_fault_that_is_told_of_by_another_name_is_not_caught(with_sessions, tmp_path):

@@ -1,15 +1,17 @@
 """Scenario files: errors are one line that names file, key, value and what is allowed."""
 
 import json
+import re
 
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from mosca.data.files.toml import _models_in, check, read_toml
 from mosca.data.settings import DetectionSettings, MatchSettings, TrackSettings
 from mosca.errors import InputError
 from scenarios.spec.catalog import TEMPLATE, built_in, entries, find, scenario_name, write_template
-from scenarios.spec.scenario import PipelineSpec, load_scenario, scenario_schema
+from scenarios.spec.scenario import PipelineSpec, Scenario, load_scenario, scenario_schema, set_key
 
 GOOD = """
 title = "x"
@@ -151,3 +153,47 @@ def test_a_stage_has_the_keys_of_its_settings(table, settings):
 def test_a_stage_has_the_bounds_of_its_settings(key, message):
     with pytest.raises(InputError, match=message):
         load_scenario(find("rigs/three_cameras"), (key,))
+
+
+WRONG = (
+    "x",
+    "",
+    -1e99,
+    1e99,
+    0.5,
+    True,
+    [],
+    ["x"],
+    [0, 0],
+    [-1.0, 2.0, 3.0, 4.0, 5.0],
+    {},
+    {"kind": "x"},
+    float("nan"),
+)
+
+
+def tables(model):
+    """The models of a table's keys, each with the dotted key under which it is."""
+    for name, field in model.model_fields.items():
+        yield name
+        for inner in _models_in(field.annotation):
+            yield from (f"{name}.{key}" for key in tables(inner))
+
+
+def test_no_key_of_a_scenario_is_refused_in_the_words_of_pydantic(tmp_path):
+    path = write(tmp_path, GOOD)
+    refused = 0
+    for key in sorted(set(tables(Scenario))):
+        for value in WRONG:
+            whole = read_toml(path)
+            try:
+                set_key(whole, key, value, "test")
+                check(Scenario, whole, path)
+            except InputError as error:
+                refused += 1
+                line = str(error)
+                assert "\n" not in line
+                for words in ("Input should", "Value error", "of another kind", "alid ", "tuple["):
+                    assert words not in line, line
+                assert re.search(r"s\.toml: |test: ", line)
+    assert refused > 2000

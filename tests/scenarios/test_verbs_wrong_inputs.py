@@ -178,7 +178,7 @@ LEARN = "labels learn left.csv --out new.toml "
         (LEARN + "--name 0=A --name 1=B", "label three or more of its tracks"),
         (LEARN + "--frames 5:3", "FIRST:LAST is wanted"),
         ("labels apply left.csv --out new.csv --model none.toml", "none.toml: no such file"),
-        ("labels apply left.csv --out new.csv --model rig.toml", "unknown key 'camera'"),
+        ("labels apply left.csv --out new.csv --model rig.toml", "rig.toml: is a rig file, not a marker model"),
         ("labels apply left.csv --out new.xyz --model rig.toml", "suffix '.xyz' given"),
     ],
 )

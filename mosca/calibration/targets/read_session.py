@@ -22,6 +22,10 @@ class MarkReader(Protocol):
         """Return what the image (H, W) shows; ``camera`` and ``frame`` of the part are set by the caller."""
         ...
 
+    def seen_instead(self) -> str:
+        """Return what images without the target show, "; ..." in words; "" where that is not known."""
+        ...
+
 
 def read_sightings(
     source: FrameSource, reader: MarkReader, every: int = 1, progress: Progress | None = None
@@ -50,7 +54,7 @@ def read_sightings(
     sightings = Sightings.joined(names, sizes, frames, parts)
     if len(sightings) == 0:
         raise InputError(
-            f"{frames} frame sets of {', '.join(names)} show nothing of the target; check the target file, exposure "
-            "and focus (the marks need contrast and a few pixels)"
+            f"0 of {frames} frame sets of {', '.join(names)} show the target{reader.seen_instead()}; check the "
+            "target file, exposure and focus (the marks need contrast and a few pixels)"
         )
     return sightings

@@ -1,5 +1,6 @@
 """Finds a target's marks in an image: boards, coded test fields, scale bars and wands."""
 
+from collections import Counter
 from dataclasses import replace
 
 import numpy as np
@@ -18,6 +19,9 @@ from mosca.data.wands import Wand
 from mosca.detection.detect import DetectionSettings, detect
 from mosca.errors import InputError
 
+LOOKED_FOR_OTHERS = 40
+"""Images without the target that are searched for other numbers, which takes as long as the search itself."""
+MOST_TOLD = 8
 FEWEST = 6
 """Targets that must be read before the colour of the plates is believed."""
 
@@ -66,6 +70,8 @@ class FieldReader:
             plate=first.plate_m / r,
         )
         self._enough = min(FEWEST, len(coded))
+        self._others: Counter[int] = Counter()
+        self._to_look_for_others = LOOKED_FOR_OTHERS
 
     def read(self, image: Array, camera: str, bit_depth: int) -> Part:
         """Return the field's targets in an image (H, W)."""
@@ -76,9 +82,21 @@ class FieldReader:
             for colour in ("white", "black")
         )
         most = max(white, black, key=len)
+        if not len(most) and self._to_look_for_others:
+            self._to_look_for_others -= 1
+            every = replace(self._settings, numbers=None)
+            self._others.update(find_coded(image, camera, every, bit_depth).number.tolist())
         if len(most) >= self._enough:
             self._settings = replace(self._settings, colour="white" if most is white else "black")
         return self._part(most)
+
+    def seen_instead(self) -> str:
+        """Return the numbers that images without the target show."""
+        seen = ", ".join(str(number) for number in sorted(self._others)[:MOST_TOLD])
+        more = " and more" if len(self._others) > MOST_TOLD else ""
+        own = ", ".join(str(number) for number in sorted(self.mark_of)[:MOST_TOLD])
+        own += " and more" if len(self.mark_of) > MOST_TOLD else ""
+        return f"; its numbers are {own}; seen are {seen or 'none'}{more}"
 
     def _part(self, found: CodedDetections) -> Part:
         mark = np.array([self.mark_of[int(number)] for number in found.number], dtype=np.int64)
@@ -100,6 +118,10 @@ class BoardReader:
             self.refusals[found.refused] = self.refusals.get(found.refused, 0) + 1
         return Part(0, 0, found.corner, found.xy_px, found.covariance_px2, np.full(len(found), np.nan))
 
+    def seen_instead(self) -> str:
+        """Return why the images show no board."""
+        return "".join(f"; in {count} images: {why}" for why, count in self.refusals.items())
+
 
 class _WandReader:
     """Finds the balls of a wand; their marks are -1 where the ends cannot be distinguished."""
@@ -114,3 +136,7 @@ class _WandReader:
             return found
         none = np.zeros(0)
         return Part(0, 0, none.astype(np.int64), np.zeros((0, 2)), np.zeros((0, 2, 2)), none)
+
+    def seen_instead(self) -> str:
+        """Return nothing: balls cannot be told apart."""
+        return ""

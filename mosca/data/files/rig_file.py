@@ -23,7 +23,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import MISSING, asdict, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Union
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Union
 
 import numpy as np
 import tomli_w
@@ -130,6 +130,8 @@ class CameraTable(Table):
 
 class RigFile(Table):
     """The whole rig file; ``hardware`` and ``twin`` hold what all cameras share."""
+
+    FILE_KIND: ClassVar[str] = "rig"
 
     camera: Annotated[tuple[CameraTable, ...], Field(min_length=1, description="one [[camera]] a camera")]
     hardware: dict[str, Any] = Field(default_factory=dict)

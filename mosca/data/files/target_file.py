@@ -24,6 +24,7 @@ import numpy as np
 from pydantic import Field, TypeAdapter, model_validator
 
 from mosca.data.arrays import Array, set_read_only
+from mosca.data.files.file_kind import other_kind
 from mosca.data.files.target_tables import TABLES, CalibrationTable, CalibrationTarget
 from mosca.data.files.toml import Positive, Table, check, read_toml
 from mosca.errors import InputError
@@ -97,6 +98,8 @@ class MeasuredPoints:
 def read_target_file(path: Path) -> PointsTarget | CalibrationTarget:
     """Read a target file of any kind; InputError names the key, the value and what is allowed."""
     document = read_toml(Path(path))
+    if other := other_kind(document, "target"):
+        raise InputError(f"{path}: {other}")
     kind, allowed = document.get("kind"), ("points", *TABLES)
     if not isinstance(kind, str) or kind not in allowed:
         given = "no 'kind'" if kind is None else f"kind = {kind!r}"

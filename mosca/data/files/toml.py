@@ -4,13 +4,16 @@ Tables are ``Table`` or pydantic dataclasses with ``SETTINGS``: errors read the 
 """
 
 import difflib
+import re
 import tomllib
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, TypeVar, get_args
+from typing import Annotated, Any, ClassVar, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic.fields import FieldInfo
 
+from mosca.data.files.file_kind import other_kind
 from mosca.errors import InputError
 
 Vector = tuple[float, float, float]
@@ -18,6 +21,7 @@ Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
 SETTINGS = ConfigDict(extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True)
 """Of pydantic dataclasses that are settings of a stage and a TOML table at once."""
+MISSING = ("missing", "union_tag_not_found")
 UNKNOWN_KEY = ("extra_forbidden", "unexpected_keyword_argument")
 """Pydantic's errors for an unknown key of a model or a dataclass."""
 
@@ -26,6 +30,8 @@ class Table(BaseModel):
     """A TOML table: frozen; unknown keys are errors."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    FILE_KIND: ClassVar[str] = ""
+    """Of the table of a whole file: which of ``file_kind.KINDS`` it is."""
 
 
 T = TypeVar("T", bound=BaseModel)
@@ -51,7 +57,54 @@ def check(model: type[T], document: dict[str, Any], where: str | Path) -> T:
     try:
         return model.model_validate(document)
     except ValidationError as error:
-        raise InputError(f"{where}: {_first_line(model, error)}") from None
+        other = other_kind(document, getattr(model, "FILE_KIND", ""))
+        raise InputError(f"{where}: {other or _first_line(model, error)}") from None
+
+
+_NUMBER, _WHOLE, _TRUTH, _TEXT = "a number", "a whole number", "true or false", "a text"
+_WANTED = {
+    **dict.fromkeys(("float_type", "float_parsing"), _NUMBER),
+    **dict.fromkeys(("int_type", "int_parsing", "int_from_float", "int_parsing_size"), _WHOLE),
+    **dict.fromkeys(("bool_type", "bool_parsing"), _TRUTH),
+    **dict.fromkeys(("string_type", "string_unicode"), _TEXT),
+    **dict.fromkeys(("dict_type", "model_type", "model_attributes_type", "dataclass_type"), "a table"),
+    **dict.fromkeys(("tuple_type", "list_type", "iterable_type"), "a list in [ ]"),
+    **dict.fromkeys(("path_type",), "the name of a file, a text"),
+    "finite_number": "a finite number",
+    "none_required": "nothing",
+    "greater_than": "a number greater than {gt}",
+    "greater_than_equal": "a number greater than or equal to {ge}",
+    "less_than": "a number less than {lt}",
+    "less_than_equal": "a number less than or equal to {le}",
+    "multiple_of": "a multiple of {multiple_of}",
+    "literal_error": "{expected}",
+    "enum": "{expected}",
+    "union_tag_invalid": "one of {expected_tags}",
+    "string_too_short": "a text of {min_length} characters or more",
+    "string_too_long": "a text of {max_length} characters at most",
+    "string_pattern_mismatch": "a text of the pattern {pattern}",
+    "too_short": "a list of {min_length} or more",
+    "too_long": "a list of {max_length} at most",
+}
+"""What is wanted, by pydantic's types of errors and with their values; its own texts speak to programmers."""
+_BRANCHES = ("float", "int", "str", "bool", "constrained-str", "constrained-float", "constrained-int")
+_WRONG_JSON = ("json_invalid", "json_type")
+
+
+def in_words(error: Mapping[str, Any]) -> str:
+    """Return what is wrong, of one of the ``errors()`` of a pydantic ValidationError, in this project's words."""
+    kind, values = error["type"], error.get("ctx", {})
+    if kind in ("value_error", "assertion_error"):
+        return str(values["error"])
+    if kind in _WRONG_JSON:
+        return "is no JSON"
+    if kind in MISSING:
+        return "is missing"
+    if kind in UNKNOWN_KEY:
+        return "is not known"
+    if kind in _WANTED:
+        return f"{_WANTED[kind].format(**values)} is wanted"
+    return str(values["message"]) if "message" in values else f"a value of another kind is wanted ({kind})"
 
 
 def _similar_files(path: Path) -> str:
@@ -64,8 +117,9 @@ def _similar_files(path: Path) -> str:
 
 def _first_line(model: type[BaseModel], error: ValidationError) -> str:
     # a misspelt key is both unknown and missing: the unknown one is more helpful
-    errors = sorted(error.errors(), key=lambda e: e["type"] not in UNKNOWN_KEY)
+    errors: list[Mapping[str, Any]] = sorted(error.errors(), key=lambda e: e["type"] not in UNKNOWN_KEY)
     first, more = errors[0], len(errors) - 1
+    first = _at_its_tag(first)
     place = _dotted(first["loc"])
     if first["type"] in UNKNOWN_KEY:
         allowed = _keys_at(model, first["loc"][:-1])
@@ -74,19 +128,33 @@ def _first_line(model: type[BaseModel], error: ValidationError) -> str:
         text = f"unknown key '{place}'"
         text += f"; did you mean '{near[0]}'?" if near else "."
         text += f" Allowed here: {', '.join(allowed)}" if allowed else ""
-    elif first["type"] == "missing":
+    elif first["type"] in MISSING:
         text = f"key '{place}' is missing; {_described(model, first['loc'])}add it"
     else:
         given = repr(first.get("input"))
-        text = first["msg"].removeprefix("Value error, ")
+        same = [in_words(e) for e in errors if _dotted(_at_its_tag(e)["loc"]) == place]
+        text, more = " or ".join(dict.fromkeys(same)), len(errors) - len(same)
+        text = text.replace(" is wanted or ", " or ")
+        if first["type"] == "string_pattern_mismatch":
+            text = f"{_described(model, first['loc'])}is wanted"
         if place:  # what is wrong with the table as a whole has no key
             text = f"key '{place}': {given if len(given) < 60 else given[:57] + '...'} given; {text}"
     return text + (f" (and {more} more)" if more else "")
 
 
+def _at_its_tag(error: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return an error of a union at the key that chooses from it."""
+    if error["type"] not in ("union_tag_invalid", "union_tag_not_found"):
+        return error
+    values = error["ctx"]
+    return {**error, "loc": (*error["loc"], values["discriminator"].strip("'")), "input": values.get("tag")}
+
+
 def _dotted(location: tuple[int | str, ...]) -> str:
     text = ""
     for part in location:
+        if part in _BRANCHES or (isinstance(part, str) and re.search(r"[\[\]]", part)):
+            continue  # pydantic's name of a type that was tried
         text += f"[{part}]" if isinstance(part, int) else (f".{part}" if text else str(part))
     return text
 

@@ -13,7 +13,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 import tomli_w
@@ -52,6 +52,8 @@ class BodyTable(Table):
 
 class BodiesTable(Table):
     """The whole file."""
+
+    FILE_KIND: ClassVar[str] = "bodies"
 
     kind: Literal["bodies"] = Field(description='"bodies"')
     body: Annotated[tuple[BodyTable, ...], Field(min_length=1, description="[[body]] tables")]

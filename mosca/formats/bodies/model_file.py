@@ -18,7 +18,7 @@ A pair without a link was never observed together.
 
 import re
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 import tomli_w
@@ -38,6 +38,8 @@ Side = tuple[Name, Name, Name, Name, float]
 
 class ModelTable(Table):
     """The whole file."""
+
+    FILE_KIND: ClassVar[str] = "marker-model"
 
     kind: Literal["marker-model"] = Field(description='"marker-model"')
     markers: Annotated[

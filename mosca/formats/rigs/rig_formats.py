@@ -37,6 +37,8 @@ class RigFormat:
 
 
 def _write_mosca(cameras: tuple[Camera, ...], path: Path, options: RigFileOptions) -> Notes:
+    if path.suffix != ".toml":
+        raise InputError(f"{path}: a rig file ends in .toml; for another format give --format ({', '.join(FORMATS)})")
     write_rig(Rig(cameras), path)
     return ()
 

@@ -1,0 +1,43 @@
+"""Which of the project's files a TOML document is, by its keys: a file given in another one's place is told so."""
+
+from collections.abc import Mapping
+from typing import Any
+
+KINDS = {
+    "scenario": ("a scenario", "a scenario goes to mosca run and has [scene] and [limits]"),
+    "rig": ("a rig file", "a rig file goes to --rig and has a [[camera]] table a camera"),
+    "target": ("a target file", "a target file goes to mosca calibrate --target and has a key 'kind'"),
+    "bodies": ("a bodies file", 'a bodies file goes to mosca bodies find and has kind = "bodies"'),
+    "marker-model": ("a marker model", 'a marker model goes to --model or --labels and has kind = "marker-model"'),
+    "lamps": ("a lamp file", "a lamp file goes to --worn and has bit_s, known and [[lamp]]"),
+    "program": ("a program", "a program goes to capture --program and has [[target]], [[event]] and [[program]]"),
+    "settings": ("a settings file", "a settings file goes to --settings and has [detection], [match] or [track]"),
+}
+"""What a file is, and where it goes and how it is known."""
+
+
+def file_kind(document: Mapping[str, Any]) -> str:
+    """Return the kind of file that ``document`` is, a key of KINDS; "" where its keys do not tell."""
+    keys, kind = set(document), document.get("kind")
+    if keys & {"scene", "working_space"}:
+        return "scenario"
+    if isinstance(kind, str):
+        return kind if kind in ("bodies", "marker-model") else "target"
+    for name, marks in (
+        ("lamps", {"bit_s", "lamp"}),
+        ("program", {"program", "target", "event"}),
+        ("rig", {"camera"}),
+        ("settings", {"detection", "match", "track", "background", "volume", "assembly"}),
+    ):
+        if keys & marks:
+            return name
+    return ""
+
+
+def other_kind(document: Mapping[str, Any], wanted: str) -> str:
+    """Return in words that ``document`` is another kind of file than ``wanted``; "" where it is not, or not known."""
+    found = file_kind(document)
+    if not wanted or found in ("", wanted):
+        return ""
+    (is_a, goes), (wants_a, wanted_goes) = KINDS[found], KINDS[wanted]
+    return f"is {is_a}, not {wants_a}; {goes}; {wanted_goes}"
