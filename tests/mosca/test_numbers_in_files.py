@@ -114,6 +114,51 @@ def test_names_in_a_points_table_are_utf_8(tmp_path):
         read_points_csv(path)
 
 
+MATRIX = """%YAML:1.0
+---
+image_width: 640
+image_height: 480
+camera_matrix: !!opencv-matrix
+   rows: 3
+   cols: 3
+   dt: d
+   data: [ 900.5, 0., 320., 0., 900.5, 240., 0., 0., 1. ]
+"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("rows: 3", "rows: 4", "rows times cols = 12 holds 9 of dt = 'd'; as many are wanted"),
+        ("rows: 3", "", "rows times cols = 0 holds 9 of"),
+        ("dt: d", "dt: u", "of dt = 'u'; as many are wanted, of dt d"),
+        ("dt: d", "dt: i", "is of whole numbers"),
+        ("0., 0., 1.", "0., 0., 2.", "camera matrix"),
+    ],
+)
+def test_a_matrix_of_opencv_is_as_it_says(tmp_path, old, new, said):
+    path = tmp_path / "c.yml"
+    path.write_text(MATRIX)
+    assert read_any_rig(path)[0].cameras[0].lens.fx_px == 900.5
+    path.write_text(MATRIX.replace(old, new))
+    with pytest.raises(InputError, match=said):
+        read_any_rig(path)
+
+
+@pytest.mark.parametrize(
+    "rows", ["[1.0, 900, 240], [0, 0, 1]", "[0, 900, 240], [0, 0, 2]", "[0, 900, 240], [0, 1, 1]"]
+)
+def test_a_camera_matrix_of_aniposelib_is_whole(tmp_path, rows):
+    path = tmp_path / "c.toml"
+    text = "[cam_0]\nsize = [640, 480]\nmatrix = [[900.0, 0, 320], ROWS]\ndistortions = [0.0, 0, 0, 0, 0]\n"
+    text += "rotation = [0.0, 0, 0]\ntranslation = [0.0, 0, 1]\n"
+    path.write_text(text.replace("ROWS", "[0, 900, 240], [0, 0, 1]"))
+    read_rig(path)
+    path.write_text(text.replace("ROWS", rows))
+    with pytest.raises(InputError, match="and below them"):
+        read_rig(path)
+
+
 @pytest.mark.parametrize("size", ["640.5\n480", "640\n1e-3", "0\n480"])
 def test_sizes_of_images_are_whole(tmp_path, size):
     (tmp_path / "c.addpar").write_text("0 0 0 0 0 1 0\n")
