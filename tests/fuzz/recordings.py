@@ -77,7 +77,7 @@ def _mcap(folder: Path) -> Any:
         told = bool(recording.notes) or any(one.status == "corrupt" for one in frames)
         return {
             "cameras": [list(vars(info).values()) for info in recording.cameras],
-            "rig": recording.rig_toml_text,
+            "rig": "[[camera]]\n" if recording.rig_toml_text is None and recording.notes else recording.rig_toml_text,
             "frames": _subset(whole_frames, [_plain(one) for one in _frames()], told, "frame"),
             "commands": _subset(
                 commands, [(f.time_ns, {"thrust": [1.5, f.index]}) for f in _frames()], told, "command"
