@@ -111,7 +111,7 @@ class McapRecording:
         """Return the frames that had waited longest to be written when the writer was killed; some were written."""
         if self._tail is None:
             return []
-        return read_tail(self._tail, self._all_cameras)
+        return read_tail(self._tail, self._all_cameras, self._note_text)
 
     def detection_sets(self) -> Iterator[tuple[FrameSet, dict[str, Detections]]]:
         """Yield the frame sets, without frames, and the detections of each camera; only where it ``holds`` them.
@@ -170,7 +170,10 @@ class McapRecording:
         self.close()
 
     def _note(self, text: str) -> None:
-        self._notes.setdefault(f"{self.path}: {text}")
+        self._note_text(f"{self.path}: {text}")
+
+    def _note_text(self, text: str) -> None:
+        self._notes.setdefault(text)
 
     def _note_missing(self, seen: int) -> None:
         """Note where the file states another number of its cameras' messages than ``seen``."""

@@ -15,7 +15,7 @@ from fuzz.tables import whole
 from mosca.data.detections import Detections
 from mosca.data.frames import CameraInfo, Frame, FrameSet
 from mosca.recording import McapRecording, RecordingWriter, open_recording
-from mosca.recording.crash_buffer import Tail, read_tail
+from mosca.recording.crash_buffer import TAIL_NAME, Tail, read_tail, rescued
 from mosca.recording.folder import read_image
 from mosca.recording.stamps import read_stamps
 
@@ -123,13 +123,16 @@ def _tail_seed(folder: Path) -> None:
     tail = Tail(INFOS, 1 << 20, folder)
     for frame in _frames()[:6]:
         tail.put(frame, 5)
-    (folder / "a.tail").write_bytes(tail.path.read_bytes()[: 4096 * 8])
+    in_memory = folder / "memory"
+    in_memory.write_bytes(tail.path.read_bytes())
     tail.close()
+    rescued(folder / "recording.mcap.part", in_memory)  # as after the writer's death
 
 
 def _tail(folder: Path) -> Any:
-    kept = [_plain(one.frame) for one in read_tail(folder / "a.tail", INFOS)]
-    return _subset(kept, [_plain(one) for one in _frames()[:6]], True, "frame")
+    notes: list[str] = []
+    kept = [_plain(one.frame) for one in read_tail(folder / TAIL_NAME, INFOS, notes.append)]
+    return _subset(kept, [_plain(one) for one in _frames()[:6]], bool(notes), "frame")
 
 
 STAMPS = "frame,camera,time_ns,exposure_ns,status\n" + "".join(
@@ -218,7 +221,7 @@ def _video_expected(folder: Path) -> Any:
 READERS = (
     Reader("recording mcap", (_mcap_seed,), (f"r/{MCAP}",), _mcap),
     Reader("recording detections", (_found_seed,), (f"r/{MCAP}",), _found),
-    Reader("recording tail", (_tail_seed,), ("a.tail",), _tail),
+    Reader("recording tail", (_tail_seed,), (TAIL_NAME,), _tail),
     Reader(
         "frames.csv",
         (lambda folder: (folder / "frames.csv").write_text(STAMPS) and None,),
