@@ -1,13 +1,13 @@
 """Points of one instant and tracks over time: what the pipeline gives and scoring reads."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from mosca.data.arrays import Array, set_read_only
-from mosca.data.files.npz import from_npz
+from mosca.data.files.npz import from_npz, whole_numbers, write_npz_file
 
 STATUSES = ("measured", "filled", "predicted")
 
@@ -144,16 +144,15 @@ def table(parts: Sequence[Samples]) -> Tracks:
 
 
 def write_npz(tracks: Tracks, path: Path) -> None:
-    """Write all columns of ``tracks`` under their names (numpy .npz, no pickles)."""
-    with open(path, "wb") as file:
-        np.savez_compressed(file, **{name: getattr(tracks, name) for name in tracks.__dataclass_fields__})
+    """Write all columns of ``tracks`` under their names (numpy .npz, no pickles), with a checksum."""
+    write_npz_file(path, {name: getattr(tracks, name) for name in tracks.__dataclass_fields__})
 
 
 def read_npz(path: Path) -> Tracks:
     """Read what ``write_npz`` wrote; raises InputError for a file that is missing or holds something else."""
-    return from_npz(
-        path,
-        lambda columns: Tracks(**{name: columns[name] for name in Tracks.__dataclass_fields__}),
-        "tracks",
-        "'mosca run' or 'mosca reconstruct'",
-    )
+    return from_npz(path, _tracks_of, "tracks", "'mosca run' or 'mosca reconstruct'")
+
+
+def _tracks_of(columns: Mapping[str, Array]) -> Tracks:
+    whole_numbers(columns, "frame", "time_ns", "track", "n_cameras")
+    return Tracks(**{name: columns[name] for name in Tracks.__dataclass_fields__})

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from mosca.data.arrays import Array, set_read_only
-from mosca.data.files.npz import from_npz
+from mosca.data.files.npz import from_npz, whole_numbers, write_npz_file
 
 NO_FRAME = int(np.iinfo(np.int64).min)
 """Mid-exposure entered for a camera that took no frame from a pulse until the next [ns]."""
@@ -96,8 +96,7 @@ def write_truth(truth: Truth, path: Path) -> None:
     if truth.frames is not None:
         fields |= {FRAMES + name: getattr(truth.frames, name) for name in FramesTruth.__dataclass_fields__}
     arrays = {name: np.asarray(value) for name, value in fields.items() if value is not None}
-    with open(path, "wb") as file:
-        np.savez_compressed(file, allow_pickle=False, **arrays)
+    write_npz_file(path, arrays)
 
 
 def read_truth(path: Path) -> Truth:
@@ -109,6 +108,7 @@ def read_truth(path: Path) -> Truth:
 
 
 def _truth_of(fields: Mapping[str, Array]) -> Truth:
+    whole_numbers(fields, "time_ns", "exposure_mid_ns")
     later = ("camera_rotation", "camera_position")
     values: dict[str, Any] = {
         name: fields[name]

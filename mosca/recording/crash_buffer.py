@@ -4,14 +4,18 @@ While the disk or the machine is slow, frames wait in the writer's memory and ar
 /dev/shm is memory of the operating system: its content survives the process, and no disk can delay it. A slot holds a
 frame uncompressed; it is reused as soon as the frame is in the recording.
 
-Its layout, little-endian: 8 bytes ``mosca\\0t1``, u64 size of a slot, u64 number of slots used, padded to 4096; then
-the slots, each ::
+Its layout, little-endian: 8 bytes ``moscaT2\\0``, u64 size of a slot, u64 number of slots used, u32 crc32 of these 24
+bytes, padded to 4096; then the slots, each ::
 
     8 bytes ``frame\\0\\0\\0``, written last (while a slot is filled there are zeros)
-    u32 camera, in the recording's order, u8 status, u8 stamp event, u8 bytes a pixel, u8 0
-    u32 height, u32 width, u32 length of the note, u32 0
+    u32 camera, in the recording's order, u8 status, u8 stamp event, u8 bytes a pixel, u8 1: crc32 covers pixels
+    u32 height, u32 width, u32 length of the note, u32 crc32
     i64 arrival at the machine [ns] (-1: not known), i64 index, i64 time [ns], i64 exposure [ns], i64 row time [ns]
     note (UTF-8, 248 bytes at most), pixels from byte 320 of the slot on, row by row
+
+A slot's crc32 is that of the bytes from camera to the end of the note, with 0 in its own place. When the tail is
+moved to the disk, pixels follow the note in it (in memory that would take time from the cameras), slots that are not
+full are left out, and the file begins with ``moscaD2\\0``. Tails of ``mosca\\0t1`` have no checksums.
 
 The writer locks the file (flock); a reader determines from the lock whether the writer is alive.
 """
@@ -22,9 +26,11 @@ import os
 import struct
 import tempfile
 import threading
-from collections.abc import Sequence
+import zlib
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 
@@ -38,10 +44,13 @@ MEMORY = Path("/dev/shm")
 TAIL_NAME = "recording.tail"
 """What a tail is called in the recording's folder, once it was found after its writer's death."""
 
-_MAGIC, _FULL, _EMPTY = b"mosca\0t1", b"frame\0\0\0", bytes(8)
+_MAGIC, _ON_DISK, _OLDER = b"moscaT2\0", b"moscaD2\0", b"mosca\0t1"
+_FULL, _EMPTY = b"frame\0\0\0", bytes(8)
 _FILE = struct.Struct("<8sQQ")
 _SLOT = struct.Struct("<IBBBBIIIIqqqqq")
 _NOTE_AT, _NOTE_BYTES, _PIXELS_AT, _PAGE = 72, 248, 320, 4096
+_COVERS_PIXELS_AT, _SUM_AT = 15, 28
+_SUM = struct.Struct("<I")
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,6 +154,7 @@ class Tail:
             frame.row_time_ns,
         )
         self._memory[begin + len(_FULL) : begin + _NOTE_AT + len(note)] = header + note
+        self._memory[begin + _SUM_AT : begin + _SUM_AT + _SUM.size] = _SUM.pack(zlib.crc32(header + note))
         self._memory[begin : begin + len(_FULL)] = _FULL
 
     def _taken(self) -> int | None:
@@ -165,7 +175,7 @@ class Tail:
         return self._used - 1
 
     def _tell_used(self) -> None:
-        self._memory[: _FILE.size] = _FILE.pack(_MAGIC, self._size, self._used)
+        self._memory[: _FILE.size + _SUM.size] = _head(_MAGIC, self._size, self._used)
 
 
 def rescued(part: Path, in_memory: Path) -> Path | None:
@@ -180,43 +190,104 @@ def rescued(part: Path, in_memory: Path) -> Path | None:
         return None
     try:
         with whole_file(beside) as temporary, open(in_memory, "rb") as file, open(temporary, "wb") as copy:
-            head = file.read(_PAGE)
-            copy.write(head)
-            for _ in range(_shape(head)[1]):
-                copy.write(file.read(_shape(head)[0]))
+            _copy(file, copy)
         in_memory.unlink()
     except (OSError, InputError):  # a full or closed disk: it is read where it is
         return in_memory
     return beside
 
 
-def read_tail(path: Path, cameras: Sequence[CameraInfo]) -> list[Kept]:
-    """Return the frames of a tail, in order of time; what is not whole is left out."""
-    kept = []
+def _copy(file: BinaryIO, copy: BinaryIO) -> None:
+    """Write what ``file``, a tail in memory, holds to ``copy``, with checksums of the pixels too."""
+    head = file.read(_PAGE)
+    size, used, has_sums = _shape(head)
+    copy.write(head)
+    full = 0
+    for _ in range(used):
+        slot = file.read(size)
+        if not has_sums:
+            copy.write(slot)
+        elif slot[:8] == _FULL:
+            copy.write(_summed(slot))
+            full += 1
+    if has_sums:
+        copy.seek(0)
+        copy.write(_head(_ON_DISK, size, full))
+
+
+def _head(magic: bytes, size: int, used: int) -> bytes:
+    head = _FILE.pack(magic, size, used)
+    return head + _SUM.pack(zlib.crc32(head))
+
+
+def read_tail(
+    path: Path, cameras: Sequence[CameraInfo], note: Callable[[str], None] = lambda text: None
+) -> list[Kept]:
+    """Return the frames of a tail, in order of time; what is not whole is left out.
+
+    ``note`` is called with what was damaged, in words.
+    """
+    kept: dict[tuple[str, int], Kept] = {}
+    damaged = 0
     try:
         with open(path, "rb") as file:
-            size, used = _shape(file.read(_PAGE))
+            head = file.read(_PAGE)
+            size, used, has_sums = _shape(head)
             if size > _PIXELS_AT + max(info.image_bytes for info in cameras) + _PAGE:
-                return []
+                size = used = 0
+            if size == 0:
+                note(f"{path}: its head is damaged; frames that waited in it are lost")
             for _ in range(used):
-                one = _kept(file.read(size), cameras)
-                if one is not None:
-                    kept.append(one)
+                slot = file.read(size)
+                one = _kept(slot, cameras, has_sums)
+                if one is not None and (one.frame.camera, one.frame.index) not in kept:
+                    kept[one.frame.camera, one.frame.index] = one
+                elif slot[:8] != _EMPTY or head.startswith(_ON_DISK):
+                    damaged += 1
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from None
-    return sorted(kept, key=lambda one: one.frame.time_ns)
+    if damaged:
+        note(f"{path}: {damaged} of {used} frames that waited in it are damaged and left out")
+    return sorted(kept.values(), key=lambda one: one.frame.time_ns)
 
 
-def _shape(head: bytes) -> tuple[int, int]:
-    """Return size and number of the slots; (0, 0) where ``head`` is none of a tail."""
-    if len(head) < _FILE.size:
-        return 0, 0
+def _shape(head: bytes) -> tuple[int, int, bool]:
+    """Return size and number of the slots, (0, 0) where ``head`` is none of a tail; and whether slots have sums."""
+    if len(head) < _FILE.size + _SUM.size:
+        return 0, 0, False
     magic, size, used = _FILE.unpack_from(head)
-    return (size, used) if magic == _MAGIC else (0, 0)
+    whole = magic in (_MAGIC, _ON_DISK) and _SUM.unpack_from(head, _FILE.size)[0] == zlib.crc32(head[: _FILE.size])
+    return (size, used, whole) if whole or magic == _OLDER else (0, 0, False)
 
 
-def _kept(slot: bytes, cameras: Sequence[CameraInfo]) -> Kept | None:
-    if len(slot) < _NOTE_AT or slot[:8] != _FULL:
+def _sum(slot: bytes) -> int | None:
+    """Return the checksum that a full slot should have; None where its header cannot be one."""
+    _, _, _, pixel, covers_pixels, height, width, n_note, *_ = _SLOT.unpack_from(slot, 8)
+    if n_note > _NOTE_BYTES or len(slot) < _PIXELS_AT + height * width * pixel:
+        return None
+    total = zlib.crc32(slot[_SUM_AT + _SUM.size : _NOTE_AT + n_note], zlib.crc32(slot[8:_SUM_AT] + bytes(_SUM.size)))
+    if not covers_pixels:
+        return total
+    return zlib.crc32(memoryview(slot)[_PIXELS_AT : _PIXELS_AT + height * width * pixel], total)
+
+
+def _is_whole(slot: bytes) -> bool:
+    """Return whether a slot is full and as it was written."""
+    return len(slot) >= _PIXELS_AT and slot[:8] == _FULL and _sum(slot) == _SUM.unpack_from(slot, _SUM_AT)[0]
+
+
+def _summed(slot: bytes) -> bytes:
+    """Return a slot with a checksum that covers its pixels."""
+    if not _is_whole(slot):
+        return slot
+    new = bytearray(slot)
+    new[_COVERS_PIXELS_AT] = 1
+    _SUM.pack_into(new, _SUM_AT, _sum(bytes(new)) or 0)
+    return bytes(new)
+
+
+def _kept(slot: bytes, cameras: Sequence[CameraInfo], has_sums: bool) -> Kept | None:
+    if len(slot) < _NOTE_AT or slot[:8] != _FULL or (has_sums and not _is_whole(slot)):
         return None
     (camera, status, event, pixel, _, height, width, n_note, _, host_ns, index, time_ns, exposure_ns, row_ns) = (
         _SLOT.unpack_from(slot, 8)

@@ -4,9 +4,11 @@ The file is a plain MCAP file (mcap.dev) with uncompressed chunks; profile ``mos
 
 - Metadata record ``mosca-recording``: ``version`` = "1", ``holds`` = "frames" (where it is missing, too) or
   "detections"; not always there: ``tail`` = a file in which frames wait to be written
-  (``mosca.recording.crash_buffer``).
+  (``mosca.recording.crash_buffer``); ``cameras``, how many there are; ``rig_crc32`` of the attachment.
 - Metadata record ``camera/NAME`` for each camera, in the rig's order: ``width``, ``height``,
   ``bit_depth``, ``frame_rate_hz``, ``clock`` (device, host or session), ``stamp_event``.
+- Both hold ``crc32``, eight hexadecimal digits, of the record's name and its other entries in the order of their
+  keys, each followed by a zero byte: name, key, value, key, value ... (older recordings have none).
 - Attachment ``rig.toml`` (application/toml), where the rig was known.
 - Channel ``/camera/NAME/frame`` a camera, message encoding ``mosca.frame.v1``; a message a frame, lost and
   damaged ones too, in order of arrival. ``log_time`` is the frame's stamp [ns] (0 if it is negative),
@@ -46,6 +48,7 @@ A ``mosca.detections.v1`` message, little-endian, without padding::
 
 import struct
 import zlib
+from collections.abc import Mapping
 from typing import Literal, get_args
 
 import blosc2
@@ -74,6 +77,26 @@ _CODECS = {"lz4": (blosc2.Codec.LZ4, 5), "zstd": (blosc2.Codec.ZSTD, 1)}
 
 class DamagedMessage(ValueError):
     """A message of a camera whose header cannot be trusted."""
+
+
+def sealed(name: str, entries: Mapping[str, str]) -> dict[str, str]:
+    """Return the entries of the metadata record ``name`` with their checksum."""
+    return {**entries, "crc32": _seal(name, entries)}
+
+
+def is_sealed(name: str, entries: Mapping[str, str]) -> bool:
+    """Return whether a metadata record is as it was written; older ones without a checksum pass."""
+    return entries.get("crc32", (seal := _seal(name, entries))) == seal
+
+
+def _seal(name: str, entries: Mapping[str, str]) -> str:
+    words = [name, *(word for key in sorted(entries) if key != "crc32" for word in (key, entries[key]))]
+    return text_sum("".join(f"{word}\0" for word in words))
+
+
+def text_sum(text: str) -> str:
+    """Return the crc32 of a text, eight hexadecimal digits."""
+    return f"{zlib.crc32(text.encode('utf-8')):08x}"
 
 
 def camera_topic(camera: str, holds: Holds) -> str:

@@ -2,6 +2,8 @@
 
 import json
 import struct
+import zlib
+from collections import Counter
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import ExitStack, closing
 from pathlib import Path
@@ -65,7 +67,7 @@ class McapRecording:
         with open(self.path, "rb") as file:
             try:
                 summary = make_reader(file).get_summary()
-            except _DAMAGE:
+            except (*_DAMAGE, OSError):  # an offset beyond what a file can have
                 return None
         if summary is None or summary.statistics is None:
             return None
@@ -86,11 +88,13 @@ class McapRecording:
             )
         names = {layout.camera_topic(info.name, "frames"): info.name for info in self._cameras}
         last = {info.name: -1 for info in self._cameras}
+        seen = 0
         with closing(self._messages()) as messages:
             for channel, message in messages:
                 camera = names.get(channel.topic)
                 if camera is None or channel.message_encoding != layout.FRAME_ENCODING:
                     continue
+                seen += 1
                 try:
                     frame = layout.unpack_frame(camera, message.data)
                 except layout.DamagedMessage as error:
@@ -98,6 +102,7 @@ class McapRecording:
                     continue
                 last[camera] = frame.index
                 yield frame
+        self._note_missing(seen)
         for kept in self.waiting():
             # slots are not emptied when their frames are written
             if kept.frame.camera in last and kept.frame.index > last[kept.frame.camera]:
@@ -107,7 +112,7 @@ class McapRecording:
         """Return the frames that had waited longest to be written when the writer was killed; some were written."""
         if self._tail is None:
             return []
-        return read_tail(self._tail, self._all_cameras)
+        return read_tail(self._tail, self._all_cameras, self._note_text)
 
     def detection_sets(self) -> Iterator[tuple[FrameSet, dict[str, Detections]]]:
         """Yield the frame sets, without frames, and the detections of each camera; only where it ``holds`` them.
@@ -116,9 +121,11 @@ class McapRecording:
         """
         names = {layout.camera_topic(info.name, "detections"): info.name for info in self._cameras}
         here: dict[str, tuple[int, Detections]] = {}
+        seen = 0
         with closing(self._messages()) as messages:
             for channel, message in messages:
                 camera = names.get(channel.topic)
+                seen += camera is not None
                 try:
                     if camera is not None:
                         here[camera] = layout.unpack_detections(camera, message.data)
@@ -133,6 +140,7 @@ class McapRecording:
                         )
                 except (ValueError, KeyError, TypeError) as error:
                     self._note(f"detections near {message.log_time} ns are lost: {_said(error)}")
+        self._note_missing(seen)
 
     def channel(self, name: str) -> Iterator[tuple[int, Any]]:
         """Yield (time_ns, data) of a further channel: JSON as Python values, anything else as bytes."""
@@ -167,18 +175,35 @@ class McapRecording:
         self.close()
 
     def _note(self, text: str) -> None:
-        self._notes.setdefault(f"{self.path}: {text}")
+        self._note_text(f"{self.path}: {text}")
+
+    def _note_text(self, text: str) -> None:
+        self._notes.setdefault(text)
+
+    def _note_missing(self, seen: int) -> None:
+        """Note where the file states another number of its cameras' messages than ``seen``."""
+        stated = self.n_frames
+        if stated is not None and stated != seen:
+            self._note(f"{seen} of the {stated} messages of its cameras that it states are there")
 
     def _messages(self) -> Generator[tuple[Channel, Message]]:
         channels: dict[int, Channel] = {}
-        for record in self._records():
+        with_sums = {layout.camera_topic(info.name, self.holds) for info in self._all_cameras}
+        for record, intact in self._records():
             if isinstance(record, Channel):
                 channels[record.id] = record
-            elif isinstance(record, Message) and record.channel_id in channels:
-                yield channels[record.channel_id], record
+            elif isinstance(record, Message):
+                channel = channels.get(record.channel_id)
+                if channel is None:
+                    self._note(f"messages of channel {record.channel_id} are lost: what it is called is damaged")
+                elif intact or channel.topic in with_sums:
+                    yield channel, record
 
-    def _records(self) -> Generator[Any]:
-        """Yield the records of the file until its end, or until what is left cannot be read."""
+    def _records(self) -> Generator[tuple[Any, bool]]:
+        """Yield the records of the file until its end, or until what is left cannot be read.
+
+        With each, whether its chunk has its checksum: else only what has a checksum of its own can be believed.
+        """
         if self._closed:
             raise InputError(f"{self.path}: the recording is closed; open it again")
         with ExitStack() as stack:
@@ -195,7 +220,7 @@ class McapRecording:
                     self._note(f"cannot be read beyond byte {file.tell()} ({_said(error)})")
                     return
                 if not isinstance(record, Chunk):
-                    yield record
+                    yield record, True
                     continue
                 if record.compression in ("lz4", "zstd"):
                     raise InputError(
@@ -207,7 +232,12 @@ class McapRecording:
                 except _DAMAGE as error:
                     self._note(f"damaged before byte {file.tell()}; its frames are lost ({_said(error)})")
                     continue
-                yield from inner
+                intact = record.uncompressed_crc in (0, zlib.crc32(record.data))
+                if not intact:
+                    self._note(f"damaged before byte {file.tell()}; what has no checksum of its own is lost there")
+                    inner = _without_doubles(inner)
+                for one in inner:
+                    yield one, intact
 
     def _read_head(self) -> tuple[CameraInfo, ...]:
         """Read what precedes the first message; note a missing end."""
@@ -224,7 +254,7 @@ class McapRecording:
             self._note("its writer did not finish; it is read up to where it was cut")
         metadata: dict[str, dict[str, str]] = {}
         with closing(self._records()) as records:
-            for record in records:
+            for record, _ in records:
                 if isinstance(record, Metadata):
                     metadata[record.name] = record.metadata
                 elif isinstance(record, Attachment) and record.name == "rig.toml":
@@ -234,6 +264,9 @@ class McapRecording:
         return self._camera_infos(metadata)
 
     def _camera_infos(self, metadata: dict[str, dict[str, str]]) -> tuple[CameraInfo, ...]:
+        for name, fields in metadata.items():
+            if not layout.is_sealed(name, fields):
+                raise InputError(f"{self.path}: what it says of {name} is damaged: its checksum is wrong")
         version = metadata.get(layout.PROFILE, {}).get("version")
         if metadata.get(layout.PROFILE, {}).get("holds") == "detections":
             self.holds = "detections"
@@ -256,7 +289,29 @@ class McapRecording:
                 raise InputError(f"{self.path}: what it says of {name} is damaged: {error}") from None
         if not cameras:
             raise InputError(f"{self.path}: names no camera; it was cut before the first frame")
+        stated = metadata[layout.PROFILE].get("cameras", str(len(cameras)))
+        if stated != str(len(cameras)):
+            raise InputError(f"{self.path}: describes {len(cameras)} of its {stated} cameras; the rest is damaged")
+        rig_sum = metadata[layout.PROFILE].get("rig_crc32")
+        if rig_sum is not None and (self.rig_toml_text is None or layout.text_sum(self.rig_toml_text) != rig_sum):
+            self._note("the rig file inside is damaged and left out")
+            self.rig_toml_text = None
         return tuple(cameras)
+
+
+def _without_doubles(records: Sequence[Any]) -> list[Any]:
+    """Return the records of a damaged chunk without those that are there twice.
+
+    Checksums of frames do not cover which channel they are from: of two with one number, one is another camera's.
+    """
+
+    def key(record: Any) -> tuple[str, int, int]:
+        if isinstance(record, Channel):
+            return "channel", record.id, 0
+        return ("message", record.channel_id, record.sequence) if isinstance(record, Message) else ("", id(record), 0)
+
+    times = Counter(map(key, records))
+    return [record for record in records if times[key(record)] == 1]
 
 
 def _said(error: BaseException) -> str:

@@ -14,6 +14,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Protocol, cast, get_args
 
+from mosca.data.files.decimals import integers
 from mosca.data.frames import FrameStatus
 from mosca.errors import InputError
 
@@ -122,7 +123,7 @@ def _lines(path: Path) -> list[tuple[int, dict[str, str]]]:
 
 def _integer(row: dict[str, str], column: str, path: Path, line: int) -> int:
     try:
-        value = int(row[column])
+        (value,) = integers([row[column]])
     except ValueError:
         raise InputError(f"{path}, line {line}: {column} = {row[column][:40]!r}; a whole number is wanted") from None
     if not -(2**63) <= value < 2**63 or (column == "exposure_ns" and value < 0):

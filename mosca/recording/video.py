@@ -99,7 +99,7 @@ def luma(frame: VideoFrame) -> Array:
 def open_video(path: Path) -> InputContainer:
     """Open a video file; InputError for other files."""
     try:
-        container = av.open(str(path))
+        container = av.open(str(path), metadata_errors="replace")  # titles and the like, which nothing here reads
     except (av.error.FFmpegError, OSError) as error:
         raise InputError(f"{path}: cannot be read as a video: {error.strerror}") from None
     if not container.streams.video:

@@ -90,10 +90,13 @@ class RecordingWriter:
         self._mcap.start(profile=layout.PROFILE, library="mosca")
         self._tail = _tail(cameras, tail_bytes)
         where = {} if self._tail is None else {"tail": str(self._tail.path)}
-        self._mcap.add_metadata(layout.PROFILE, {"version": layout.VERSION, "holds": holds, **where})
+        if rig_toml_text is not None:
+            where["rig_crc32"] = layout.text_sum(rig_toml_text)
+        about = {"version": layout.VERSION, "holds": holds, "cameras": str(len(cameras)), **where}
+        self._mcap.add_metadata(layout.PROFILE, layout.sealed(layout.PROFILE, about))
         for info in cameras:
             fields = {key: str(value) for key, value in asdict(info).items() if key != "name"}
-            self._mcap.add_metadata(f"camera/{info.name}", fields)
+            self._mcap.add_metadata(f"camera/{info.name}", layout.sealed(f"camera/{info.name}", fields))
         if rig_toml_text is not None:
             self._mcap.add_attachment(0, 0, "rig.toml", "application/toml", rig_toml_text.encode("utf-8"))
         text = (layout.__doc__ or "").encode("utf-8")

@@ -306,6 +306,16 @@ def test_cut_and_foreign_videos(tmp_path: Path) -> None:
         open_recording(tmp_path, fps=100)
 
 
+def test_a_title_in_another_encoding_is_no_reason_not_to_read_a_video(tmp_path: Path) -> None:
+    write_video(tmp_path / "a.mkv", list(range(3)))
+    path, title = tmp_path / "a.mkv", b"Lavf"
+    data = path.read_bytes()
+    assert title in data
+    path.write_bytes(data.replace(title, b"\xff\xfeav"))
+    with open_recording(tmp_path, fps=100) as recording:
+        assert len(list(recording)) == 3
+
+
 def test_video_without_rate_names_the_stated_one(tmp_path: Path) -> None:
     write_video(tmp_path / "a.avi", list(range(5)), rate=60)
     with pytest.raises(InputError, match=r"pass --fps \(the video states 60\)"):

@@ -154,6 +154,63 @@ def test_damaged_slots_are_left_out(tmp_path):
     tail.close()
 
 
+def moved(folder):
+    """Return the bytes of a tail of four frames as it is moved to the disk."""
+    tail = Tail(CAMERAS, 1 << 20, folder)
+    for k in range(4):
+        tail.put(frame("a", k), k)
+    tail.reserve(frame("a", 9).image)  # the writer died before it knew whose it was
+    in_memory = folder / "memory"
+    in_memory.write_bytes(tail.path.read_bytes())
+    tail.close()
+    beside = rescued(folder / "recording.mcap.part", in_memory)
+    return beside, bytearray(beside.read_bytes())
+
+
+def test_no_changed_byte_of_a_tail_on_the_disk_is_read(tmp_path):
+    path, good = moved(tmp_path)
+    notes = []
+    assert [one.frame.index for one in read_tail(path, CAMERAS, notes.append)] == [0, 1, 2, 3]
+    assert notes == []
+    size = (len(good) - 4096) // 4
+    for at in (8, 16, 20, *(4096 + size + k for k in (0, 8, 12, 15, 20, 28, 40, 48, 320, 400))):
+        bad = bytearray(good)
+        bad[at] ^= 4
+        path.write_bytes(bad)
+        kept = read_tail(path, CAMERAS, notes.append)
+        for one in kept:
+            same(one.frame, frame("a", one.frame.index))
+        assert len(kept) < 4, at
+        assert len(notes) == 1, at
+        assert "damaged" in notes.pop()
+
+
+def test_a_tail_in_memory_has_checksums_of_what_is_known_of_a_frame(tmp_path):
+    tail = Tail(CAMERAS, 1 << 20, tmp_path)
+    tail.put(frame("a", 1), 1)
+    data = bytearray(tail.path.read_bytes())
+    tail.close()
+    assert len(read_tail(written(tmp_path, data), CAMERAS)) == 1
+    data[4096 + 48] ^= 1  # its time
+    assert read_tail(written(tmp_path, data), CAMERAS) == []
+
+
+def test_a_tail_of_an_older_version_is_read(tmp_path):
+    path, data = moved(tmp_path)
+    data[:8], data[24:28] = b"mosca\0t1", bytes(4)
+    for k in range(4):
+        begin = 4096 + k * (len(data) - 4096) // 4
+        data[begin + 15], data[begin + 28 : begin + 32] = 0, bytes(4)
+    path.write_bytes(data)
+    assert [one.frame.index for one in read_tail(path, CAMERAS)] == [0, 1, 2, 3]
+
+
+def written(folder, data):
+    path = folder / "bent"
+    path.write_bytes(data)
+    return path
+
+
 def test_a_recording_can_be_opened_before_its_first_frame(tmp_path):
     writer = RecordingWriter(tmp_path / "take", CAMERAS, "rig text", tail_bytes=1 << 20)
     with open_recording(tmp_path / "take") as recording:

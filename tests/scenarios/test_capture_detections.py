@@ -160,10 +160,11 @@ def test_verbs_that_need_images_say_so(takes):
 def test_what_is_kept_follows_the_documented_layout(takes):
     with open(takes / "detections" / "recording.mcap", "rb") as file:
         reader = make_reader(file)
-        assert {m.name: m.metadata for m in reader.iter_metadata()}["mosca-recording"] == {
-            "version": "1",
-            "holds": "detections",
-        }
+        told = {m.name: m.metadata for m in reader.iter_metadata()}["mosca-recording"]
+        rig_crc32 = f"{zlib.crc32((takes / 'rig.toml').read_bytes()):08x}"
+        entries = {"cameras": "3", "holds": "detections", "rig_crc32": rig_crc32, "version": "1"}
+        words = "\0".join(["mosca-recording", *(word for entry in entries.items() for word in entry), ""])
+        assert told == {**entries, "crc32": f"{zlib.crc32(words.encode()):08x}"}
         schema, channel, message = next(reader.iter_messages(topics=["/camera/left/detections"]))
     assert (schema.name, channel.message_encoding) == ("mosca.detections.v1",) * 2
     data = message.data

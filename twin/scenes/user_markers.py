@@ -4,14 +4,15 @@ import csv
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import mujoco
 import numpy as np
 import trimesh
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from mosca.data.arrays import Array
+from mosca.data.files.decimals import real
 from mosca.data.files.toml import Table, check, read_toml
 from mosca.errors import InputError
 from twin.scenes.scene import MARKER_GROUP, UNSEEN_GROUP
@@ -20,16 +21,18 @@ from twin.scenes.world import add_ball_marker, add_flat_target
 _TIE_M = 1e-6
 _SPHERE_SUBDIVISIONS = 5  # faces 0.02 of the radius long: the resolution of a marker's position on round shapes
 
+Cell = Annotated[float, BeforeValidator(lambda given: real(given) if isinstance(given, str) else given)]
+
 
 class OwnMarker(Table):
     """A row of the marker table; x, y, z [m] in the body's axes need only be near the surface."""
 
     name: str = Field(min_length=1)
     body: str = Field(min_length=1)
-    x: float
-    y: float
-    z: float
-    diameter: float = Field(default=0.016, gt=0, lt=1)
+    x: Cell
+    y: Cell
+    z: Cell
+    diameter: Cell = Field(default=0.016, gt=0, lt=1)
     kind: Literal["ball", "flat"] = "ball"
 
 

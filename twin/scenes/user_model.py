@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 
 from mosca.data.arrays import Array
+from mosca.data.files.decimals import reals
 from mosca.data.motion.motion import LARGEST_NUMBER
 from mosca.errors import InputError
 from twin.scenes.paths import normalized, quaternion_addresses, spline_path, step_path
@@ -212,7 +213,7 @@ def _let_go(model: mujoco.MjModel, duration_s: float, source: str) -> tuple[Arra
 def _read_table(path: Path, model: mujoco.MjModel, duration_s: float) -> tuple[Array, Array]:
     try:
         rows = [line.split(",") for line in path.read_text(encoding="utf-8").splitlines() if line.strip()]
-        table = np.array([[float(cell) for cell in row] for row in rows[1:]], dtype=np.float64)
+        table = np.array([reals(row) for row in rows[1:]], dtype=np.float64)
     except FileNotFoundError:
         raise InputError(f"{path}: no such file; a CSV of time and qpos is wanted") from None
     except (OSError, ValueError) as error:

@@ -100,11 +100,11 @@ def _rotation(given: Vector | Matrix, where: str) -> Array:
 
 
 def _lens(table: CaliscopeCamera, where: str) -> OpenCVLens | FisheyeLens:
-    (fx, skew, cx), (_, fy, cy), _ = table.matrix
-    if abs(skew) > 1e-6 * fx or not (fx > 0 and fy > 0):
+    (fx, skew, cx), (low, fy, cy), last = table.matrix
+    if abs(skew) > 1e-6 * fx or not (fx > 0 and fy > 0) or (low, *last) != (0, 0, 0, 1):
         raise InputError(
-            f"{where}: matrix has skew {skew:g} and focal lengths {fx:g}, {fy:g}; "
-            "no skew and positive focal lengths are allowed"
+            f"{where}: matrix has skew {skew:g}, focal lengths {fx:g}, {fy:g} and below them {low:g}, {list(last)}; "
+            "[[fx, 0, cx], [0, fy, cy], [0, 0, 1]] with fx, fy above 0 is allowed"
         )
     d = table.distortions
     if table.fisheye:

@@ -1,5 +1,10 @@
-"""Arrays from a user's .npz file, or an error in one line."""
+"""Arrays to and from .npz files: with a checksum, or an error in one line.
 
+The checksums of a zip file do not cover which array is which, nor what is behind the last byte that is read. So an
+array ``sha256`` stands beside the others: the digest of names, types, shapes and values. Files without it are read.
+"""
+
+import hashlib
 import zipfile
 import zlib
 from collections.abc import Callable, Mapping
@@ -12,6 +17,41 @@ from mosca.data.arrays import Array
 from mosca.errors import InputError
 
 Made = TypeVar("Made")
+DIGEST = "sha256"
+
+
+def write_npz_file(path: Path, arrays: Mapping[str, Array]) -> None:
+    """Write arrays under their names, compressed, without pickles, with their checksum."""
+    with open(path, "wb") as file:
+        np.savez_compressed(file, allow_pickle=False, **arrays, **{DIGEST: _digest(arrays)})
+
+
+def _digest(arrays: Mapping[str, Array]) -> Array:
+    """Return the digest (32,) of arrays by their names."""
+    total = hashlib.sha256()
+    for name in sorted(arrays):
+        values = np.ascontiguousarray(arrays[name])
+        total.update(f"{name}\0{values.dtype.str}\0{np.shape(arrays[name])}\0".encode())
+        total.update(values.tobytes())
+    return np.frombuffer(total.digest(), np.uint8)
+
+
+def _checked(arrays: Mapping[str, Array]) -> Mapping[str, Array]:
+    """Return the arrays; ValueError where they have a checksum and it is not theirs."""
+    if DIGEST not in arrays:
+        return arrays
+    loaded = dict(arrays)  # once: what numpy opened reads the file at every access
+    if not np.array_equal(loaded.pop(DIGEST), _digest(loaded)):
+        raise ValueError(f"damaged: its arrays are not those of its checksum ({DIGEST})")
+    return loaded
+
+
+def whole_numbers(arrays: Mapping[str, Array], *names: str) -> None:
+    """Raise ValueError where an array that counts holds other numbers, which would be cut off."""
+    for name in names:
+        values = np.asarray(arrays[name])
+        if values.size and values.dtype.kind not in "iu":
+            raise ValueError(f"{name} holds {values.dtype}; whole numbers (int64) are wanted")
 
 
 def from_npz(path: Path, make: Callable[[Mapping[str, Array]], Made], what: str, wrote: str) -> Made:
@@ -26,7 +66,7 @@ def from_npz(path: Path, make: Callable[[Mapping[str, Array]], Made], what: str,
             arrays = np.load(file, allow_pickle=False)
             if not isinstance(arrays, Mapping):
                 raise ValueError("it is a single array")
-            return make(arrays)
+            return make(_checked(arrays))
     except FileNotFoundError:
         raise InputError(f"{path}: no such file; a file of {what} is wanted") from None
     except IsADirectoryError:

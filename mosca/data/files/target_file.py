@@ -24,6 +24,7 @@ import numpy as np
 from pydantic import Field, TypeAdapter, model_validator
 
 from mosca.data.arrays import Array, set_read_only
+from mosca.data.files.decimals import real
 from mosca.data.files.file_kind import other_kind
 from mosca.data.files.target_tables import TABLES, CalibrationTable, CalibrationTarget
 from mosca.data.files.toml import Positive, Table, check, read_toml
@@ -156,7 +157,7 @@ def _number(path: Path, line: int, column: str, text: str) -> float:
     if column == SKIPPED_COLUMN:
         return 0.0
     try:
-        value = float(text)
+        value = real(text)
     except ValueError:
         value = np.nan
     if not np.isfinite(value):

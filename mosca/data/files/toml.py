@@ -55,10 +55,30 @@ def read_toml(path: Path) -> dict[str, Any]:
 def check(model: type[T], document: dict[str, Any], where: str | Path) -> T:
     """Return ``document`` as ``model``; InputError names file, key, value and what is allowed."""
     try:
-        return model.model_validate(document)
+        checked = model.model_validate(document)
     except ValidationError as error:
         other = other_kind(document, getattr(model, "FILE_KIND", ""))
         raise InputError(f"{where}: {other or _first_line(model, error)}") from None
+    found = _truth_value_as_number(document, checked, ())
+    if found is not None:
+        place, given = found
+        raise InputError(f"{where}: key '{_dotted(place)}': {str(given).lower()} given; a number is wanted")
+    return checked
+
+
+def _truth_value_as_number(
+    given: Any, checked: Any, place: tuple[int | str, ...]
+) -> tuple[tuple[int | str, ...], bool] | None:
+    """Return where a true or false was taken for 1 or 0, as pydantic does without a word; None for nowhere."""
+    if isinstance(given, bool):
+        return (place, given) if isinstance(checked, int | float) and not isinstance(checked, bool) else None
+    pairs: list[tuple[int | str, Any, Any]] = []
+    if isinstance(given, dict):
+        inside = checked if isinstance(checked, Mapping) else getattr(checked, "__dict__", {})
+        pairs = [(key, one, inside.get(key)) for key, one in given.items()]
+    elif isinstance(given, list) and isinstance(checked, list | tuple) and len(given) == len(checked):
+        pairs = [(k, a, b) for k, (a, b) in enumerate(zip(given, checked, strict=True))]
+    return next(filter(None, (_truth_value_as_number(one, own, (*place, key)) for key, one, own in pairs)), None)
 
 
 _NUMBER, _WHOLE, _TRUTH, _TEXT = "a number", "a whole number", "true or false", "a text"

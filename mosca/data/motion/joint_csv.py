@@ -5,6 +5,7 @@ cell or ``nan`` is a point that is missing at that time.
 """
 
 import csv
+import io
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +22,11 @@ def read_points_csv(path: Path, *, metres_per_unit: float = 1.0, y_up: bool = Fa
     do. Raises InputError naming file, line and what is expected.
     """
     try:
-        rows = [row for row in csv.reader(read_text(path, "CSV").splitlines(), strict=True) if row]
+        rows = [
+            row
+            for row in csv.reader(io.StringIO(read_text(path, "CSV", "utf-8-sig"), newline=""), strict=True)
+            if row
+        ]
     except csv.Error as error:
         raise InputError(f"{path}: not a CSV table: {error}") from None
     if len(rows) < 2:

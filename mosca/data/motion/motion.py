@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from mosca.data.arrays import Array, read_only, set_read_only
+from mosca.data.files.decimals import real, reals
 from mosca.errors import InputError
 
 WORLD_FROM_Y_UP = read_only([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]], (3, 3), "world_from_y_up")
@@ -182,10 +183,17 @@ def rotations_in_world(wxyz: Array) -> Array:
     return np.concatenate([wxyz[..., :1], in_world(wxyz[..., 1:])], axis=-1)
 
 
-def read_text(path: Path, what: str) -> str:
-    """Return the text of file ``path``; InputError where it cannot be read. ``what`` names the format."""
+def read_text(path: Path, what: str, encoding: str = "latin-1") -> str:
+    """Return the text of file ``path``; InputError where it cannot be read. ``what`` names the format.
+
+    ``encoding``: Latin-1 takes any bytes, for formats of which ASCII alone is read.
+    """
     try:
-        return path.read_bytes().decode("latin-1")
+        return path.read_bytes().decode(encoding)
+    except UnicodeDecodeError as error:
+        raise InputError(
+            f"{path}: is no {encoding} text ({error.reason} at byte {error.start}); a {what} file is wanted"
+        ) from None
     except FileNotFoundError:
         raise InputError(f"{path}: no such file; a {what} file is wanted") from None
     except IsADirectoryError:
@@ -197,7 +205,7 @@ def read_text(path: Path, what: str) -> str:
 def number(token: str, where: str) -> float:
     """Return ``token`` as a finite number of sane size; InputError begins with ``where``."""
     try:
-        value = float(token)
+        value = real(token)
     except ValueError:
         raise InputError(f"{where}: '{token[:40]}' given, a number wanted") from None
     if not abs(value) <= LARGEST_NUMBER:
@@ -208,7 +216,7 @@ def number(token: str, where: str) -> float:
 def numbers(tokens: list[str], where: str) -> Array:
     """Return many ``tokens`` as an array (n,); quick where all are good, exact in its error where not."""
     try:
-        values = np.array(list(map(float, tokens)), dtype=np.float64)
+        values = np.array(reals(tokens), dtype=np.float64)
         good = bool(np.all(np.abs(values) <= LARGEST_NUMBER))
     except ValueError:
         good = False

@@ -11,6 +11,7 @@ import numpy as np
 
 from mosca.camera.projection import Conversion, convert_lens
 from mosca.data.arrays import Array
+from mosca.data.files.decimals import real
 from mosca.data.files.rig_file import LARGEST_POSITION_M
 from mosca.data.rig import Camera, FisheyeLens, MoscaLens, OpenCVLens
 from mosca.data.rotations import nearest_rotation
@@ -206,7 +207,7 @@ def numbers(text: str, path: Path) -> list[float]:
     found = []
     for word in text.split():
         try:
-            found.append(float(word))
+            found.append(real(word))
         except ValueError:
             raise InputError(f"{path}: '{word[:40]}' stands where a number is wanted") from None
         if not np.isfinite(found[-1]):

@@ -134,7 +134,10 @@ def _numbers(storage: Any, keys: tuple[str, ...], where: str, counts: tuple[int,
     if found is None:
         return None
     key, node = found
+    kind, cells = "", None
     if node.isMap():
+        kind = node.getNode("dt").string() if node.getNode("dt").isString() else ""
+        cells = node.getNode("rows").real() * node.getNode("cols").real()
         node = node.getNode("data")
     items = [node.at(k) for k in range(node.size())] if node.isSeq() else [node]
     good = all(one.isInt() or one.isReal() for one in items)
@@ -142,7 +145,14 @@ def _numbers(storage: Any, keys: tuple[str, ...], where: str, counts: tuple[int,
     if not np.isfinite(values).all() or (counts is not None and len(values) not in counts):
         wanted = "" if counts is None else f"{' or '.join(str(n) for n in counts)} "
         raise InputError(f"{where}: key '{key}' holds {len(values)} values; {wanted}finite numbers are wanted")
-    return values
+    if cells is not None and (cells != len(values) or kind not in ("d", "f", "i")):
+        raise InputError(
+            f"{where}: matrix '{key}' of rows times cols = {cells:g} holds {len(values)} of dt = {kind!r}; as many "
+            "are wanted, of dt d (float64), f (float32) or i (int32)"
+        )
+    if kind == "i" and (values != np.floor(values)).any():
+        raise InputError(f"{where}: matrix '{key}' is of whole numbers (dt = i) and holds others; write dt: d")
+    return values.astype(np.float32).astype(np.float64) if kind == "f" else values
 
 
 def _text(storage: Any, key: str) -> str | None:

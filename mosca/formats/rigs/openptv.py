@@ -106,8 +106,12 @@ def _sensor(folder: Path, options: RigFileOptions) -> tuple[Sensor | None, Notes
             f"{path}: refractive indices {indices} given; light that is refracted at a glass or water has no "
             "lens model here, only air (1, 1, 1) is allowed"
         )
-    if not (pitch_x > 0 and pitch_y > 0 and 0 < width <= 65535 and 0 < height <= 65535):
-        raise InputError(f"{path}: image {width:g} x {height:g} px of {pitch_x:g} x {pitch_y:g} mm given; above 0")
+    whole = width.is_integer() and height.is_integer()
+    if not (whole and pitch_x > 0 and pitch_y > 0 and 0 < width <= 65535 and 0 < height <= 65535):
+        raise InputError(
+            f"{path}: image {width:.10g} x {height:.10g} px of {pitch_x:g} x {pitch_y:g} mm given; whole numbers of "
+            "px from 1 to 65535 and a pitch above 0 are wanted"
+        )
     return ((int(width), int(height)), (pitch_x, pitch_y)), ()
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from mosca.data.files.decimals import real
 from mosca.data.files.whole_file import whole_file
 from mosca.data.rig import Camera, OpenCVLens, Pose
 from mosca.errors import InputError
@@ -112,7 +113,7 @@ def _number(element: Element, tag: str, key: str, where: str, missing: float | N
     if text is None and missing is not None:
         return missing
     try:
-        value = float(text) if text is not None else np.nan
+        value = real(text) if text is not None else np.nan
     except ValueError:
         value = np.nan
     if not np.isfinite(value):

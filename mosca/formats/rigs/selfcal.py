@@ -109,8 +109,10 @@ def _sizes(folder: Path, count: int, options: RigFileOptions) -> list[tuple[int,
     if not path.is_file() and options.size_px is not None:
         return [options.size_px] * count
     values = numbers(read_text(path), path)
-    if len(values) != 2 * count or not all(0 < value <= 65535 for value in values):
-        raise InputError(f"{path}: {len(values)} numbers given; width and height of {count} cameras are wanted")
+    if len(values) != 2 * count or not all(0 < v <= 65535 and v.is_integer() for v in values):
+        raise InputError(
+            f"{path}: {len(values)} numbers given; width and height of {count} cameras are wanted, whole px"
+        )
     return [(int(values[2 * k]), int(values[2 * k + 1])) for k in range(count)]
 
 

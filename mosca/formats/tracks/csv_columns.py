@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from mosca.data.arrays import Array
+from mosca.data.files import decimals
 from mosca.data.files.whole_file import whole_file
 from mosca.errors import InputError
 
@@ -88,8 +89,8 @@ def parsed(cells: Sequence[str], name: str, kind: type[int] | type[float], path:
     """Return a column's cells as numbers (n,), nothing as NaN; InputError names an invalid row."""
     try:
         if kind is int:
-            return np.array(list(map(int, cells)), dtype=np.int64)
-        return np.array([float(cell) if cell else np.nan for cell in cells])
+            return np.array(decimals.integers(cells), dtype=np.int64)
+        return np.array(decimals.reals(cell or "nan" for cell in cells))
     except (ValueError, OverflowError):
         line, cell = next((k, c) for k, c in enumerate(cells, start=2) if not _is(kind, c))
         wanted = "a whole number of 64 bit" if kind is int else "a number or nothing"
@@ -106,6 +107,8 @@ def one_of(cells: Sequence[str], name: str, allowed: Sequence[str], path: Path) 
 
 def _is(kind: type[int] | type[float], cell: str) -> bool:
     try:
-        return -(2**63) <= int(cell) < 2**63 if kind is int else not cell or float(cell) is not None
+        if kind is int:
+            return -(2**63) <= decimals.integers([cell])[0] < 2**63
+        return not cell or decimals.real(cell) is not None
     except ValueError:
         return False

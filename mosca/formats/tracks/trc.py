@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from mosca.data.files.decimals import real
 from mosca.data.files.whole_file import write_text
 from mosca.errors import InputError
 from mosca.formats.tracks.marker_table import MarkerTable, plain_names
@@ -46,7 +47,7 @@ def read_trc(path: Path) -> MarkerTable:
     """
     path = Path(path)
     try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
+        lines = path.read_text(encoding="utf-8-sig").removesuffix("\n").split("\n")
     except FileNotFoundError:
         raise InputError(f"{path}: no such file") from None
     except (OSError, UnicodeDecodeError) as error:
@@ -76,6 +77,11 @@ def read_trc(path: Path) -> MarkerTable:
         values.append(_row(cells[2:], 3 * len(names), path, number))
     if not values:
         raise InputError(f"{path}: holds no frame")
+    if head.get("NumFrames") != str(len(values)):
+        raise InputError(
+            f"{path}, line 3: NumFrames = {head.get('NumFrames', '')[:40]!r}, and {len(values)} frames follow; "
+            "the file is cut short or its header is wrong: write it again, or correct NumFrames"
+        )
     first = frames[0]
     if first != round(first) or frames != [first + k for k in range(len(frames))] or abs(first) > 2**53:
         raise InputError(f"{path}: its frame numbers do not rise one by one from line to line")
@@ -94,7 +100,7 @@ def _row(cells: list[str], n: int, path: Path, line: int) -> list[float]:
 
 def _number(cell: str, path: Path, line: int, what: str) -> float:
     try:
-        value = float(cell)
+        value = real(cell)
     except ValueError:
         value = np.inf
     if not np.isfinite(value):

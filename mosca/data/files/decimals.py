@@ -1,0 +1,32 @@
+"""Numbers in text files, as every program writes and reads them.
+
+Python's ``float`` and ``int`` take more: ``1_5`` is 15 to them, so that one damaged byte of ``1.5`` would be another
+number, and so are digits of other scripts. Here both are errors.
+"""
+
+from collections.abc import Iterable
+
+
+def real(text: str) -> float:
+    """Return a decimal number, or the one that ``nan`` and ``inf`` mean; ValueError for anything else."""
+    return float(_plain(text))
+
+
+def reals(texts: Iterable[str]) -> list[float]:
+    """Return many numbers as ``real`` does, quickly."""
+    texts = list(texts)
+    _plain("".join(texts))
+    return list(map(float, texts))
+
+
+def integers(texts: Iterable[str]) -> list[int]:
+    """Return whole numbers in decimal digits; ValueError for anything else."""
+    texts = list(texts)
+    _plain("".join(texts))
+    return list(map(int, texts))
+
+
+def _plain(text: str) -> str:
+    if "_" in text or not text.isascii():
+        raise ValueError(f"{text[:40]!r} holds what is no digit, point, sign or exponent")
+    return text
