@@ -4,8 +4,8 @@ While the disk or the machine is slow, frames wait in the writer's memory and ar
 /dev/shm is memory of the operating system: its content survives the process, and no disk can delay it. A slot holds a
 frame uncompressed; it is reused as soon as the frame is in the recording.
 
-Its layout, little-endian: 8 bytes ``mosca\\0t1``, u64 size of a slot, u64 number of slots used, padded to 4096; then
-the slots, each ::
+Its layout, little-endian: 8 bytes ``mosca\\0t1``, u64 size of a slot, u64 number of slots used, 16 random bytes that
+the recording states too, padded to 4096; then the slots, each ::
 
     8 bytes ``frame\\0\\0\\0``, written last (while a slot is filled there are zeros)
     u32 camera, in the recording's order, u8 status, u8 stamp event, u8 bytes a pixel, u8 0
@@ -13,22 +13,29 @@ the slots, each ::
     i64 arrival at the machine [ns] (-1: not known), i64 index, i64 time [ns], i64 exposure [ns], i64 row time [ns]
     note (UTF-8, 248 bytes at most), pixels from byte 320 of the slot on, row by row
 
-The writer locks the file (flock); a reader determines from the lock whether the writer is alive.
+The writer locks the file (flock); a reader determines from the lock whether the writer is alive. A recording may come
+from anywhere, so what it says of its tail is not trusted: a tail is read only from a regular file of the name that
+``Tail`` gives, directly in /dev/shm, whose 16 bytes are the recording's, and removed only when a copy is on the disk.
 """
 
+import hashlib
 import heapq
 import mmap
 import os
+import re
+import secrets
 import struct
 import tempfile
 import threading
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from io import BufferedReader
 from pathlib import Path
 
 import numpy as np
 
 from mosca.data.arrays import Array
+from mosca.data.files.bounded import open_file
 from mosca.data.files.whole_file import whole_file
 from mosca.data.frames import CameraInfo, Frame
 from mosca.errors import InputError
@@ -38,8 +45,14 @@ MEMORY = Path("/dev/shm")
 TAIL_NAME = "recording.tail"
 """What a tail is called in the recording's folder, once it was found after its writer's death."""
 
+LARGEST_TAIL = 1 << 29
+"""Bytes of slots at most [B]: a reader holds all of them in memory at once."""
+NO_TOKEN = bytes(16)
+"""What stands in a tail, and is taken for what a recording states, where neither has a token (before version 0.3)."""
+
 _MAGIC, _FULL, _EMPTY = b"mosca\0t1", b"frame\0\0\0", bytes(8)
-_FILE = struct.Struct("<8sQQ")
+_NAME = re.compile(r"mosca-[A-Za-z0-9_]+\.tail")
+_FILE = struct.Struct("<8sQQ16s")
 _SLOT = struct.Struct("<IBBBBIIIIqqqqq")
 _NOTE_AT, _NOTE_BYTES, _PIXELS_AT, _PAGE = 72, 248, 320, 4096
 
@@ -53,7 +66,7 @@ class Kept:
 
 
 class Tail:
-    """Buffer for waiting frames of ``cameras``, ``most_bytes`` of memory at most.
+    """Buffer for waiting frames of ``cameras``, ``most_bytes`` of memory at most, never above ``LARGEST_TAIL``.
 
     Raises OSError where this system has no such memory, or none is left.
     """
@@ -64,7 +77,8 @@ class Tail:
         largest = max(info.image_bytes for info in cameras)
         self._size = -(-(_PIXELS_AT + largest) // _PAGE) * _PAGE
         self._cameras = {info.name: number for number, info in enumerate(cameras)}
-        self._most = max(most_bytes // self._size, 1)
+        self._most = max(min(most_bytes, LARGEST_TAIL) // self._size, 1)
+        self.token = secrets.token_bytes(len(NO_TOKEN))
         self._guard = threading.Lock()
         self._free: list[int] = []
         self._used = 0
@@ -165,54 +179,97 @@ class Tail:
         return self._used - 1
 
     def _tell_used(self) -> None:
-        self._memory[: _FILE.size] = _FILE.pack(_MAGIC, self._size, self._used)
+        self._memory[: _FILE.size] = _FILE.pack(_MAGIC, self._size, self._used, self.token)
 
 
-def rescued(part: Path, in_memory: Path) -> Path | None:
+def rescued(part: Path, in_memory: Path, token: bytes) -> Path | None:
     """Return where the tail of an unfinished recording can be read; None where there is none, or its writer lives.
 
-    One in memory, which a reboot would erase, is moved beside ``part`` where possible.
+    ``part``: the unfinished ``recording.mcap.part``; ``in_memory``, ``token``: what it says of its tail. One in
+    memory, which a reboot would erase, is moved beside ``part`` where possible; a file that is no tail of this
+    recording is left as it is.
     """
     beside = part.parent / TAIL_NAME
-    if beside.exists():
+    if os.path.lexists(beside):
         return beside
-    if not _left_behind(in_memory):
+    # elsewhere it may be any file of the user's
+    if in_memory.parent != MEMORY or not _NAME.fullmatch(in_memory.name):
         return None
     try:
-        with whole_file(beside) as temporary, open(in_memory, "rb") as file, open(temporary, "wb") as copy:
-            head = file.read(_PAGE)
-            copy.write(head)
-            for _ in range(_shape(head)[1]):
-                copy.write(file.read(_shape(head)[0]))
-        in_memory.unlink()
-    except (OSError, InputError):  # a full or closed disk: it is read where it is
-        return in_memory
+        file = open_file(in_memory, links=False)
+    except OSError:  # no longer there, or none of ours
+        return None
+    with file:
+        size, used, whose = _shape(file)
+        if not size or whose != token or not _left_behind(file):
+            return None
+        try:
+            _copy(file, _PAGE + used * size, beside)
+        except (OSError, InputError):  # a full or closed disk: it is read where it is
+            return in_memory
+        if os.path.samestat(os.fstat(file.fileno()), os.lstat(in_memory)):
+            in_memory.unlink()
     return beside
 
 
+def _copy(file: BufferedReader, n_bytes: int, path: Path) -> None:
+    """Copy the first ``n_bytes`` of ``file`` to ``path``; OSError where they are not on the disk afterwards."""
+    file.seek(0)
+    with whole_file(path) as temporary:
+        with open(temporary, "wb") as copy:
+            wanted = hashlib.sha256()
+            for block in _blocks(file, n_bytes):
+                wanted.update(block)
+                copy.write(block)
+            copy.flush()
+            os.fsync(copy.fileno())
+        with open_file(temporary) as again:
+            if hashlib.file_digest(again, "sha256").digest() != wanted.digest():
+                raise OSError(f"{temporary}: reads back otherwise than it was written")
+    folder = os.open(path.parent, os.O_RDONLY)
+    try:
+        os.fsync(folder)  # its name, too
+    finally:
+        os.close(folder)
+
+
+def _blocks(file: BufferedReader, n_bytes: int) -> Iterator[bytes]:
+    while n_bytes > 0 and (block := file.read(min(n_bytes, 1 << 20))):
+        yield block
+        n_bytes -= len(block)
+
+
 def read_tail(path: Path, cameras: Sequence[CameraInfo]) -> list[Kept]:
-    """Return the frames of a tail, in order of time; what is not whole is left out."""
+    """Return the frames of a tail, in order of time; what is not whole is left out.
+
+    Raises InputError where ``path`` is no regular file, or larger than a tail can be.
+    """
     kept = []
     try:
-        with open(path, "rb") as file:
-            size, used = _shape(file.read(_PAGE))
-            if size > _PIXELS_AT + max(info.image_bytes for info in cameras) + _PAGE:
-                return []
+        with open_file(path, _PAGE + LARGEST_TAIL, links=False) as file:
+            size, used, _ = _shape(file)
+            file.seek(_PAGE)
             for _ in range(used):
                 one = _kept(file.read(size), cameras)
                 if one is not None:
                     kept.append(one)
     except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+        raise InputError(
+            f"{path}: the frames that waited cannot be read: {error.strerror}; move it out of the folder to read the "
+            "recording without them"
+        ) from None
     return sorted(kept, key=lambda one: one.frame.time_ns)
 
 
-def _shape(head: bytes) -> tuple[int, int]:
-    """Return size and number of the slots; (0, 0) where ``head`` is none of a tail."""
-    if len(head) < _FILE.size:
-        return 0, 0
-    magic, size, used = _FILE.unpack_from(head)
-    return (size, used) if magic == _MAGIC else (0, 0)
+def _shape(file: BufferedReader) -> tuple[int, int, bytes]:
+    """Return size and number of the slots that ``file`` can hold, and its token; zeros where it is no tail."""
+    head, n_bytes = file.read(_PAGE), os.fstat(file.fileno()).st_size
+    if len(head) < _PAGE:
+        return 0, 0, NO_TOKEN
+    magic, size, used, token = _FILE.unpack_from(head)
+    if magic != _MAGIC or not _PIXELS_AT <= size <= LARGEST_TAIL:
+        return 0, 0, NO_TOKEN
+    return size, min(used, (min(n_bytes, _PAGE + LARGEST_TAIL) - _PAGE) // size), token
 
 
 def _kept(slot: bytes, cameras: Sequence[CameraInfo]) -> Kept | None:
@@ -236,13 +293,12 @@ def _kept(slot: bytes, cameras: Sequence[CameraInfo]) -> Kept | None:
     return Kept(frame, None if host_ns < 0 else host_ns)
 
 
-def _left_behind(path: Path) -> bool:
-    """Return whether a tail is there and the process that wrote it is not."""
+def _left_behind(file: BufferedReader) -> bool:
+    """Return whether the process that wrote the tail ``file`` lives no more; the lock is ours until it is closed."""
     try:
         import fcntl
 
-        with open(path, "rb") as file:
-            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except (ImportError, OSError):
         return False
     return True

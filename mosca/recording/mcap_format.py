@@ -3,8 +3,8 @@
 The file is a plain MCAP file (mcap.dev) with uncompressed chunks; profile ``mosca-recording``.
 
 - Metadata record ``mosca-recording``: ``version`` = "1", ``holds`` = "frames" (where it is missing, too) or
-  "detections"; not always there: ``tail`` = a file in which frames wait to be written
-  (``mosca.recording.crash_buffer``).
+  "detections"; not always there: ``tail`` = a file in which frames wait to be written, ``tail_token`` = 16 bytes in
+  hexadecimal digits by which it is known (``mosca.recording.crash_buffer``).
 - Metadata record ``camera/NAME`` for each camera, in the rig's order: ``width``, ``height``,
   ``bit_depth``, ``frame_rate_hz``, ``clock`` (device, host or session), ``stamp_event``.
 - Attachment ``rig.toml`` (application/toml), where the rig was known.

@@ -89,7 +89,7 @@ class RecordingWriter:
         self._mcap = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.NONE)
         self._mcap.start(profile=layout.PROFILE, library="mosca")
         self._tail = _tail(cameras, tail_bytes)
-        where = {} if self._tail is None else {"tail": str(self._tail.path)}
+        where = {} if self._tail is None else {"tail": str(self._tail.path), "tail_token": self._tail.token.hex()}
         self._mcap.add_metadata(layout.PROFILE, {"version": layout.VERSION, "holds": holds, **where})
         for info in cameras:
             fields = {key: str(value) for key, value in asdict(info).items() if key != "name"}

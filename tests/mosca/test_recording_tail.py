@@ -64,13 +64,14 @@ def test_a_slot_is_used_anew_and_a_full_tail_takes_no_more(tmp_path):
     tail.close()
 
 
-def test_a_tail_whose_writer_lives_is_left_alone(tmp_path):
+def test_a_tail_whose_writer_lives_is_left_alone(tmp_path, monkeypatch):
     tail = Tail(CAMERAS, 1 << 20, tmp_path)
     tail.put(frame("a", 1), 1)
-    assert rescued(tmp_path / "recording.mcap.part", tail.path) is None
+    monkeypatch.setattr("mosca.recording.crash_buffer.MEMORY", tmp_path)
+    assert rescued(tmp_path / "recording.mcap.part", tail.path, tail.token) is None
     assert tail.path.exists()
     tail.close()
-    assert rescued(tmp_path / "recording.mcap.part", tail.path) is None
+    assert rescued(tmp_path / "recording.mcap.part", tail.path, tail.token) is None
 
 
 KILLED = """
