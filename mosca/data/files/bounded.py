@@ -6,9 +6,15 @@ cannot be read.
 
 import errno
 import os
+import re
 import stat
 from io import BufferedReader
 from pathlib import Path
+
+MOST_TEXT_BYTES = 1 << 23
+"""Of a text file that is parsed as a whole [B]: a parsed one takes some twenty times its size in memory."""
+MOST_DEPTH = 64
+"""Of tables and lists inside each other; no file of this project needs more than ten."""
 
 _KINDS = (
     (stat.S_ISFIFO, "a named pipe"),
@@ -16,6 +22,7 @@ _KINDS = (
     (stat.S_ISCHR, "a device"),
     (stat.S_ISBLK, "a device"),
 )
+_TOKENS = re.compile(r'"(?:[^"\\]|\\.)*"|[\[\]{}]', re.DOTALL)
 
 
 def open_file(path: str | Path, most_bytes: int | None = None, *, links: bool = True) -> BufferedReader:
@@ -43,3 +50,18 @@ def open_file(path: str | Path, most_bytes: int | None = None, *, links: bool = 
     except BaseException:
         os.close(handle)
         raise
+
+
+def check_brackets(text: str) -> None:
+    """Raise ValueError where brackets and braces of JSON or YAML stand deeper than ``MOST_DEPTH`` inside each other.
+
+    Asked before a parser that calls itself for each: its stack would overflow. Strings are passed over.
+    """
+    depth = 0
+    for token in _TOKENS.finditer(text):
+        if token[0] in "[{":
+            depth += 1
+            if depth > MOST_DEPTH:
+                raise ValueError(f"lists and tables stand more than {MOST_DEPTH} deep inside each other")
+        elif token[0] in "]}":
+            depth = max(depth - 1, 0)
