@@ -4,8 +4,8 @@ While the disk or the machine is slow, frames wait in the writer's memory and ar
 /dev/shm is memory of the operating system: its content survives the process, and no disk can delay it. A slot holds a
 frame uncompressed; it is reused as soon as the frame is in the recording.
 
-Its layout, little-endian: 8 bytes ``moscaT2\\0``, u64 size of a slot, u64 number of slots used, u32 crc32 of these 24
-bytes, padded to 4096; then the slots, each ::
+Its layout, little-endian: 8 bytes ``moscaT2\\0``, u64 size of a slot, u64 number of slots used, 16 random bytes that
+the recording states too, u32 crc32 of these 40 bytes, padded to 4096; then the slots, each ::
 
     8 bytes ``frame\\0\\0\\0``, written last (while a slot is filled there are zeros)
     u32 camera, in the recording's order, u8 status, u8 stamp event, u8 bytes a pixel, u8 1: crc32 covers pixels
@@ -15,26 +15,34 @@ bytes, padded to 4096; then the slots, each ::
 
 A slot's crc32 is that of the bytes from camera to the end of the note, with 0 in its own place. When the tail is
 moved to the disk, pixels follow the note in it (in memory that would take time from the cameras), slots that are not
-full are left out, and the file begins with ``moscaD2\\0``. Tails of ``mosca\\0t1`` have no checksums.
+full are left out, and the file begins with ``moscaD2\\0``. Tails of ``mosca\\0t1`` have neither checksums nor random
+bytes.
 
-The writer locks the file (flock); a reader determines from the lock whether the writer is alive.
+The writer locks the file (flock); a reader determines from the lock whether the writer is alive. A recording may come
+from anywhere, so what it says of its tail is not trusted: a tail is read only from a regular file of the name that
+``Tail`` gives, directly in /dev/shm, whose 16 bytes are the recording's, and removed only when a copy is on the disk.
 """
 
+import hashlib
 import heapq
 import mmap
 import os
+import re
+import secrets
 import struct
 import tempfile
 import threading
 import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from io import BufferedReader
 from pathlib import Path
-from typing import BinaryIO
+from typing import NamedTuple
 
 import numpy as np
 
 from mosca.data.arrays import Array
+from mosca.data.files.bounded import open_file
 from mosca.data.files.whole_file import whole_file
 from mosca.data.frames import CameraInfo, Frame
 from mosca.errors import InputError
@@ -44,9 +52,15 @@ MEMORY = Path("/dev/shm")
 TAIL_NAME = "recording.tail"
 """What a tail is called in the recording's folder, once it was found after its writer's death."""
 
+LARGEST_TAIL = 1 << 29
+"""Bytes of slots at most [B]: as much as a writer keeps."""
+NO_TOKEN = bytes(16)
+"""What stands in a tail, and is taken for what a recording states, where neither has a token (before version 0.3)."""
+
+_NAME = re.compile(r"mosca-[A-Za-z0-9_]+\.tail")
 _MAGIC, _ON_DISK, _OLDER = b"moscaT2\0", b"moscaD2\0", b"mosca\0t1"
 _FULL, _EMPTY = b"frame\0\0\0", bytes(8)
-_FILE = struct.Struct("<8sQQ")
+_FILE = struct.Struct("<8sQQ16s")
 _SLOT = struct.Struct("<IBBBBIIIIqqqqq")
 _NOTE_AT, _NOTE_BYTES, _PIXELS_AT, _PAGE = 72, 248, 320, 4096
 _COVERS_PIXELS_AT, _SUM_AT = 15, 28
@@ -62,7 +76,7 @@ class Kept:
 
 
 class Tail:
-    """Buffer for waiting frames of ``cameras``, ``most_bytes`` of memory at most.
+    """Buffer for waiting frames of ``cameras``, ``most_bytes`` of memory at most, never above ``LARGEST_TAIL``.
 
     Raises OSError where this system has no such memory, or none is left.
     """
@@ -73,7 +87,8 @@ class Tail:
         largest = max(info.image_bytes for info in cameras)
         self._size = -(-(_PIXELS_AT + largest) // _PAGE) * _PAGE
         self._cameras = {info.name: number for number, info in enumerate(cameras)}
-        self._most = max(most_bytes // self._size, 1)
+        self._most = max(min(most_bytes, LARGEST_TAIL) // self._size, 1)
+        self.token = secrets.token_bytes(len(NO_TOKEN))
         self._guard = threading.Lock()
         self._free: list[int] = []
         self._used = 0
@@ -175,49 +190,86 @@ class Tail:
         return self._used - 1
 
     def _tell_used(self) -> None:
-        self._memory[: _FILE.size + _SUM.size] = _head(_MAGIC, self._size, self._used)
+        self._memory[: _FILE.size + _SUM.size] = _head(_MAGIC, self._size, self._used, self.token)
 
 
-def rescued(part: Path, in_memory: Path) -> Path | None:
+def rescued(part: Path, in_memory: Path, token: bytes) -> Path | None:
     """Return where the tail of an unfinished recording can be read; None where there is none, or its writer lives.
 
-    One in memory, which a reboot would erase, is moved beside ``part`` where possible.
+    ``part``: the unfinished ``recording.mcap.part``; ``in_memory``, ``token``: what it says of its tail. One in
+    memory, which a reboot would erase, is moved beside ``part`` where possible; a file that is no tail of this
+    recording is left as it is.
     """
     beside = part.parent / TAIL_NAME
-    if beside.exists():
+    if os.path.lexists(beside):
         return beside
-    if not _left_behind(in_memory):
+    # elsewhere it may be any file of the user's
+    if in_memory.parent != MEMORY or not _NAME.fullmatch(in_memory.name):
         return None
     try:
-        with whole_file(beside) as temporary, open(in_memory, "rb") as file, open(temporary, "wb") as copy:
-            _copy(file, copy)
-        in_memory.unlink()
-    except (OSError, InputError):  # a full or closed disk: it is read where it is
-        return in_memory
+        file = open_file(in_memory, links=False)
+    except OSError:  # no longer there, or none of ours
+        return None
+    with file:
+        shape = _shape(file)
+        if not shape.size or shape.token != token or not _left_behind(file):
+            return None
+        try:
+            _copy(file, shape, beside)
+        except (OSError, InputError):  # a full or closed disk: it is read where it is
+            return in_memory
+        if os.path.samestat(os.fstat(file.fileno()), os.lstat(in_memory)):
+            in_memory.unlink()
     return beside
 
 
-def _copy(file: BinaryIO, copy: BinaryIO) -> None:
-    """Write what ``file``, a tail in memory, holds to ``copy``, with checksums of the pixels too."""
-    head = file.read(_PAGE)
-    size, used, has_sums = _shape(head)
-    copy.write(head)
-    full = 0
-    for _ in range(used):
-        slot = file.read(size)
-        if not has_sums:
-            copy.write(slot)
-        elif slot[:8] == _FULL:
-            copy.write(_summed(slot))
-            full += 1
-    if has_sums:
-        copy.seek(0)
-        copy.write(_head(_ON_DISK, size, full))
+class _Shape(NamedTuple):
+    """What the head of a tail states."""
+
+    magic: bytes
+    size: int
+    """Of a slot [bytes]; 0 where the file is no tail."""
+    used: int
+    """Number of slots, as many as the file can hold."""
+    token: bytes
 
 
-def _head(magic: bytes, size: int, used: int) -> bytes:
-    head = _FILE.pack(magic, size, used)
-    return head + _SUM.pack(zlib.crc32(head))
+def _copy(file: BufferedReader, shape: _Shape, path: Path) -> None:
+    """Copy a tail to ``path``, full slots alone and with checksums of their pixels.
+
+    Raises OSError where it is not on the disk afterwards, or reads differently there.
+    """
+    older = shape.magic == _OLDER
+    full = [k for k in range(shape.used) if older or _slot(file, shape, k, len(_FULL)) == _FULL]
+    head = _head(_OLDER if older else _ON_DISK, shape.size, len(full), shape.token)
+    wanted = hashlib.sha256()
+    with whole_file(path) as temporary:
+        with open(temporary, "wb") as copy:
+            for k in range(-1, len(full)):
+                slot = head.ljust(_PAGE, b"\0") if k < 0 else _slot(file, shape, full[k], shape.size)
+                block = slot if older or k < 0 else _summed(slot)
+                wanted.update(block)
+                copy.write(block)
+            copy.flush()
+            os.fsync(copy.fileno())
+        with open_file(temporary) as again:
+            if hashlib.file_digest(again, "sha256").digest() != wanted.digest():
+                raise OSError(f"{temporary}: reads back otherwise than it was written")
+    folder = os.open(path.parent, os.O_RDONLY)
+    try:
+        os.fsync(folder)  # its name, too
+    finally:
+        os.close(folder)
+
+
+def _slot(file: BufferedReader, shape: _Shape, k: int, n_bytes: int) -> bytes:
+    file.seek(_PAGE + k * shape.size)
+    return file.read(n_bytes)
+
+
+def _head(magic: bytes, size: int, used: int, token: bytes) -> bytes:
+    head = _FILE.pack(magic, size, used, token)
+    return head if magic == _OLDER else head + _SUM.pack(zlib.crc32(head))
 
 
 def read_tail(
@@ -225,39 +277,45 @@ def read_tail(
 ) -> list[Kept]:
     """Return the frames of a tail, in order of time; what is not whole is left out.
 
-    ``note`` is called with what was damaged, in words.
+    ``note`` is called with what was damaged, in words. Raises InputError where ``path`` is no regular file, or larger
+    than a tail can be.
     """
     kept: dict[tuple[str, int], Kept] = {}
     damaged = 0
     try:
-        with open(path, "rb") as file:
-            head = file.read(_PAGE)
-            size, used, has_sums = _shape(head)
-            if size > _PIXELS_AT + max(info.image_bytes for info in cameras) + _PAGE:
-                size = used = 0
-            if size == 0:
+        with open_file(path, _PAGE + LARGEST_TAIL, links=False) as file:
+            shape = _shape(file)
+            used = shape.used if shape.size <= _PIXELS_AT + max(info.image_bytes for info in cameras) + _PAGE else 0
+            if not shape.size or used < shape.used:
                 note(f"{path}: its head is damaged; frames that waited in it are lost")
-            for _ in range(used):
-                slot = file.read(size)
-                one = _kept(slot, cameras, has_sums)
+            for k in range(used):
+                slot = _slot(file, shape, k, shape.size)
+                one = _kept(slot, cameras, shape.magic != _OLDER)
                 if one is not None and (one.frame.camera, one.frame.index) not in kept:
                     kept[one.frame.camera, one.frame.index] = one
-                elif slot[:8] != _EMPTY or head.startswith(_ON_DISK):
+                elif slot[:8] != _EMPTY or shape.magic == _ON_DISK:
                     damaged += 1
     except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+        raise InputError(
+            f"{path}: the frames that waited cannot be read: {error.strerror}; move it out of the folder to read the "
+            "recording without them"
+        ) from None
     if damaged:
         note(f"{path}: {damaged} of {used} frames that waited in it are damaged and left out")
     return sorted(kept.values(), key=lambda one: one.frame.time_ns)
 
 
-def _shape(head: bytes) -> tuple[int, int, bool]:
-    """Return size and number of the slots, (0, 0) where ``head`` is none of a tail; and whether slots have sums."""
-    if len(head) < _FILE.size + _SUM.size:
-        return 0, 0, False
-    magic, size, used = _FILE.unpack_from(head)
+def _shape(file: BufferedReader) -> _Shape:
+    """Return what the head of ``file`` states, as far as the file can hold it; a size of 0 where it is no tail."""
+    none = _Shape(b"", 0, 0, NO_TOKEN)
+    head, n_bytes = file.read(_PAGE), os.fstat(file.fileno()).st_size
+    if len(head) < _PAGE:
+        return none
+    magic, size, used, token = _FILE.unpack_from(head)
     whole = magic in (_MAGIC, _ON_DISK) and _SUM.unpack_from(head, _FILE.size)[0] == zlib.crc32(head[: _FILE.size])
-    return (size, used, whole) if whole or magic == _OLDER else (0, 0, False)
+    if not (whole or magic == _OLDER) or not _PIXELS_AT <= size <= LARGEST_TAIL:
+        return none
+    return _Shape(magic, size, min(used, (min(n_bytes, _PAGE + LARGEST_TAIL) - _PAGE) // size), token)
 
 
 def _sum(slot: bytes) -> int | None:
@@ -307,13 +365,12 @@ def _kept(slot: bytes, cameras: Sequence[CameraInfo], has_sums: bool) -> Kept | 
     return Kept(frame, None if host_ns < 0 else host_ns)
 
 
-def _left_behind(path: Path) -> bool:
-    """Return whether a tail is there and the process that wrote it is not."""
+def _left_behind(file: BufferedReader) -> bool:
+    """Return whether the process that wrote the tail ``file`` lives no more; the lock is ours until it is closed."""
     try:
         import fcntl
 
-        with open(path, "rb") as file:
-            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except (ImportError, OSError):
         return False
     return True

@@ -3,8 +3,9 @@
 The file is a plain MCAP file (mcap.dev) with uncompressed chunks; profile ``mosca-recording``.
 
 - Metadata record ``mosca-recording``: ``version`` = "1", ``holds`` = "frames" (where it is missing, too) or
-  "detections"; not always there: ``tail`` = a file in which frames wait to be written
-  (``mosca.recording.crash_buffer``); ``cameras``, how many there are; ``rig_crc32`` of the attachment.
+  "detections"; not always there: ``tail`` = a file in which frames wait to be written, ``tail_token`` = 16 bytes in
+  hexadecimal digits by which it is known (``mosca.recording.crash_buffer``); ``cameras``, how many there are;
+  ``rig_crc32`` of the attachment.
 - Metadata record ``camera/NAME`` for each camera, in the rig's order: ``width``, ``height``,
   ``bit_depth``, ``frame_rate_hz``, ``clock`` (device, host or session), ``stamp_event``.
 - Both hold ``crc32``, eight hexadecimal digits, of the record's name and its other entries in the order of their

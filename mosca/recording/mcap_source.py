@@ -18,7 +18,7 @@ from mosca.data.detections import Detections
 from mosca.data.frames import CameraInfo, Frame, FrameSet
 from mosca.errors import InputError
 from mosca.recording import mcap_format as layout
-from mosca.recording.crash_buffer import Kept, read_tail, rescued
+from mosca.recording.crash_buffer import NO_TOKEN, Kept, read_tail, rescued
 from mosca.recording.pulses import RecordedPulse, recorded_pulses
 
 LARGEST_RECORD = 1 << 29
@@ -270,9 +270,8 @@ class McapRecording:
         version = metadata.get(layout.PROFILE, {}).get("version")
         if metadata.get(layout.PROFILE, {}).get("holds") == "detections":
             self.holds = "detections"
-        tail = metadata.get(layout.PROFILE, {}).get("tail")
-        if tail is not None and self.path.suffix == ".part":
-            self._tail = rescued(self.path, Path(tail))
+        if self.path.suffix == ".part":
+            self._tail = _tail(self.path, metadata.get(layout.PROFILE, {}))
         if version != layout.VERSION:
             raise InputError(
                 f"{self.path}: version {version} of a mosca recording; version {layout.VERSION} can be read"
@@ -312,6 +311,15 @@ def _without_doubles(records: Sequence[Any]) -> list[Any]:
 
     times = Counter(map(key, records))
     return [record for record in records if times[key(record)] == 1]
+
+
+def _tail(part: Path, fields: dict[str, str]) -> Path | None:
+    """Return the file of frames that waited to be written to ``part``; ``fields``: what it says of itself."""
+    try:
+        token = bytes.fromhex(fields.get("tail_token", NO_TOKEN.hex()))
+    except ValueError:
+        return None
+    return rescued(part, Path(fields["tail"]), token) if "tail" in fields else None
 
 
 def _said(error: BaseException) -> str:

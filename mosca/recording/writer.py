@@ -89,7 +89,7 @@ class RecordingWriter:
         self._mcap = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.NONE)
         self._mcap.start(profile=layout.PROFILE, library="mosca")
         self._tail = _tail(cameras, tail_bytes)
-        where = {} if self._tail is None else {"tail": str(self._tail.path)}
+        where = {} if self._tail is None else {"tail": str(self._tail.path), "tail_token": self._tail.token.hex()}
         if rig_toml_text is not None:
             where["rig_crc32"] = layout.text_sum(rig_toml_text)
         about = {"version": layout.VERSION, "holds": holds, "cameras": str(len(cameras)), **where}

@@ -10,7 +10,16 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import BeforeValidator, Field, WithJsonSchema, model_validator
 
 from mosca.calibration.quality.findings import CODES
-from mosca.data.files.toml import NotNegative, Positive, Table, Vector, check, read_toml
+from mosca.data.files.toml import (
+    NotNegative,
+    Positive,
+    Table,
+    UnboundedTomlError,
+    Vector,
+    check,
+    parse_toml,
+    read_toml,
+)
 from mosca.errors import InputError
 from reports.metrics import METRICS
 from scenarios.spec.calibration import CalibrationSpec
@@ -275,7 +284,9 @@ def _override(document: dict[str, Any], text: str) -> None:
     if not equals or not key.strip():
         raise InputError(f"--set {text}: KEY=VALUE is wanted, for example --set capture.duration_s=2")
     try:
-        parsed = tomllib.loads(f"value = {value}")["value"]
+        parsed = parse_toml(f"value = {value}")["value"]
+    except UnboundedTomlError as error:
+        raise InputError(f"--set {key.strip()[:60]}: {error}") from None
     except tomllib.TOMLDecodeError:
         parsed = value  # a bare word is meant as a string
     set_key(document, key.strip(), parsed, f"--set {text}")

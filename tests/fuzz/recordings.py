@@ -5,6 +5,7 @@ from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import av
 import cv2
@@ -123,10 +124,11 @@ def _tail_seed(folder: Path) -> None:
     tail = Tail(INFOS, 1 << 20, folder)
     for frame in _frames()[:6]:
         tail.put(frame, 5)
-    in_memory = folder / "memory"
+    in_memory = folder / "mosca-memory.tail"
     in_memory.write_bytes(tail.path.read_bytes())
     tail.close()
-    rescued(folder / "recording.mcap.part", in_memory)  # as after the writer's death
+    with patch("mosca.recording.crash_buffer.MEMORY", folder):  # as after the writer's death
+        rescued(folder / "recording.mcap.part", in_memory, tail.token)
 
 
 def _tail(folder: Path) -> Any:

@@ -5,6 +5,7 @@ import subprocess
 import sys
 from contextlib import suppress
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -64,13 +65,14 @@ def test_a_slot_is_used_anew_and_a_full_tail_takes_no_more(tmp_path):
     tail.close()
 
 
-def test_a_tail_whose_writer_lives_is_left_alone(tmp_path):
+def test_a_tail_whose_writer_lives_is_left_alone(tmp_path, monkeypatch):
     tail = Tail(CAMERAS, 1 << 20, tmp_path)
     tail.put(frame("a", 1), 1)
-    assert rescued(tmp_path / "recording.mcap.part", tail.path) is None
+    monkeypatch.setattr("mosca.recording.crash_buffer.MEMORY", tmp_path)
+    assert rescued(tmp_path / "recording.mcap.part", tail.path, tail.token) is None
     assert tail.path.exists()
     tail.close()
-    assert rescued(tmp_path / "recording.mcap.part", tail.path) is None
+    assert rescued(tmp_path / "recording.mcap.part", tail.path, tail.token) is None
 
 
 KILLED = """
@@ -160,10 +162,11 @@ def moved(folder):
     for k in range(4):
         tail.put(frame("a", k), k)
     tail.reserve(frame("a", 9).image)  # the writer died before it knew whose it was
-    in_memory = folder / "memory"
+    in_memory = folder / "mosca-memory.tail"
     in_memory.write_bytes(tail.path.read_bytes())
     tail.close()
-    beside = rescued(folder / "recording.mcap.part", in_memory)
+    with patch("mosca.recording.crash_buffer.MEMORY", folder):
+        beside = rescued(folder / "recording.mcap.part", in_memory, tail.token)
     return beside, bytearray(beside.read_bytes())
 
 
@@ -197,7 +200,7 @@ def test_a_tail_in_memory_has_checksums_of_what_is_known_of_a_frame(tmp_path):
 
 def test_a_tail_of_an_older_version_is_read(tmp_path):
     path, data = moved(tmp_path)
-    data[:8], data[24:28] = b"mosca\0t1", bytes(4)
+    data[:8], data[24:44] = b"mosca\0t1", bytes(20)
     for k in range(4):
         begin = 4096 + k * (len(data) - 4096) // 4
         data[begin + 15], data[begin + 28 : begin + 32] = 0, bytes(4)

@@ -13,6 +13,7 @@ from typing import Annotated, Any, ClassVar, TypeVar, get_args
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic.fields import FieldInfo
 
+from mosca.data.files.bounded import MOST_DEPTH, MOST_TEXT_BYTES, open_file
 from mosca.data.files.file_kind import other_kind
 from mosca.errors import InputError
 
@@ -24,6 +25,15 @@ SETTINGS = ConfigDict(extra="forbid", allow_inf_nan=False, use_attribute_docstri
 MISSING = ("missing", "union_tag_not_found")
 UNKNOWN_KEY = ("extra_forbidden", "unexpected_keyword_argument")
 """Pydantic's errors for an unknown key of a model or a dataclass."""
+
+_PART = r"(?:[A-Za-z0-9_-]++|\"[^\"\n]*+\"|'[^'\n]*+')\s*+\.\s*+"
+_LONG_KEY = re.compile(rf"(?<![A-Za-z0-9_-])(?:{_PART}){{{MOST_DEPTH}}}")
+_TOO_DEEP = f"lists and tables stand more than {MOST_DEPTH} deep inside each other; flatten them"
+_TOO_LARGE = "an integer has more than 64 bits; give a smaller one"
+
+
+class UnboundedTomlError(tomllib.TOMLDecodeError):
+    """TOML that is nested too deeply, or holds an integer that is too large."""
 
 
 class Table(BaseModel):
@@ -40,16 +50,44 @@ T = TypeVar("T", bound=BaseModel)
 def read_toml(path: Path) -> dict[str, Any]:
     """Return the TOML document at ``path``; InputError where it is missing or not TOML."""
     try:
-        with open(path, "rb") as file:
-            return tomllib.load(file)
+        with open_file(path, MOST_TEXT_BYTES) as file:
+            return parse_toml(file.read().decode("utf-8"))
     except FileNotFoundError:
         raise InputError(f"{path}: no such file{_similar_files(path)}") from None
     except IsADirectoryError:
         raise InputError(f"{path}: is a folder; a TOML file is wanted") from None
     except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read: {error}") from None
+        raise InputError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"{path}: not valid TOML: {error}") from None
+
+
+def parse_toml(text: str) -> dict[str, Any]:
+    """Return the TOML document ``text``; TOMLDecodeError where it is none, UnboundedTomlError where it is too deep.
+
+    TOML's integers have 64 bits, and its line ends are LF or CRLF.
+    """
+    # a dotted key is a table in a table a part; tomllib takes the square of their number
+    if _LONG_KEY.search(text):
+        raise UnboundedTomlError(f"a key has more than {MOST_DEPTH} parts; give it fewer")
+    try:
+        document = tomllib.loads(text)
+    except RecursionError:
+        raise UnboundedTomlError(_TOO_DEEP) from None
+    except tomllib.TOMLDecodeError:
+        raise
+    except ValueError:  # Python's own limit to the digits of an integer
+        raise UnboundedTomlError(_TOO_LARGE) from None
+    level: list[Any] = [document]
+    for _ in range(MOST_DEPTH + 1):
+        if any(type(value) is int and not -(1 << 63) <= value < 1 << 63 for value in level):
+            raise UnboundedTomlError(_TOO_LARGE)
+        lists = [value for value in level if isinstance(value, list)]
+        tables = [value.values() for value in level if isinstance(value, dict)]
+        level = [inner for value in (*lists, *tables) for inner in value]
+    if level:
+        raise UnboundedTomlError(_TOO_DEEP)
+    return document
 
 
 def check(model: type[T], document: dict[str, Any], where: str | Path) -> T:

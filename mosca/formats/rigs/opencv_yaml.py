@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 
 from mosca.data.arrays import Array
+from mosca.data.files.bounded import check_brackets
 from mosca.data.files.whole_file import write_text
 from mosca.data.rig import Camera, Pose
 from mosca.data.rotations import rotation_from_vector
@@ -110,6 +111,10 @@ def _opened(path: Path) -> Any:
         raise InputError(f"{path}: is empty; a file of OpenCV's FileStorage is wanted")
     if "\0" in text:
         raise InputError(f"{path}: holds zero bytes; a text file of OpenCV's FileStorage is wanted")
+    try:
+        check_brackets(text)
+    except ValueError as error:
+        raise InputError(f"{path}: {error}; give a calibration as OpenCV writes it") from None
     try:
         storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
         opened = storage.isOpened() and storage.root().isMap()

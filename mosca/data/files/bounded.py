@@ -1,0 +1,67 @@
+"""How every reader opens a file that it did not write: a regular file, of a size that it can hold.
+
+What is refused raises ``OSError`` with a text that says what to do, so that a reader reports it as any file that
+cannot be read.
+"""
+
+import errno
+import os
+import re
+import stat
+from io import BufferedReader
+from pathlib import Path
+
+MOST_TEXT_BYTES = 1 << 23
+"""Of a text file that is parsed as a whole [B]: a parsed one takes some twenty times its size in memory."""
+MOST_DEPTH = 64
+"""Of tables and lists inside each other; no file of this project needs more than ten."""
+
+_KINDS = (
+    (stat.S_ISFIFO, "a named pipe"),
+    (stat.S_ISSOCK, "a socket"),
+    (stat.S_ISCHR, "a device"),
+    (stat.S_ISBLK, "a device"),
+)
+_TOKENS = re.compile(r'"(?:[^"\\]|\\.)*"|[\[\]{}]', re.DOTALL)
+
+
+def open_file(path: str | Path, most_bytes: int | None = None, *, links: bool = True) -> BufferedReader:
+    """Open a regular file for reading, without waiting for anything.
+
+    ``most_bytes``: OSError where it is larger; None for files that are read piece by piece. ``links``: whether
+    ``path`` itself may be a symbolic link. Raises IsADirectoryError for a folder, OSError for other special files.
+    """
+    # a pipe without a writer would block open() for ever
+    flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+    if not links and Path(path).is_symlink():
+        raise OSError(errno.ELOOP, "is a symbolic link; put the file itself there", str(path))
+    handle = os.open(path, flags | (0 if links else getattr(os, "O_NOFOLLOW", 0)))
+    try:
+        state = os.fstat(handle)
+        if stat.S_ISDIR(state.st_mode):
+            raise IsADirectoryError(errno.EISDIR, "is a folder; name a file", str(path))
+        if not stat.S_ISREG(state.st_mode):
+            kind = next((text for test, text in _KINDS if test(state.st_mode)), "something else")
+            raise OSError(errno.EINVAL, f"is {kind}; name a regular file", str(path))
+        if most_bytes is not None and state.st_size > most_bytes:
+            text = f"has {state.st_size} bytes, at most {most_bytes} are read; name a file of the right kind"
+            raise OSError(errno.EFBIG, text, str(path))
+        return os.fdopen(handle, "rb")
+    except BaseException:
+        os.close(handle)
+        raise
+
+
+def check_brackets(text: str) -> None:
+    """Raise ValueError where brackets and braces of JSON or YAML stand deeper than ``MOST_DEPTH`` inside each other.
+
+    Asked before a parser that calls itself for each: its stack would overflow. Strings are passed over.
+    """
+    depth = 0
+    for token in _TOKENS.finditer(text):
+        if token[0] in "[{":
+            depth += 1
+            if depth > MOST_DEPTH:
+                raise ValueError(f"lists and tables stand more than {MOST_DEPTH} deep inside each other")
+        elif token[0] in "]}":
+            depth = max(depth - 1, 0)

@@ -1,0 +1,58 @@
+"""Files that are made to break a reader end in one line: no recursion, no crash, no waiting."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from mosca.data.files.toml import read_toml
+from mosca.errors import InputError
+from scenarios.spec.scenario import apply_overrides
+
+DEEP = {"lists": "[" * 100_000, "closed lists": "[" * 900 + "]" * 900, "deep but readable": "[" * 80 + "]" * 80}
+LARGE = {"decimal": "1" * 5000, "hexadecimal": "0x" + "f" * 6000, "beyond 64 bits": str(1 << 63)}
+
+
+@pytest.mark.parametrize("value", [*DEEP.values(), *LARGE.values()], ids=[*DEEP, *LARGE])
+def test_toml_and_set_refuse_deep_and_large_values_in_one_line(tmp_path, value):
+    path = tmp_path / "a.toml"
+    path.write_text(f"a = {value}")
+    with pytest.raises(InputError, match=r"a\.toml: not valid TOML: .*(flatten them|a smaller one)$") as caught:
+        read_toml(path)
+    assert "\n" not in str(caught.value)
+    with pytest.raises(InputError, match=r"^--set x\.y: .*(flatten them|a smaller one)$"):
+        apply_overrides({}, (f"x.y={value}",))
+
+
+@pytest.mark.parametrize("part", ["a", '"a"', "'a' "])
+def test_toml_refuses_a_key_of_many_parts(tmp_path, part):
+    path = tmp_path / "a.toml"
+    path.write_text(".".join([part] * 100_000) + " = 1")
+    with pytest.raises(InputError, match="a key has more than 64 parts"):
+        read_toml(path)
+
+
+def test_toml_reads_what_is_within_the_limits(tmp_path):
+    path = tmp_path / "a.toml"
+    path.write_bytes(b"a = [[1.5, 2.5]]\r\nb.c = 9223372036854775807\r\n# " + b"x" * 1_000_000)
+    assert read_toml(path) == {"a": [[1.5, 2.5]], "b": {"c": (1 << 63) - 1}}
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes")
+def test_toml_does_not_wait_for_a_pipe(tmp_path):
+    path = tmp_path / "a.toml"
+    os.mkfifo(path)
+    code = "import sys, pathlib, mosca.data.files.toml as t; t.read_toml(pathlib.Path(sys.argv[1]))"
+    done = subprocess.run([sys.executable, "-c", code, str(path)], capture_output=True, text=True, timeout=120)
+    assert "a.toml: cannot be read: is a named pipe; name a regular file" in done.stderr
+
+
+def test_deep_json_of_opencv_is_refused(tmp_path):
+    path = tmp_path / "a.json"
+    path.write_text('{"a": ' + "[" * 1_000_000)
+    code = "import sys, mosca.formats.rigs.rig_formats as r; r.read_any_rig(sys.argv[1])"
+    done = subprocess.run([sys.executable, "-c", code, str(path)], capture_output=True, text=True, timeout=120)
+    assert done.returncode == 1, done.returncode
+    assert "InputError" in done.stderr
+    assert "a.json: lists and tables stand more than 64 deep" in done.stderr
