@@ -1,9 +1,12 @@
 """Files that are made to break a reader end in one line: no recursion, no crash, no waiting."""
 
+import io
 import os
 import subprocess
 import sys
+import zipfile
 
+import numpy as np
 import pytest
 
 from mosca.data.files.toml import read_toml
@@ -56,3 +59,33 @@ def test_deep_json_of_opencv_is_refused(tmp_path):
     assert done.returncode == 1, done.returncode
     assert "InputError" in done.stderr
     assert "a.json: lists and tables stand more than 64 deep" in done.stderr
+
+
+def npz(path, shape, content):
+    head = io.BytesIO()
+    np.lib.format.write_array_header_1_0(head, {"descr": "<f8", "fortran_order": False, "shape": shape})
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("frame.npy", head.getvalue() + content)
+
+
+BOUNDED = """
+import resource, sys
+from pathlib import Path
+from mosca.data.tracks import read_npz
+resource.setrlimit(resource.RLIMIT_AS, (1 << 30, 1 << 30))
+read_npz(Path(sys.argv[1]))
+"""
+
+
+@pytest.mark.parametrize(
+    ("shape", "n_bytes", "said"),
+    [((1 << 29,), 8, "states the shape"), ((-1, 1 << 40), 8, "holds no tracks"), ((1 << 26,), 1 << 29, "so small a")],
+    ids=["shape", "negative shape", "bomb"],
+)
+def test_arrays_larger_than_their_archive_can_hold_are_refused(tmp_path, shape, n_bytes, said):
+    path = tmp_path / "tracks.npz"
+    npz(path, shape, bytes(n_bytes))
+    done = subprocess.run([sys.executable, "-c", BOUNDED, str(path)], capture_output=True, text=True, timeout=120)
+    last = done.stderr.splitlines()[-1]
+    assert "InputError" in last
+    assert said in last

@@ -5,18 +5,26 @@ array ``sha256`` stands beside the others: the digest of names, types, shapes an
 """
 
 import hashlib
+import math
 import zipfile
 import zlib
 from collections.abc import Callable, Mapping
+from io import BufferedReader
 from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
 
 from mosca.data.arrays import Array
+from mosca.data.files.bounded import open_file
 from mosca.errors import InputError
 
 Made = TypeVar("Made")
+SMALL_BYTES = 1 << 28
+"""Arrays up to this size are read however well they are compressed [B]."""
+MOST_RATIO = 100
+"""Of the arrays' size to the archive's, above that; deflate reaches 1000 where all bytes are the same."""
+_HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
 DIGEST = "sha256"
 
 
@@ -62,7 +70,8 @@ def from_npz(path: Path, make: Callable[[Mapping[str, Array]], Made], what: str,
     """
     try:
         # a file of our own: numpy leaves it open where it is no archive
-        with open(path, "rb") as file:
+        with open_file(path) as file:
+            _check_sizes(file)
             arrays = np.load(file, allow_pickle=False)
             if not isinstance(arrays, Mapping):
                 raise ValueError("it is a single array")
@@ -76,3 +85,29 @@ def from_npz(path: Path, make: Callable[[Mapping[str, Array]], Made], what: str,
     except (OSError, ValueError, TypeError, EOFError, NotImplementedError, zipfile.BadZipFile, zlib.error) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise InputError(f"{path}: holds no {what}: {reason}; give what {wrote} wrote") from None
+
+
+def _check_sizes(file: BufferedReader) -> None:
+    """Raise ValueError where arrays would take more memory than their archive can hold in earnest."""
+    if not zipfile.is_zipfile(file):
+        file.seek(0)
+        single = file.read(len(np.lib.format.MAGIC_PREFIX)) == np.lib.format.MAGIC_PREFIX
+        raise ValueError("it is a single array" if single else "it is no archive of arrays")
+    with zipfile.ZipFile(file) as archive:
+        members = archive.infolist()
+        n_bytes, most = sum(member.file_size for member in members), max(SMALL_BYTES, MOST_RATIO * _packed(members))
+        if n_bytes > most:
+            raise ValueError(f"its arrays would take {n_bytes} bytes; at most {most} are read from so small a file")
+        for member in members:
+            with archive.open(member) as array:
+                version = np.lib.format.read_magic(array)
+                if version not in _HEADERS:
+                    raise ValueError(f"{member.filename} is an array of format {version}")
+                shape, _, dtype = _HEADERS[version](array)
+                if array.tell() + math.prod(shape) * dtype.itemsize > member.file_size:
+                    raise ValueError(f"{member.filename} states the shape {shape} and holds {member.file_size} bytes")
+    file.seek(0)
+
+
+def _packed(members: list[zipfile.ZipInfo]) -> int:
+    return sum(member.compress_size for member in members)
