@@ -106,7 +106,10 @@ class ActionTrigger(External):
         try:
             # else the socket would receive from all interfaces
             self._socket.connect((self._table.broadcast, GVCP_PORT))
-            self._socket.send(command)
+            try:
+                self._socket.send(command)
+            except ConnectionRefusedError:  # the answer to the command before: a single address without a device
+                self._socket.send(command)
         except OSError as error:  # the pulse is lost for all cameras; its frames are missing and counted
             log.debug("action command not sent (%s)", error)
             self.lost += 1

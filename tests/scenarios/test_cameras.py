@@ -89,7 +89,7 @@ def test_a_clock_fault_adds_to_a_delay(tmp_path):
 
 def test_deliveries_are_by_camera(tmp_path):
     spec = scenario(tmp_path, '[delivery]\ndropped_share = 0.1\n[[camera]]\nname = "cam1"\ndelivery.dies_s = 0.5\n')
-    made = deliveries(spec, virtual_cameras(spec, true_rig(spec, tmp_path)))
+    made = deliveries(spec, (v.camera.name for v in virtual_cameras(spec, true_rig(spec, tmp_path))))
     assert {name: d.dropped_share for name, d in made.items()} == dict.fromkeys(made, 0.1)
     assert [made[f"cam{k}"].dies_s for k in (1, 2, 3, 4)] == [0.5, None, None, None]
 

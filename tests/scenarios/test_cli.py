@@ -84,7 +84,7 @@ def test_recorded_frames_give_the_same_tracks(tmp_path):
     done = mosca("run", path, "--out", "d", "--source", "recording:rec", cwd=tmp_path)
     assert done.returncode == 1
     assert "not judged, for want of a truth: position_rms" in done.stdout
-    assert set(metrics_of(tmp_path / "d")) == {"reprojection_rms"}
+    assert set(metrics_of(tmp_path / "d")) == {"reprojection_rms", "sets_complete"}
     assert "Not judged" in (tmp_path / "d/report.html").read_text()
 
 

@@ -167,7 +167,7 @@ def test_the_page_opens_offline_with_its_pictures(made):
 def test_a_file_in_the_way_is_told_before_the_work(tmp_path):
     (tmp_path / "there").write_text("x")
     done = CliRunner().invoke(cli, ["twin", "fidelity", "--out", str(tmp_path / "there")])
-    assert "is a file; give the name of a folder" in str(done.exception)
+    assert "is a file; choose another place" in str(done.exception)
 
 
 def test_pictures_are_small_the_same_each_time_and_lead_to_scenarios(crops):

@@ -26,12 +26,20 @@ def file_kind(document: Mapping[str, Any]) -> str:
     for name, marks in (
         ("lamps", {"bit_s", "lamp"}),
         ("program", {"program", "target", "event"}),
-        ("rig", {"camera"}),
+        ("rig", {"camera"} if _has_rig_cameras(document) else set()),
         ("settings", {"detection", "match", "track", "background", "volume", "assembly"}),
     ):
         if keys & marks:
             return name
     return ""
+
+
+def _has_rig_cameras(document: Mapping[str, Any]) -> bool:
+    """Return whether a camera's lens is a table; in a target of measured points it is a name."""
+    cameras = document.get("camera")
+    return isinstance(cameras, list) and any(
+        isinstance(c, Mapping) and isinstance(c.get("lens"), Mapping) for c in cameras
+    )
 
 
 def other_kind(document: Mapping[str, Any], wanted: str) -> str:
