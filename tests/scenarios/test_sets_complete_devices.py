@@ -1,0 +1,78 @@
+"""What did not arrive does not pass: rigs and cameras that die, and pulses that reach no camera."""
+
+import json
+
+import pytest
+from capture_rig import Line, openers, write_rig
+from tiny_scenario import write_tiny
+
+from hardware.settings import read_hardware
+from hardware.source import HardwareSource
+from mosca.recording import open_recording
+from scenarios.run import scenario as work
+from scenarios.run.folder import write_run
+from scenarios.spec.scenario import load_scenario
+from scenarios.types import RunOptions
+
+PULSES = 40
+SIZE = (320, 240)
+# judged without a truth, and met by any machine
+MET = "frame_rate = 0.001"
+
+
+@pytest.fixture(scope="module")
+def filmed(tmp_path_factory):
+    """Camera -> images of the twin, pulse by pulse."""
+    folder = tmp_path_factory.mktemp("filmed")
+    spec = load_scenario(write_tiny(folder, duration_s=PULSES / 100))
+    work.run_scenario(spec, "tiny", folder, RunOptions(record_to=folder / "take"))
+    images = {}
+    with open_recording(folder / "take") as source:
+        for frame in source:
+            images.setdefault(frame.camera, []).append(frame.image)
+    return images
+
+
+def judged(folder, monkeypatch, filmed, line, limits=MET):
+    """Return the record of a run of simulated devices, and its page."""
+    rig = read_hardware(write_rig(folder / "rig.toml", tuple(filmed), SIZE))
+    fakes = openers(line, filmed, SIZE)
+    monkeypatch.setattr(work, "opened_source", lambda *given: HardwareSource(rig, PULSES, *fakes))
+    spec = load_scenario(write_tiny(folder, duration_s=PULSES / 100, limits=limits))
+    result = work.run_scenario(spec, "tiny", folder, RunOptions(source="hardware:rig.toml"))
+    write_run(result, folder / "out")
+    record = json.loads((folder / "out" / "record.json").read_text())
+    return record, (folder / "out" / "report.html").read_text()
+
+
+def test_a_rig_that_delivers_everything_passes(tmp_path, monkeypatch, filmed):
+    record, _ = judged(tmp_path, monkeypatch, filmed, Line())
+    assert record["passed"]
+    assert record["verdict"].startswith("every limit is met")
+    assert record["counts"]["complete_sets"] == record["counts"]["expected_sets"] == PULSES
+    assert all(one["whole"] >= PULSES for one in record["source_account"]["cameras"].values())
+
+
+def test_a_killed_rig_has_not_passed(tmp_path, monkeypatch, filmed):
+    record, page = judged(tmp_path, monkeypatch, filmed, Line(gone_at=19))
+    assert not record["passed"]
+    assert record["verdict"].startswith("broken: sets_complete; 20 of 40 pulses gave a complete set; frames ended")
+    assert "camera cam1: 20 frames missing, the last at 0.19 s" in record["verdict"]
+    assert "20 of 40 pulses gave a complete set" in page
+
+
+def test_a_killed_camera_has_not_passed(tmp_path, monkeypatch, filmed):
+    line = Line(misses={"cam2": range(25, 1000)})
+    record, _ = judged(tmp_path, monkeypatch, filmed, line)
+    assert not record["passed"]
+    words = "25 of 40 pulses gave a complete set; camera cam2: 15 frames missing, the last at 0.24 s"
+    assert record["verdict"].startswith(f"broken: sets_complete; {words}")
+
+
+def test_withheld_pulses_have_not_passed_unless_the_scenario_says_so(tmp_path, monkeypatch, filmed):
+    misses = {name: {17, 18, 30} for name in filmed}
+    record, _ = judged(tmp_path, monkeypatch, filmed, Line(misses=misses))
+    assert not record["passed"]
+    assert "37 of 40 pulses gave a complete set" in record["verdict"]
+    record, _ = judged(tmp_path, monkeypatch, filmed, Line(misses=misses), f"{MET}\nsets_complete = 0.9")
+    assert record["passed"]
