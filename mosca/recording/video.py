@@ -78,7 +78,9 @@ class VideoFeed:
             except av.error.FFmpegError:
                 continue
             for frame in frames:
-                if isinstance(frame, VideoFrame) and not frame.is_corrupt and frame.pts in self.numbers:
+                if not isinstance(frame, VideoFrame) or frame.is_corrupt or frame.pts not in self.numbers:
+                    continue
+                if (frame.width, frame.height) == (self.info.width, self.info.height):
                     yield self.numbers[frame.pts], luma(frame)
 
 
@@ -105,6 +107,10 @@ def open_video(path: Path) -> InputContainer:
     if not container.streams.video:
         container.close()
         raise InputError(f"{path}: holds no video stream")
+    stream = container.streams.video[0]
+    if not (stream.width > 0 and stream.height > 0) or stream.codec_context.pix_fmt is None:
+        container.close()
+        raise InputError(f"{path}: does not state its images' size and pixel format; convert it with ffmpeg")
     return container
 
 

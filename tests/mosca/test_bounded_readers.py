@@ -2,15 +2,19 @@
 
 import io
 import os
+import struct
 import subprocess
 import sys
 import zipfile
 
+import av
 import numpy as np
 import pytest
 
+from mosca.data.files.rig_file import read_rig
 from mosca.data.files.toml import read_toml
 from mosca.errors import InputError
+from mosca.recording.video import open_video
 from scenarios.spec.scenario import apply_overrides
 
 DEEP = {"lists": "[" * 100_000, "closed lists": "[" * 900 + "]" * 900, "deep but readable": "[" * 80 + "]" * 80}
@@ -89,3 +93,32 @@ def test_arrays_larger_than_their_archive_can_hold_are_refused(tmp_path, shape, 
     last = done.stderr.splitlines()[-1]
     assert "InputError" in last
     assert said in last
+
+
+@pytest.mark.parametrize("rotation", ["[1e308, 1e308, 0.0]", "[[1e308, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]"])
+def test_a_rotation_beyond_all_angles_is_refused(tmp_path, rotation):
+    path = tmp_path / "calibration.toml"
+    path.write_text(
+        "[cam_0]\nname = 'a'\nsize = [640, 480]\n"
+        "matrix = [[900.0, 0.0, 320.0], [0.0, 900.0, 240.0], [0.0, 0.0, 1.0]]\n"
+        f"distortions = [0.0, 0.0, 0.0, 0.0, 0.0]\nrotation = {rotation}\ntranslation = [0.0, 0.0, 1.0]\n"
+    )
+    with pytest.raises(InputError, match=r"rotation holds 1e\+308"):
+        read_rig(path)
+
+
+def test_a_video_without_a_size_is_refused(tmp_path):
+    path = tmp_path / "cam.avi"
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("rawvideo", rate=25, width=64, height=48, pix_fmt="gray")
+        for frame in (av.VideoFrame.from_ndarray(np.zeros((48, 64), np.uint8), "gray") for _ in range(3)):
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode())
+    open_video(path).close()
+    data = bytearray(path.read_bytes())
+    size = struct.pack("<ii", 64, 48)
+    while (at := data.find(size)) >= 0:
+        data[at : at + 8] = bytes(8)
+    path.write_bytes(data)
+    with pytest.raises(InputError, match="does not state its images' size"):
+        open_video(path)

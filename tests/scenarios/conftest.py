@@ -63,7 +63,9 @@ def refused(lab_folder, monkeypatch, capsys):
         monkeypatch.setattr(sys, "argv", ["mosca", *words(given), *map(str, more)])
         with pytest.raises(SystemExit) as ended:
             main()
-        told = capsys.readouterr().err
+        # emulated cameras of a test that runs beside this one answer on the same loopback, and are warned of
+        lines = capsys.readouterr().err.splitlines(keepends=True)
+        told = "".join(line for line in lines if "WARNING mosca.hardware.drivers: " not in line)
         assert ended.value.code == 2, told
         assert told.startswith("mosca: ")
         assert told.count("\n") == 1

@@ -27,6 +27,8 @@ Vector = tuple[float, float, float]
 Matrix = tuple[Vector, Vector, Vector]
 LARGEST_TRANSLATION_M = 1000.0
 """Cameras farther from the origin are in other units than metres."""
+LARGEST_ROTATION = 100.0
+"""Largest element of a rotation; one of many turns is damage or another unit."""
 LARGEST_TILT_RAD = 1.5
 """Largest tilt of a sensor: the tilt's projection ends at 90 deg."""
 
@@ -91,6 +93,12 @@ def _camera(table: CaliscopeCamera, key: str, where: str) -> Camera:
 
 
 def _rotation(given: Vector | Matrix, where: str) -> Array:
+    largest = float(np.abs(given).max())
+    if largest > LARGEST_ROTATION:
+        raise InputError(
+            f"{where}: rotation holds {largest:g}; a vector of its angle [rad], or a matrix, of elements up to "
+            f"{LARGEST_ROTATION:g} is allowed"
+        )
     if isinstance(given[0], float):
         return rotation_from_vector(np.array(given))
     rotation, misfit = nearest_rotation(np.array(given))
