@@ -6,6 +6,7 @@ pulse k is always near k periods, whatever held up this computer, and no frame o
 
 import threading
 import time
+from collections import deque
 from typing import NamedTuple
 
 LATEST_START = 0.25
@@ -13,8 +14,6 @@ LATEST_START = 0.25
 it a frame may be nearer to the next pulse."""
 LATEST_TIME = 0.45
 """A frame's time is its pulse's plus this share of a period at most: readers take the pulse that is nearest."""
-
-
 UNREAD_PULSES = 100_000
 """So many pulses are remembered for a recording that does not read them."""
 
@@ -53,6 +52,7 @@ class PulseGrid:
         """Host time of pulse 0 on the grid [ns]."""
         self._next = 0
         self._skipped: list[tuple[int, int]] = []
+        self._sent: deque[SentPulse] = deque(maxlen=UNREAD_PULSES)
 
     def begin(self) -> int:
         """Begin with pulse 0 now; return the host time [ns]."""
@@ -79,6 +79,14 @@ class PulseGrid:
                 self._next += 1
                 return self._next - 1
         return None
+
+    def sent(self, number: int, sent_ns: int, acknowledged_ns: int) -> None:
+        """Register that a pulse was sent, with host times as of ``SentPulse``."""
+        self._sent.append(SentPulse(number, self.nominal_ns(number), sent_ns, acknowledged_ns))
+
+    def new_pulses(self) -> list[SentPulse]:
+        """Return the pulses sent since the last call."""
+        return [self._sent.popleft() for _ in range(len(self._sent))]
 
     def skipped(self, before: int | None = None) -> int:
         """Return how many pulses were skipped, of those ``before`` a number."""

@@ -10,10 +10,9 @@ import socket
 import struct
 import threading
 import time
-from collections import deque
 
 from hardware.driver import DeviceError
-from hardware.pulse_grid import UNREAD_PULSES, HostClock, PulseGrid, SentPulse
+from hardware.pulse_grid import HostClock, PulseGrid, SentPulse
 from hardware.settings import TriggerTable
 from hardware.trigger import External
 
@@ -33,7 +32,6 @@ class ActionTrigger(External):
         self._table = table
         self._clock = clock or HostClock()
         self._grid = PulseGrid(rate_hz, self._clock)
-        self._new: deque[SentPulse] = deque(maxlen=UNREAD_PULSES)
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
         self._pulses = 0
@@ -62,7 +60,7 @@ class ActionTrigger(External):
 
     def new_pulses(self) -> list[SentPulse]:
         """Return the pulses sent since the last call."""
-        return [self._new.popleft() for _ in range(len(self._new))]
+        return self._grid.new_pulses()
 
     def skipped(self, before: int | None = None) -> int:
         """Return how many pulses were skipped, of those ``before`` a number."""
@@ -92,7 +90,7 @@ class ActionTrigger(External):
                 return
             sent_ns = self._clock.now_ns()
             if self._send(number % 0xFFFF + 1):
-                self._new.append(SentPulse(number, self._grid.nominal_ns(number), sent_ns, self._clock.now_ns()))
+                self._grid.sent(number, sent_ns, self._clock.now_ns())
             self._pulses += 1
 
     def _send(self, request: int) -> bool:

@@ -8,12 +8,12 @@ which they ignore silently. The price is the rate: pulses that come due meanwhil
 import logging
 import threading
 from bisect import bisect_right
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from hardware.driver import CameraDriver, DeviceError, Grabbed
-from hardware.pulse_grid import LATEST_TIME, UNREAD_PULSES, HostClock, PulseGrid, SentPulse
+from hardware.pulse_grid import LATEST_TIME, HostClock, PulseGrid, SentPulse
 from hardware.pulse_numbers.clock_model import StampPulse
 from hardware.silence import PollingTime
 
@@ -55,7 +55,6 @@ class SoftwareTrigger:
         self._grid = PulseGrid(rate_hz, self._clock)
         self._made = _Commands()
         self._commands = {name: _Commands() for name in drivers}
-        self._new: deque[SentPulse] = deque(maxlen=UNREAD_PULSES)
         self._awaited: set[str] = set()
         self._lost: set[str] = set()
         self._resting_until_ns = dict.fromkeys(drivers, 0)
@@ -112,7 +111,7 @@ class SoftwareTrigger:
 
     def new_pulses(self) -> list[SentPulse]:
         """Return the pulses sent since the last call."""
-        return [self._new.popleft() for _ in range(len(self._new))]
+        return self._grid.new_pulses()
 
     def skipped(self, before: int | None = None) -> int:
         """Return how many pulses were skipped, of those ``before`` a number."""
@@ -202,7 +201,7 @@ class SoftwareTrigger:
             self._made.sent_ns.append(self._clock.now_ns())
         sent = [pair for name in list(self._drivers) if (pair := self._command(name, number)) is not None]
         if sent:
-            self._new.append(SentPulse(number, self._grid.nominal_ns(number), sent[0][0], sent[-1][1]))
+            self._grid.sent(number, sent[0][0], sent[-1][1])
 
     def _command(self, name: str, number: int) -> tuple[int, int] | None:
         """Trigger a camera; return the host times before and after [ns], None where it is not ready or it is late."""

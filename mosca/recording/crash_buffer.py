@@ -36,6 +36,7 @@ import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from io import BufferedReader
+from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
@@ -241,13 +242,12 @@ def _copy(file: BufferedReader, shape: _Shape, path: Path) -> None:
     """
     older = shape.magic == _OLDER
     full = [k for k in range(shape.used) if older or _slot(file, shape, k, len(_FULL)) == _FULL]
-    head = _head(_OLDER if older else _ON_DISK, shape.size, len(full), shape.token)
+    head = _head(_OLDER if older else _ON_DISK, shape.size, len(full), shape.token).ljust(_PAGE, b"\0")
+    slots = (_slot(file, shape, k, shape.size) for k in full)
     wanted = hashlib.sha256()
     with whole_file(path) as temporary:
         with open(temporary, "wb") as copy:
-            for k in range(-1, len(full)):
-                slot = head.ljust(_PAGE, b"\0") if k < 0 else _slot(file, shape, full[k], shape.size)
-                block = slot if older or k < 0 else _summed(slot)
+            for block in chain([head], slots if older else map(_summed, slots)):
                 wanted.update(block)
                 copy.write(block)
             copy.flush()

@@ -1,9 +1,9 @@
 """Where a run's frames come from besides the twin: recordings, and sources that pass frames on."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 from mosca.data.frames import Frame, FrameSource
 from mosca.data.rig import Rig
@@ -40,6 +40,12 @@ def opened(source: str, rig: Rig, rate_hz: float, pulses: int) -> FrameSource:
             f"{rate_hz:g}; give both the same"
         )
     return HardwareSource(devices, pulses)
+
+
+def account(source: FrameSource) -> Mapping[str, Any]:
+    """Return the source's own account of what it received, for the record; empty where it keeps none."""
+    report = getattr(source, "account", None)
+    return report() if callable(report) else {}
 
 
 def device_notes(source: FrameSource) -> dict[str, str]:

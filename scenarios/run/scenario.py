@@ -23,7 +23,7 @@ from reports.evidence import Evidence
 from reports.record import RunRecord
 from scenarios.build.calibration_faults import with_fault
 from scenarios.build.cameras import Calibrated, calibrated, true_rig, twin_source, virtual_cameras
-from scenarios.build.frame_sources import device_notes, patient
+from scenarios.build.frame_sources import account, device_notes, patient
 from scenarios.build.frame_sources import opened as opened_source
 from scenarios.build.scene import build_scene, pipeline_settings
 from scenarios.build.worn_rig import worn_cameras, worn_rig, worn_settings
@@ -34,7 +34,7 @@ from scenarios.run.precompile import compile_side_by_side
 from scenarios.run.record import evidence_of, record_of
 from scenarios.score.bodies import rigid_bodies
 from scenarios.score.continuous import as_worn
-from scenarios.score.delivery import account, sets_complete
+from scenarios.score.delivery import sets_complete
 from scenarios.score.reference import requested_truth
 from scenarios.score.score_run import scored
 from scenarios.score.without_truth import self_checks

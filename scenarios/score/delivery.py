@@ -1,7 +1,6 @@
 """Whether a run measured what it claims: complete frame sets among the pulses that the scenario has."""
 
 from collections.abc import Mapping
-from typing import Any
 
 from mosca.synchronisation import Assembly, CameraCount
 from scenarios.types import Score
@@ -65,9 +64,3 @@ def _kinds(count: CameraCount) -> str:
     """Return the kinds of losses that a camera has, in brackets."""
     kinds = [f"{n} {kind}" for kind in ("corrupt", "late", "stray") if (n := getattr(count, kind))]
     return f" ({', '.join(kinds)})" if kinds else ""
-
-
-def account(source: object) -> Mapping[str, Any]:
-    """Return the source's own account of what it received, for the record; empty where it keeps none."""
-    report = getattr(source, "account", None)
-    return report() if callable(report) else {}
