@@ -6,12 +6,15 @@ without ``arv_``; https://aravisproject.github.io/aravis/ documents them.
 
 import ctypes
 import functools
+import logging
 import os
 import socket
 import sys
 from collections.abc import Callable
 from ctypes import POINTER, c_char_p, c_double, c_int, c_int64, c_size_t, c_uint, c_uint64, c_void_p
 from typing import Any
+
+log = logging.getLogger("mosca.hardware.drivers")
 
 # another file than the system's libaravis
 LIBRARY_VARIABLE = "MOSCA_ARAVIS"
@@ -179,13 +182,14 @@ class Aravis:
         taken = address and self._glib.g_socket_address_to_native(address, native, len(native), None)
         return socket.inet_ntoa(bytes(native[4:8])) if taken else ""
 
-    def register(self, device: int, address: int) -> int:
-        """Return a device's register; 0 where it has none."""
+    def register(self, device: int, address: int) -> int | None:
+        """Return a device's register; None where it has none or refuses."""
         value = ctypes.c_uint32(0)
         try:
             self("device_read_register", device, address, ctypes.byref(value))
-        except AravisError:
-            return 0
+        except AravisError as error:
+            log.debug("register 0x%04x: %s", address, error)
+            return None
         return value.value
 
     def strings(self, name: str, *arguments: Any) -> tuple[str, ...]:

@@ -4,7 +4,6 @@ A camera obeys one program, its controller. One that ends without giving the con
 it until the camera has had no sign of life of it for the heartbeat time-out.
 """
 
-import ctypes
 import errno
 import logging
 import socket
@@ -46,7 +45,7 @@ def wait_for_control(aravis: Aravis, device: int, camera: str) -> None:
     alive = None if holder is None else _alive(holder)
     if alive:
         raise DeviceError(f"{camera} is controlled by {who} of this machine, which runs; close that first")
-    heartbeat_ms = _register(aravis, device, HEARTBEAT_REGISTER)
+    heartbeat_ms = aravis.register(device, HEARTBEAT_REGISTER)
     if heartbeat_ms is None:
         raise DeviceError(f"{camera} is controlled by {who}, which lets nobody else read; close that first")
     wait_s = heartbeat_ms / 1e3
@@ -75,20 +74,9 @@ def _taken(aravis: Aravis, device: int) -> bool:
         return False
 
 
-def _register(aravis: Aravis, device: int, address: int) -> int | None:
-    """Return a register's value; None where the camera does not have it or refuses."""
-    value = ctypes.c_uint32(0)
-    try:
-        aravis("device_read_register", device, address, ctypes.byref(value))
-    except AravisError as error:
-        log.debug("register 0x%04x: %s", address, error)
-        return None
-    return value.value
-
-
 def _holder(aravis: Aravis, device: int) -> tuple[str, int] | None:
     """Return address and port of the controller; None where the camera does not tell."""
-    port, address = (_register(aravis, device, one) for one in (PORT_REGISTER, ADDRESS_REGISTER))
+    port, address = (aravis.register(device, one) for one in (PORT_REGISTER, ADDRESS_REGISTER))
     if not port or not address:
         return None
     return socket.inet_ntoa(address.to_bytes(4, "big")), port & 0xFFFF

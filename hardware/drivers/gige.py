@@ -21,9 +21,9 @@ from hardware.drivers.aravis_library import (
 )
 from hardware.drivers.aravis_library import load as load_library
 from hardware.drivers.blocks import BlockIds
-from hardware.drivers.camera_control import HEARTBEAT_REGISTER, wait_for_control
+from hardware.drivers.camera_control import HEARTBEAT_REGISTER, PORT_REGISTER, wait_for_control
 from hardware.drivers.configure import COUNTER_CHUNKS, capabilities_of, counter_chunk
-from hardware.drivers.discovery import confirmed
+from hardware.drivers.discovery import GVCP_PORT, confirmed
 from hardware.drivers.features import text
 from hardware.drivers.opened import GenICamCamera, chosen, claim, described, not_found, release
 from hardware.drivers.peer_socket import Address, PeerSocket, merged, tied, udp_sockets
@@ -44,10 +44,8 @@ BUFFERS, LEAST_BUFFERS, BUFFER_BYTES = 100, 8, 1 << 28
 # without a sign of life for so long a camera lets go of its program; 3 s as they come. A machine that is held up for
 # some seconds must not lose all its cameras
 HEARTBEAT_MS = 10_000
-# bootstrap registers of the program's port at which a camera is controlled, and of the camera's port that it streams
-# from; both may be absent, and read 0
-CONTROL_PORT_REGISTER, STREAM_SOURCE_REGISTER = 0x0A04, 0x0D1C
-GVCP_PORT = 3956
+# bootstrap register of the camera's port that it streams from; it may be absent, and read 0
+STREAM_SOURCE_REGISTER = 0x0D1C
 STREAM_PROPERTIES: tuple[tuple[str, str, float], ...] = (
     # what the kernel may keep while this program waits for a core (net.core.rmem_max allows how much)
     ("socket-buffer-size", "int", 1 << 23),
@@ -206,7 +204,7 @@ class GigeCamera(GenICamCamera):
         here = aravis.ipv4(aravis("gv_device_get_interface_address", device))
         self._peer = aravis.ipv4(aravis("gv_device_get_device_address", device))
         ports = [port for host, port in made if host == here]
-        told = aravis.register(device, CONTROL_PORT_REGISTER)
+        told = aravis.register(device, PORT_REGISTER)
         port = told if told in ports else ports[0] if len(ports) == 1 else 0
         self._here = here
         self._control_socket = tied((here, port), (self._peer, GVCP_PORT), f"camera '{self.name}', control")
@@ -214,7 +212,7 @@ class GigeCamera(GenICamCamera):
     def _tie_stream(self) -> None:
         """Take the stream from the camera's source port only."""
         aravis = self._aravis
-        source = aravis.register(self._device, STREAM_SOURCE_REGISTER) & 0xFFFF
+        source = (aravis.register(self._device, STREAM_SOURCE_REGISTER) or 0) & 0xFFFF
         local = (self._here, aravis("gv_stream_get_port", self._arv_stream))
         self._stream_socket = tied(local, (self._peer, source), f"camera '{self.name}', stream")
 
