@@ -4,7 +4,13 @@ import re
 
 
 class MoscaError(Exception):
-    """A known error. The command line prints its text on one line and exits with 2."""
+    """A known error. The command line prints its text on one line and exits with 2.
+
+    What a user gave may stand in it, so signs that no line can show are written as in Python: a line feed as \\n.
+    """
+
+    def __init__(self, text: object = "") -> None:
+        super().__init__("".join(one if one.isprintable() else repr(one)[1:-1] for one in str(text)))
 
 
 class InputError(MoscaError):

@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+from mosca.data.files.bounded import parse_json, read_bytes
 from mosca.data.files.whole_file import write_text
 from mosca.errors import InputError
 
@@ -102,13 +103,13 @@ def write_record(record: RunRecord, path: Path) -> None:
 def read_record(path: Path) -> RunRecord:
     """Read what ``write_record`` wrote; InputError where it is missing or something else."""
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
+        document = parse_json(read_bytes(path))
         unknown = tuple(document.pop("not_judged", ()))
         metrics = tuple(_metric(m) for m in document.pop("metrics"))
         return RunRecord(metrics=metrics, not_judged=unknown, **document)
     except FileNotFoundError:
         raise InputError(f"{path}: no such file; a run folder holds a record.json") from None
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError(f"{path}: not a run record: {error}; give a run folder's record.json") from None
 
 

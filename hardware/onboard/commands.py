@@ -38,6 +38,7 @@ from pydantic import Field, model_validator
 
 from hardware.driver import DeviceError
 from hardware.onboard.line_protocol import Lines, SerialLines, TcpLines, UdpLines
+from mosca.data.files.bounded import parse_json
 from mosca.data.files.toml import NotNegative, Table, check, read_toml
 
 LATE_MS = 5.0
@@ -296,7 +297,7 @@ class ProgramRun:
 
 def _content(line: str) -> dict[str, Any]:
     try:
-        data = json.loads(line)
-    except (ValueError, RecursionError):
+        data = parse_json(line)
+    except ValueError:
         return {"line": line}
     return {"data": data} if isinstance(data, dict) else {"line": line}

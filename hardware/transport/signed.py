@@ -19,6 +19,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from hardware.transport.transport import Transport, station_of
+from mosca.data.files.bounded import read_bytes
 from mosca.errors import InputError
 
 log = logging.getLogger("mosca.hardware.stations")
@@ -33,7 +34,7 @@ REPLAYED = "was received before: somebody sends it again"
 def read_key(path: Path) -> bytes:
     """Return the key in the file at ``path``: 64 hexadecimal digits; InputError says how to make one."""
     try:
-        text = path.read_text(encoding="ascii").strip()
+        text = read_bytes(path).decode("ascii").strip()
         key = bytes.fromhex(text)
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}; make a key with: mosca station key {path}") from None

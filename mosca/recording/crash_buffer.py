@@ -232,6 +232,8 @@ class _Shape(NamedTuple):
     """Of a slot [bytes]; 0 where the file is no tail."""
     used: int
     """Number of slots, as many as the file can hold."""
+    stated: int
+    """Number of slots that the head tells."""
     token: bytes
 
 
@@ -286,6 +288,8 @@ def read_tail(
         with open_file(path, _PAGE + LARGEST_TAIL, links=False) as file:
             shape = _shape(file)
             used = shape.used if shape.size <= _PIXELS_AT + max(info.image_bytes for info in cameras) + _PAGE else 0
+            if shape.stated > shape.used:
+                note(f"{path}: cut short: {shape.used} of the {shape.stated} frames that waited in it are there")
             if not shape.size or used < shape.used:
                 note(f"{path}: its head is damaged; frames that waited in it are lost")
             for k in range(used):
@@ -307,7 +311,7 @@ def read_tail(
 
 def _shape(file: BufferedReader) -> _Shape:
     """Return what the head of ``file`` states, as far as the file can hold it; a size of 0 where it is no tail."""
-    none = _Shape(b"", 0, 0, NO_TOKEN)
+    none = _Shape(b"", 0, 0, 0, NO_TOKEN)
     head, n_bytes = file.read(_PAGE), os.fstat(file.fileno()).st_size
     if len(head) < _PAGE:
         return none
@@ -315,7 +319,7 @@ def _shape(file: BufferedReader) -> _Shape:
     whole = magic in (_MAGIC, _ON_DISK) and _SUM.unpack_from(head, _FILE.size)[0] == zlib.crc32(head[: _FILE.size])
     if not (whole or magic == _OLDER) or not _PIXELS_AT <= size <= LARGEST_TAIL:
         return none
-    return _Shape(magic, size, min(used, (min(n_bytes, _PAGE + LARGEST_TAIL) - _PAGE) // size), token)
+    return _Shape(magic, size, min(used, (min(n_bytes, _PAGE + LARGEST_TAIL) - _PAGE) // size), used, token)
 
 
 def _sum(slot: bytes) -> int | None:

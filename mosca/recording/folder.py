@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mosca.data.arrays import Array
+from mosca.data.files.bounded import MOST_IMAGE_BYTES, read_bytes
 from mosca.data.frames import CameraInfo, Frame
 from mosca.data.rig import Camera
 from mosca.errors import InputError
@@ -50,7 +51,7 @@ class FolderFeed:
 def read_image(path: Path) -> tuple[Array | None, str]:
     """Return the mono image in ``path`` and "", or None and a note that names the file and the fault."""
     try:
-        image, fault = decode_image(path.read_bytes())
+        image, fault = decode_image(read_bytes(path, MOST_IMAGE_BYTES))
     except OSError as error:
         return None, f"{path}: {error.strerror}"
     return image, f"{path}: {fault}" if fault else ""

@@ -1,7 +1,8 @@
 """One image file to one mono image, or to the reason why not.
 
 Decoders differ in what they do with a file that was cut short: some give the part they got. So whether a
-PNG, TIFF or BMP is whole is checked here before OpenCV decodes it.
+PNG, TIFF or BMP is whole is checked here before OpenCV decodes it; and how much memory it would take, since a header
+may state any size.
 
 Colour is reduced to mono by one rule: luma of ITU-R BT.601, ``0.299 R + 0.587 G + 0.114 B`` rounded, as
 ``cv2.COLOR_BGR2GRAY`` has it; an alpha channel is dropped. Mono images stay as they are, 8 or 16 bit.
@@ -14,8 +15,12 @@ import cv2
 import numpy as np
 
 from mosca.data.arrays import Array
+from mosca.data.files.bounded import MOST_IMAGE_BYTES
 
 IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".bmp")
+# ImageWidth, ImageLength, BitsPerSample, PhotometricInterpretation, StripOffsets, SamplesPerPixel, StripByteCounts,
+# TileWidth, TileLength, TileOffsets, TileByteCounts
+_TIFF_TAGS = (256, 257, 258, 262, 273, 277, 279, 322, 323, 324, 325)
 _PNG = b"\x89PNG\r\n\x1a\n"
 
 
@@ -42,7 +47,7 @@ def decode_image(data: bytes) -> tuple[Array | None, str]:
 
 
 def what_is_missing(data: bytes) -> str:
-    """Return "" for a whole PNG, TIFF or BMP file, else what is missing or damaged, in words."""
+    """Return "" for a whole PNG, TIFF or BMP file that can be held, else what is wrong with it, in words."""
     if not data:
         return "empty file"
     if data.startswith(_PNG):
@@ -54,9 +59,20 @@ def what_is_missing(data: bytes) -> str:
     return "neither PNG, TIFF nor BMP"
 
 
+def _too_large(width: int, height: int, pixel_bytes: int) -> str:
+    if width * height * pixel_bytes <= MOST_IMAGE_BYTES:
+        return ""
+    return f"states {width}x{height} px; at most {MOST_IMAGE_BYTES // pixel_bytes} px of {pixel_bytes} bytes are read"
+
+
 def _missing_in_png(data: bytes) -> str:
     """Walk the chunks (PNG specification, section 5.3): length, type, data, CRC of type and data."""
     place = len(_PNG)
+    if len(data) < 26 or data[12:16] != b"IHDR":
+        return "PNG cut short or damaged in its header"
+    width, height, depth, colour = struct.unpack_from(">IIBB", data, 16)
+    if fault := _too_large(width, height, (2 if depth == 16 else 1) * {0: 1, 2: 3}.get(colour, 4)):
+        return fault
     while place + 12 <= len(data):
         (length,) = struct.unpack_from(">I", data, place)
         end = place + 8 + length
@@ -74,6 +90,9 @@ def _missing_in_bmp(data: bytes) -> str:
     if len(data) < 26:
         return "BMP cut short in its header"
     (declared,) = struct.unpack_from("<I", data, 2)
+    width, height = struct.unpack_from("<HH" if data[14:18] == b"\x0c\0\0\0" else "<ii", data, 18)
+    if fault := _too_large(abs(width), abs(height), 4):
+        return fault
     return f"BMP cut short: {len(data)} of {declared} bytes" if declared > len(data) else ""
 
 
@@ -86,10 +105,15 @@ def _missing_in_tiff(data: bytes) -> str:
         values = {}
         for k in range(n_entries):
             tag, kind, count, _ = struct.unpack_from(order + "HHII", data, directory + 2 + 12 * k)
-            if tag in (273, 279, 324, 325):  # StripOffsets, StripByteCounts, TileOffsets, TileByteCounts
+            if tag in _TIFF_TAGS:
                 values[tag] = _tiff_values(data, order, directory + 2 + 12 * k + 8, kind, count)
     except (struct.error, KeyError):
         return f"TIFF cut short or damaged: its directory is not within its {len(data)} bytes"
+    width, height, tile_width, tile_height = (max(values.get(tag, (0,))) for tag in (256, 257, 322, 323))
+    mono = max(values.get(277, (1,))) == 1 and values.get(262, (1,))[0] in (0, 1)
+    n_bytes = -(-max(values.get(258, (8,))) // 8) * (1 if mono else 4)
+    if fault := _too_large(width, height, n_bytes) or _too_large(tile_width, tile_height, n_bytes):
+        return fault
     for offsets, sizes in ((273, 279), (324, 325)):
         if offsets in values and sizes in values:
             ends = [a + b for a, b in zip(values[offsets], values[sizes], strict=False)]

@@ -56,6 +56,7 @@ import blosc2
 import numpy as np
 
 from mosca.data.detections import Detections
+from mosca.data.files.bounded import MOST_IMAGE_BYTES
 from mosca.data.frames import Frame, FrameStatus, StampEvent
 
 PROFILE = "mosca-recording"
@@ -169,9 +170,12 @@ def _packed(image: np.ndarray, codec: Codec) -> bytes:
 
 def _unpacked(payload: bytes, height: int, width: int, pixel: int) -> np.ndarray | None:
     """Return the image (height, width), or None where the payload does not hold one."""
-    if pixel not in (1, 2):
+    if pixel not in (1, 2) or height * width * pixel > MOST_IMAGE_BYTES:
         return None
     try:
+        # a chunk of some bytes may hold gigabytes
+        if blosc2.get_cbuffer_sizes(payload)[0] != height * width * pixel:
+            return None
         pixels = blosc2.decompress2(payload, nthreads=1)
     except (ValueError, RuntimeError):
         return None

@@ -1,11 +1,12 @@
 """Reads ``recording.mcap``; one whose writer was killed is read up to the cut, with a note."""
 
-import json
+import math
 import struct
 import zlib
 from collections import Counter
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import ExitStack, closing
+from io import BufferedReader
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from mcap.records import Attachment, Channel, Chunk, Message, Metadata
 from mcap.stream_reader import StreamReader, breakup_chunk
 
 from mosca.data.detections import Detections
+from mosca.data.files.bounded import MOST_IMAGE_BYTES, open_file, parse_json
 from mosca.data.frames import CameraInfo, Frame, FrameSet
 from mosca.errors import InputError
 from mosca.recording import mcap_format as layout
@@ -64,7 +66,7 @@ class McapRecording:
     def n_frames(self) -> int | None:
         """How many frames the file states that it holds for these cameras; None where its end is missing."""
         topics = {layout.camera_topic(info.name, self.holds) for info in self._cameras}
-        with open(self.path, "rb") as file:
+        with self._opened() as file:
             try:
                 summary = make_reader(file).get_summary()
             except (*_DAMAGE, OSError):  # an offset beyond what a file can have
@@ -130,7 +132,7 @@ class McapRecording:
                     if camera is not None:
                         here[camera] = layout.unpack_detections(camera, message.data)
                     elif channel.topic == f"/{layout.SETS}":
-                        told = json.loads(message.data)
+                        told = parse_json(message.data)
                         frame_set = FrameSet(int(told["pulse"]), int(told["time_ns"]))
                         found = {info.name: here.get(info.name, (None, None)) for info in self._cameras}
                         here = {}
@@ -150,7 +152,7 @@ class McapRecording:
                     continue
                 try:
                     is_json = channel.message_encoding == "json"
-                    data = json.loads(message.data) if is_json else message.data
+                    data = parse_json(message.data) if is_json else message.data
                 except ValueError as error:
                     self._note(f"a message of {name} at {message.log_time} ns is lost: {error}")
                     continue
@@ -209,14 +211,14 @@ class McapRecording:
         with ExitStack() as stack:
             self._running.add(stack)
             stack.callback(self._running.discard, stack)
-            file = stack.enter_context(open(self.path, "rb"))
+            file = stack.enter_context(self._opened())
             records = StreamReader(file, emit_chunks=True, record_size_limit=LARGEST_RECORD).records
             while not self._closed:
                 try:
                     record = next(records)
                 except StopIteration:
                     return
-                except _DAMAGE as error:
+                except (*_DAMAGE, OSError) as error:
                     self._note(f"cannot be read beyond byte {file.tell()} ({_said(error)})")
                     return
                 if not isinstance(record, Chunk):
@@ -239,17 +241,20 @@ class McapRecording:
                 for one in inner:
                     yield one, intact
 
-    def _read_head(self) -> tuple[CameraInfo, ...]:
-        """Read what precedes the first message; note a missing end."""
+    def _opened(self) -> BufferedReader:
         try:
-            with open(self.path, "rb") as file:
-                if file.read(len(_MAGIC)) != _MAGIC:
-                    raise InputError(f"{self.path}: is not an MCAP file; record it again or name another")
-                file.seek(-len(_MAGIC), 2)
-                if file.read() != _MAGIC:
-                    self._note("its writer did not finish; it is read up to where it was cut")
+            return open_file(self.path)
         except OSError as error:
             raise InputError(f"{self.path}: cannot be read: {error.strerror}") from None
+
+    def _read_head(self) -> tuple[CameraInfo, ...]:
+        """Read what precedes the first message; note a missing end."""
+        with self._opened() as file:
+            if file.read(len(_MAGIC)) != _MAGIC:
+                raise InputError(f"{self.path}: is not an MCAP file; record it again or name another")
+            file.seek(-len(_MAGIC), 2)
+            if file.read() != _MAGIC:
+                self._note("its writer did not finish; it is read up to where it was cut")
         if self.path.suffix == ".part":
             self._note("its writer did not finish; it is read up to where it was cut")
         metadata: dict[str, dict[str, str]] = {}
@@ -328,14 +333,19 @@ def _said(error: BaseException) -> str:
 
 def _camera_info(name: str, fields: dict[str, str]) -> CameraInfo:
     clock, event = fields["clock"], fields["stamp_event"]
+    width, height, bits = (int(fields[key]) for key in ("width", "height", "bit_depth"))
+    rate_hz = float(fields["frame_rate_hz"])
+    n_bytes = width * height * (1 if bits <= 8 else 2)
+    if min(width, height, bits) < 1 or bits > 16 or n_bytes > MOST_IMAGE_BYTES or not 0 <= rate_hz < math.inf:
+        raise ValueError(f"{width}x{height} px of {bits} bit at {rate_hz:g} frames/s")
     if clock not in ("device", "host", "session") or event not in layout.EVENTS:
         raise ValueError(f"clock {clock!r}, stamp event {event!r}")
     return CameraInfo(
         name,
-        int(fields["width"]),
-        int(fields["height"]),
-        int(fields["bit_depth"]),
-        float(fields["frame_rate_hz"]),
+        width,
+        height,
+        bits,
+        rate_hz,
         clock,  # type: ignore[arg-type]
         event,
     )

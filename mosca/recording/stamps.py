@@ -14,7 +14,8 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Protocol, cast, get_args
 
-from mosca.data.files.decimals import integers
+from mosca.data.files.bounded import MOST_TABLE_BYTES, read_text
+from mosca.data.files.decimals import BLANKS, integers
 from mosca.data.frames import FrameStatus
 from mosca.errors import InputError
 
@@ -99,9 +100,10 @@ def read_stamps(path: Path, cameras: dict[str, str], rate_hz: float | None) -> T
 
 
 def _lines(path: Path) -> list[tuple[int, dict[str, str]]]:
+    text = read_text(path, "a CSV table", "utf-8-sig", MOST_TABLE_BYTES)
     try:
-        reader = csv.reader(io.StringIO(path.read_text(encoding="utf-8-sig"), newline=""), strict=True)
-        header = [name.strip() for name in next(reader, [])]
+        reader = csv.reader(io.StringIO(text, newline=""), strict=True)
+        header = [name.strip(BLANKS) for name in next(reader, [])]
         missing = [name for name in COLUMNS[:3] if name not in header]
         if missing:
             raise InputError(
@@ -114,9 +116,9 @@ def _lines(path: Path) -> list[tuple[int, dict[str, str]]]:
                 continue
             if len(cells) != len(header):
                 raise InputError(f"{path}, line {reader.line_num}: {len(cells)} values for {len(header)} columns")
-            row = dict(zip(header, (cell.strip() for cell in cells), strict=True))
+            row = dict(zip(header, (cell.strip(BLANKS) for cell in cells), strict=True))
             lines.append((reader.line_num, row))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+    except csv.Error as error:
         raise InputError(f"{path}: cannot be read as CSV: {error}") from None
     return lines
 

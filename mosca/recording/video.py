@@ -21,23 +21,37 @@ from av.container import InputContainer
 from av.video.frame import VideoFrame
 
 from mosca.data.arrays import Array
+from mosca.data.files.bounded import open_file
 from mosca.data.frames import CameraInfo, Frame
 from mosca.data.rig import Camera
 from mosca.errors import InputError
+from mosca.recording.ffv1 import has_good_slices, has_good_sum, is_without_sums
 from mosca.recording.folder import check_size
 from mosca.recording.image_sequence import dropped_frame, numbered_frame
 from mosca.recording.stamps import Stamps
 
 VIDEO_SUFFIXES = (".mp4", ".mkv", ".avi")
+LARGEST_PX = 1 << 26
+"""Of an image [px]; 8K has half of it. A decoder keeps several images, up to 8 bytes a pixel."""
+_OPTIONS = {
+    # a file of these names may list other files and addresses, which FFmpeg would open
+    "format_whitelist": "matroska,mov,avi",
+    "protocol_whitelist": "file",
+    "max_pixels": str(LARGEST_PX),
+}
 
 
 @dataclass(frozen=True)
 class VideoFeed:
-    """One camera's video file; ``numbers`` maps presentation time -> frame number, counted from 0."""
+    """One camera's video file; ``numbers`` maps presentation time -> frame number, counted from 0.
+
+    ``damaged``: presentation times of packets that are not as they were written, though they may be decoded.
+    """
 
     info: CameraInfo
     path: Path
     numbers: dict[int, int]
+    damaged: frozenset[int] = frozenset()
 
     def frame_numbers(self) -> set[int]:
         """Return the numbers of the frames that the file holds."""
@@ -80,6 +94,8 @@ class VideoFeed:
             for frame in frames:
                 if not isinstance(frame, VideoFrame) or frame.is_corrupt or frame.pts not in self.numbers:
                     continue
+                if frame.pts in self.damaged:
+                    continue
                 if (frame.width, frame.height) == (self.info.width, self.info.height):
                     yield self.numbers[frame.pts], luma(frame)
 
@@ -101,16 +117,21 @@ def luma(frame: VideoFrame) -> Array:
 def open_video(path: Path) -> InputContainer:
     """Open a video file; InputError for other files."""
     try:
-        container = av.open(str(path), metadata_errors="replace")  # titles and the like, which nothing here reads
+        open_file(path).close()  # FFmpeg would wait for a named pipe
+        # metadata: titles and the like, which nothing here reads
+        container = av.open(f"file:{path}", options=_OPTIONS, metadata_errors="replace")
     except (av.error.FFmpegError, OSError) as error:
         raise InputError(f"{path}: cannot be read as a video: {error.strerror}") from None
     if not container.streams.video:
         container.close()
         raise InputError(f"{path}: holds no video stream")
-    stream = container.streams.video[0]
-    if not (stream.width > 0 and stream.height > 0) or stream.codec_context.pix_fmt is None:
+    context = container.streams.video[0].codec_context
+    # None where its coding is unknown; no size where that is too large
+    if context is None or not (context.width > 0 and context.height > 0) or context.pix_fmt is None:
         container.close()
-        raise InputError(f"{path}: does not state its images' size and pixel format; convert it with ffmpeg")
+        raise InputError(
+            f"{path}: states no known coding, pixel format and size up to {LARGEST_PX} px; convert it with ffmpeg"
+        )
     return container
 
 
@@ -123,12 +144,14 @@ def video_feed(name: str, path: Path, camera: Camera | None, rate_hz: float) -> 
         stream = container.streams.video[0]
         check_size(path, (stream.width, stream.height), camera)
         bits = stream.format.components[0].bits
-        numbers, note = _number(_presentation_times(container), path)
+        times, damaged, unsummed = _packets(container, path)
+        numbers, note = _number(times, path)
+        note = note or unsummed
         seconds = container.duration / av.time_base if container.duration else 0.0
         if stream.average_rate and seconds * float(stream.average_rate) > max(numbers.values()) + 3:
             note = note or f"{path}: cut short: it states {seconds:.3f} s and ends earlier"
         info = CameraInfo(name, stream.width, stream.height, max(8, bits), rate_hz)
-    return VideoFeed(info, path, numbers), note
+    return VideoFeed(info, path, numbers, damaged), note
 
 
 def stated_rate_hz(path: Path) -> float | None:
@@ -138,16 +161,38 @@ def stated_rate_hz(path: Path) -> float | None:
     return float(rate) if rate else None
 
 
-def _presentation_times(container: InputContainer) -> list[int]:
+def _packets(container: InputContainer, path: Path) -> tuple[list[int], frozenset[int], str]:
+    """Return the presentation times, those of damaged packets, and a note ("" where damage is seen).
+
+    Damage is seen in FFV1 with checksums; behind a damaged packet it decodes wrongly up to the next key frame.
+    """
+    stream = container.streams.video[0]
+    record = bytes(stream.codec_context.extradata or b"") if stream.codec_context.name == "ffv1" else None
+    if record and not has_good_sum(record):
+        raise InputError(f"{path}: what it says of its coding (FFV1) is damaged; copy the file anew")
     times: set[int] = set()
-    packets = container.demux(container.streams.video[0])
+    damaged: set[int] = set()
+    any_good, any_plain, broken = False, False, False
+    packets = container.demux(stream)
     while True:
         try:
             packet = next(packets)
         except (StopIteration, av.error.FFmpegError):
-            return sorted(times)
-        if packet.pts is not None and packet.size:
+            break
+        if not packet.size:
+            continue
+        if record:
+            good = has_good_slices(data := bytes(packet))
+            any_good, any_plain = any_good or good, any_plain or (not good and is_without_sums(data))
+            broken = not good or (broken and not packet.is_keyframe)
+        if packet.pts is not None:
             times.add(packet.pts)
+            if broken:
+                damaged.add(packet.pts)
+    if record is None or (record and (any_good or not any_plain)):
+        return sorted(times), frozenset(damaged), ""
+    note = f"{path}: its FFV1 has no checksums, so damage is not seen; encode with -level 3 -slicecrc 1"
+    return sorted(times), frozenset(), note
 
 
 def _number(times: list[int], path: Path) -> tuple[dict[int, int], str]:

@@ -10,7 +10,7 @@ from mosca.data.targets import CodedTarget, ScaleBar, TestField
 from mosca.errors import InputError
 from mosca.formats.sheets.sheet_scale import as_printed, scale_of_ruler, scale_of_scan
 from mosca.formats.sheets.target_sheet import lay_out_sheets
-from mosca.recording.images import decode_image
+from mosca.recording.folder import read_image
 
 LARGEST_DOT_PX = 10_000.0
 TARGET_KEYS = ("dot_radius_m", "ring_inner_m", "ring_outer_m", "plate_m")
@@ -33,11 +33,9 @@ def scale_from_scan(
     targets = _printed(path)
     if isinstance(targets, Board):
         raise InputError(f"{path}: a board has no coded targets that a scan shows; measure its ruler, --ruler")
-    if not scan.is_file():
-        raise InputError(f"{scan}: no such file")
-    image, fault = decode_image(scan.read_bytes())
+    image, fault = read_image(scan)
     if image is None:
-        raise InputError(f"{scan}: {fault}")
+        raise InputError(fault)
     settings = CodedSettings(colour=colour, maximum_dot_px=LARGEST_DOT_PX)
     found = find_coded(image, scan.name, settings, 8 * image.dtype.itemsize)
     sheets = lay_out_sheets(targets, page)

@@ -14,6 +14,7 @@ from hardware.pulse_grid import SentPulse
 from hardware.settings import RigHardware, read_hardware
 from hardware.source import HardwareSource, OpenCamera, OpenTrigger
 from hardware.triggers import open_trigger
+from mosca.data.files.bounded import read_text
 from mosca.data.files.rig_file import read_rig, read_rig_file
 from mosca.data.files.whole_file import check_folder
 from mosca.data.rig import Rig
@@ -190,7 +191,7 @@ def _calibrated(path: Path) -> Rig | None:
 
 
 def _recording(request: CaptureRequest, source: HardwareSource, pulses: int | None) -> RecordingWriter:
-    text = request.rig.read_text(encoding="utf-8")
+    text = read_text(request.rig, "a rig file")
     if request.detections:
         return RecordingWriter(request.out, source.cameras, text, holds="detections", tail_bytes=0)
     # before packing, as nobody knows how far these images pack; without an end the take may fill the disk

@@ -11,7 +11,7 @@ from hardware.transport.merger import MergedSet
 from hardware.transport.station_state import ReceiverStatistics
 from mosca.data.detections import Detections
 from mosca.data.files.rig_file import CameraTable, RigFile, camera_of, read_rig, read_rig_file, rig_toml
-from mosca.data.files.toml import check
+from mosca.data.files.toml import check, parse_toml
 from mosca.data.frames import FrameSet
 from mosca.data.rig import Rig
 from mosca.errors import InputError
@@ -86,7 +86,7 @@ def calibrated_rig(path: Path, from_stations: Callable[[], Mapping[str, str]]) -
 
 def _parsed(station: str, text: str) -> RigFile:
     try:
-        return check(RigFile, tomllib.loads(text), f"rig file of station {station}")
+        return check(RigFile, parse_toml(text), f"rig file of station {station}")
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"rig file of station {station}: not valid TOML: {error}") from None
 

@@ -15,6 +15,7 @@ from hardware.transport.receiver import Receiver
 from hardware.transport.sender import Sender
 from hardware.transport.station_state import Event, ReceiverSettings
 from hardware.transport.transport import check_station, check_stations
+from mosca.data.files.bounded import read_text
 from mosca.data.files.rig_file import read_rig, read_rig_file
 from mosca.data.files.toml import check
 from mosca.data.tracks import Samples, table
@@ -50,7 +51,7 @@ def detect_on_station(
     spec = reconstruct_spec(settings_path, overrides)
     detection = reconstruct_settings(spec, settings_path).detection
     names = tuple(table.name for table in read_rig_file(rig).camera)
-    text = rig.read_text(encoding="utf-8")
+    text = read_text(rig, "a rig file")
     devices: RigOfStation | None = None
     if recording is None:
         devices = RigOfStation(read_hardware(rig))
@@ -122,7 +123,7 @@ def reconstruct_stations(
             {table.name: table.size for table in file.camera},
             rate,
             ReceiverSettings(MergeSettings(deadline_s)),
-            rig_path.read_text(encoding="utf-8"),
+            read_text(rig_path, "a rig file"),
             on_event=lambda event: report(_line(event)),
         )
         stack.enter_context(receiver)

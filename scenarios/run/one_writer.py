@@ -10,10 +10,13 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, TextIO
 
+from mosca.data.files.bounded import parse_json
 from mosca.data.files.whole_file import check_folder
 from mosca.errors import InputError
 
 LOG = logging.getLogger(__name__)
+HOLDER_BYTES = 4096
+"""Of a lock file that are read: who holds it takes some hundred."""
 
 
 @contextmanager
@@ -80,7 +83,7 @@ def _locked(path: Path, out: Path) -> TextIO:
 def _holder(file: TextIO) -> dict[str, Any]:
     file.seek(0)
     try:
-        found = json.loads(file.read() or "{}")
+        found = parse_json(file.read(HOLDER_BYTES) or "{}")
     except ValueError:  # cut short
         return {"pid": "unknown"}
     return found if isinstance(found, dict) else {}

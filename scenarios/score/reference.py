@@ -17,6 +17,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from mosca.data.arrays import Array
+from mosca.data.files.bounded import MOST_TEXT_BYTES, open_file
 from mosca.data.motion.joint_csv import read_points_csv
 from mosca.data.truth import Truth, read_truth
 from mosca.errors import InputError
@@ -94,8 +95,8 @@ def _read_wide_csv(path: Path) -> ReferenceTrajectories | None:
     """Return the reference in a table ``time,NAME.x,NAME.y,NAME.z,...`` [s, m]; None for another table."""
     if not path.is_file():
         return None
-    with path.open("rb") as file:
-        first = file.readline().split(b",")
+    with open_file(path) as file:
+        first = file.readline(MOST_TEXT_BYTES).split(b",")
     if first[0].strip().strip(b'"').lower() != b"time":
         return None
     motion = read_points_csv(path)

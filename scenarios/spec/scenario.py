@@ -284,12 +284,15 @@ def _override(document: dict[str, Any], text: str) -> None:
     if not equals or not key.strip():
         raise InputError(f"--set {text}: KEY=VALUE is wanted, for example --set capture.duration_s=2")
     try:
-        parsed = parse_toml(f"value = {value}")["value"]
+        parsed = parse_toml(f"value = {value}")
     except UnboundedTomlError as error:
         raise InputError(f"--set {key.strip()[:60]}: {error}") from None
     except tomllib.TOMLDecodeError:
-        parsed = value  # a bare word is meant as a string
-    set_key(document, key.strip(), parsed, f"--set {text}")
+        parsed = {"value": value}  # a bare word is meant as a string
+    # a list may take several lines, a word or another key may not
+    if len(parsed) > 1 or "\n" in key or (parsed["value"] == value and "\n" in value):
+        raise InputError(f"--set {text[:60]}: holds several lines; give each KEY=VALUE a --set of its own")
+    set_key(document, key.strip(), parsed["value"], f"--set {text}")
 
 
 def set_key(document: dict[str, Any], key: str, value: Any, given: str) -> None:

@@ -63,6 +63,7 @@ def _dialect_expected(folder: Path) -> Any:
         if not isinstance(table, dict) or key == "metadata" or table.get("ignore") is True:
             continue
         number = table.get("cam_id", table.get("port"))
+        number = int(number) if isinstance(number, float) and number.is_integer() else number
         name = table.get("name") or (f"cam_{number}" if number is not None else key)
         name = re.sub(r"[^A-Za-z0-9_ .-]", "_", name)
         name = name if re.match("[A-Za-z0-9_]", name) else f"cam_{name}"
@@ -190,7 +191,7 @@ def _selfcal_expected(folder: Path) -> Any:
     cameras = []
     for k in range(len(sizes)):
         text = (folder / f"basename{k + 1}.rad").read_text("utf-8-sig")
-        plain([one.split("=")[1] for one in text.splitlines() if re.match(r"\s*(K\d\d|kc\d)\s*=", one)])
+        plain([one.split("=")[1] for one in text.split("\n") if re.match(r"\s*(K\d\d|kc\d)\s*=", one)])
         lines = (folder / f"camera{k + 1}.Pmat.cal").read_text("utf-8-sig").splitlines()
         p = plain(" ".join(one for one in lines if one.lstrip()[:1] not in ("#", "%")).split()).reshape(3, 4)
         name = names[k] if len(names) == len(sizes) else f"cam_{k + 1}"

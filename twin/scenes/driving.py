@@ -7,7 +7,6 @@ stall_torque (pwm / 255 - wheel speed / free speed): a permanent-magnet motor on
 Given commands are lines of text, the ones that a program sends to the real robot (``{"left": 120, "right": 80}``).
 """
 
-import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -15,6 +14,7 @@ import mujoco
 import numpy as np
 
 from mosca.data.arrays import Array
+from mosca.data.files.bounded import parse_json
 from mosca.errors import InputError
 from twin.scenes.scene import Commands
 from twin.scenes.world import Box
@@ -91,9 +91,9 @@ def given(lines: Sequence[tuple[int, str]], box: Box) -> Sides:
 def read_command(line: str) -> tuple[float, float]:
     """Return the PWM of the left and the right side that a line of JSON gives, -255..255; InputError otherwise."""
     try:
-        told = json.loads(line)
+        told = parse_json(line)
         left, right = float(told["left"]), float(told["right"])
-    except (ValueError, KeyError, TypeError, RecursionError):
+    except (ValueError, KeyError, TypeError):
         raise InputError(
             f'robot: command {line[:60]!r} given; {{"left": PWM, "right": PWM}} is wanted, -255 to 255 each'
         ) from None

@@ -12,7 +12,8 @@ import trimesh
 from pydantic import BeforeValidator, Field
 
 from mosca.data.arrays import Array
-from mosca.data.files.decimals import real
+from mosca.data.files.bounded import read_text
+from mosca.data.files.decimals import BLANKS, real
 from mosca.data.files.toml import Table, check, read_toml
 from mosca.errors import InputError
 from twin.scenes.scene import MARKER_GROUP, UNSEEN_GROUP
@@ -59,18 +60,16 @@ def read_marker_table(path: Path) -> tuple[OwnMarker, ...]:
 
 
 def _rows(path: Path) -> list[dict[str, Any]]:
+    lines = read_text(path, "a marker table (CSV or TOML)", "utf-8-sig").splitlines()
     try:
-        lines = path.read_bytes().decode("utf-8-sig").splitlines()
         rows = list(csv.DictReader(lines, strict=True, skipinitialspace=True))
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file; a marker table (CSV or TOML) is wanted") from None
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+    except csv.Error as error:
         raise InputError(f"{path}: cannot be read as a CSV table: {error}") from None
     for k, row in enumerate(rows, 2):
         if None in row or None in row.values():
             raise InputError(f"{path}: row {k} has not as many cells as the header; fill it up")
     # An empty cell means the default.
-    return [{key: cell.strip() for key, cell in row.items() if cell.strip()} for row in rows]
+    return [{key: cell.strip(BLANKS) for key, cell in row.items() if cell.strip(BLANKS)} for row in rows]
 
 
 @dataclass(frozen=True, eq=False)

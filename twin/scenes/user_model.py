@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 
 from mosca.data.arrays import Array
+from mosca.data.files.bounded import MOST_TABLE_BYTES, read_text
 from mosca.data.files.decimals import reals
 from mosca.data.motion.motion import LARGEST_NUMBER
 from mosca.errors import InputError
@@ -140,7 +141,7 @@ def _load(path: Path) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
         raise InputError(f"{path}: no such file; an MJCF (.xml) or URDF (.urdf) model is wanted")
     try:
         if path.suffix.lower() == ".urdf":
-            text = path.read_text(encoding="utf-8")
+            text = read_text(path, "a URDF model", most_bytes=MOST_TABLE_BYTES)
             if "<mujoco" not in text:
                 text = re.sub(r"(<robot\b[^>]*>)", rf"\1{_URDF_EXTENSION}", text, count=1)
             spec = mujoco.MjSpec.from_string(text)
@@ -211,12 +212,11 @@ def _let_go(model: mujoco.MjModel, duration_s: float, source: str) -> tuple[Arra
 
 
 def _read_table(path: Path, model: mujoco.MjModel, duration_s: float) -> tuple[Array, Array]:
+    text = read_text(path, "a CSV of time and qpos", most_bytes=MOST_TABLE_BYTES)
     try:
-        rows = [line.split(",") for line in path.read_text(encoding="utf-8").splitlines() if line.strip()]
+        rows = [line.split(",") for line in text.splitlines() if line.strip()]
         table = np.array([reals(row) for row in rows[1:]], dtype=np.float64)
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file; a CSV of time and qpos is wanted") from None
-    except (OSError, ValueError) as error:
+    except ValueError as error:
         raise InputError(f"{path}: a header and rows of {model.nq + 1} numbers are wanted: {error}") from None
     if table.ndim != 2 or table.shape[1] != model.nq + 1 or len(table) < 2:
         raise InputError(

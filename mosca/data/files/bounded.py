@@ -1,18 +1,26 @@
 """How every reader opens a file that it did not write: a regular file, of a size that it can hold.
 
 What is refused raises ``OSError`` with a text that says what to do, so that a reader reports it as any file that
-cannot be read.
+cannot be read. ``tests/reader_law.py`` lists the few other places that open or parse what they did not write.
 """
 
 import errno
+import json
 import os
 import re
 import stat
-from io import BufferedReader
+from io import BufferedReader, TextIOWrapper
 from pathlib import Path
+from typing import Any
+
+from mosca.errors import InputError
 
 MOST_TEXT_BYTES = 1 << 23
 """Of a text file that is parsed as a whole [B]: a parsed one takes some twenty times its size in memory."""
+MOST_TABLE_BYTES = 1 << 27
+"""Of a text file of rows of numbers [B]: as parsed cells it takes some six times its size in memory."""
+MOST_IMAGE_BYTES = 3 << 27
+"""Of an image, as a file and decoded [B]: the largest sensors have 151 million pixels of 16 bit, 302 MB."""
 MOST_DEPTH = 64
 """Of tables and lists inside each other; no file of this project needs more than ten."""
 
@@ -50,6 +58,39 @@ def open_file(path: str | Path, most_bytes: int | None = None, *, links: bool = 
     except BaseException:
         os.close(handle)
         raise
+
+
+def read_bytes(path: str | Path, most_bytes: int = MOST_TEXT_BYTES) -> bytes:
+    """Return what a regular file holds; OSError as ``open_file``."""
+    with open_file(path, most_bytes) as file:
+        return file.read(os.fstat(file.fileno()).st_size)  # a file that grows is read as it was
+
+
+def read_text(path: str | Path, what: str, encoding: str = "utf-8", most_bytes: int = MOST_TEXT_BYTES) -> str:
+    """Return the text of a regular file, its line ends as \\n; InputError in one line where it has none.
+
+    ``what`` is wanted, e.g. "a BVH file".
+    """
+    try:
+        with TextIOWrapper(open_file(path, most_bytes), encoding=encoding) as file:
+            return file.read()
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file; {what} is wanted") from None
+    except IsADirectoryError:
+        raise InputError(f"{path}: is a folder; {what} is wanted") from None
+    except UnicodeDecodeError as error:
+        reason = f"no {encoding} text ({error.reason} at byte {error.start})"
+        raise InputError(f"{path}: cannot be read: {reason}; {what} is wanted") from None
+    except (OSError, UnicodeError) as error:
+        raise InputError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
+
+
+def parse_json(text: str | bytes) -> Any:
+    """Return what a JSON text holds; ValueError where it is none, too deep, or has a number of too many digits."""
+    if isinstance(text, bytes):
+        text = text.decode("utf-8")
+    check_brackets(text)
+    return json.loads(text)
 
 
 def check_brackets(text: str) -> None:

@@ -6,6 +6,9 @@ number, and so are digits of other scripts. Here both are errors.
 
 from collections.abc import Iterable
 
+BLANKS = " \t"
+"""What may stand around a cell. Python's ``strip`` takes more, so that a damaged cell would be an empty one."""
+
 
 def real(text: str) -> float:
     """Return a decimal number, or the one that ``nan`` and ``inf`` mean; ValueError for anything else."""

@@ -24,6 +24,7 @@ import numpy as np
 from pydantic import Field, TypeAdapter, model_validator
 
 from mosca.data.arrays import Array, set_read_only
+from mosca.data.files.bounded import read_text
 from mosca.data.files.decimals import real
 from mosca.data.files.file_kind import other_kind
 from mosca.data.files.target_tables import TABLES, CalibrationTable, CalibrationTarget
@@ -126,12 +127,7 @@ def read_measured_points(path: Path, target: PointsTarget) -> MeasuredPoints:
     Numbers are parted by blanks, commas, semicolons or tabs; empty lines and what follows a # are skipped.
     InputError names the file and the line.
     """
-    try:
-        text = Path(path).read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file; 'file' is relative to the recording") from None
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: cannot be read as text: {error}") from None
+    text = read_text(path, "the 'file' of a target, relative to the recording,")
     wanted = len(target.columns)
     rows: list[list[float]] = []
     for number, line in enumerate(text.splitlines(), start=1):

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from mosca.data.arrays import Array
+from mosca.data.files.bounded import MOST_TABLE_BYTES, read_text
 from mosca.data.motion.motion import (
     END_SUFFIX,
     Motion,
@@ -21,7 +22,6 @@ from mosca.data.motion.motion import (
     number,
     numbers,
     quaternions_from_euler,
-    read_text,
     rotations_in_world,
     without_flips,
 )
@@ -60,11 +60,11 @@ def read_asf_amc(
     AMC states no frame rate: CMU's is 120 Hz. ``metres_per_unit``: instead of 0.0254 / ``length``. Bones that the AMC
     never names keep the rest pose. Raises InputError naming file, line and what is expected.
     """
-    subject = _read_asf(read_text(asf, "ASF"), asf)
+    subject = _read_asf(read_text(asf, "an ASF file", "latin-1"), asf)
     unit = METRES_PER_INCH / subject.length if metres_per_unit is None else metres_per_unit
     if not (unit > 0 and frame_rate_hz > 0):
         raise InputError(f"{amc}: metres_per_unit and frame_rate_hz must be positive")
-    values, in_degrees = _read_amc(read_text(amc, "AMC"), amc, subject)
+    values, in_degrees = _read_amc(read_text(amc, "an AMC file", "latin-1", MOST_TABLE_BYTES), amc, subject)
     return _motion(subject, values, frame_rate_hz, unit, in_degrees)
 
 
@@ -76,8 +76,10 @@ def _read_asf(text: str, path: Path) -> _Subject:
         if not words or words[0].startswith("#"):
             continue
         where = f"{path}: line {line_number}"
+        if bone is not None and (words[0] == "begin" or words[0].startswith(":")):
+            raise InputError(f"{where}: '{words[0]}' stands in a bone that has not ended; 'end' is wanted before it")
         if words[0].startswith(":"):
-            section, bone = words[0][1:], None
+            section = words[0][1:]
         elif section == "units" and len(words) == 2 and words[0] == "length":
             subject.length = number(words[1], where)
             if not subject.length > 1e-6:
@@ -97,6 +99,8 @@ def _read_asf(text: str, path: Path) -> _Subject:
             _read_bone_line(bone, words, where)
         elif section == "hierarchy" and words[0] not in ("begin", "end"):
             _read_children(subject.bones, words, where)
+    if bone is not None:
+        raise InputError(f"{path}: its last bone has no 'end'; it is cut short")
     if not subject.root_channels:
         raise InputError(f"{path}: no ':root' section with an 'order' line; an ASF file is wanted")
     loose = [b.name for b in subject.bones.values() if b.name != "root" and not b.parent]

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from mosca.data.arrays import Array
+from mosca.data.files.bounded import MOST_TABLE_BYTES, read_text
 from mosca.data.motion.motion import (
     END_SUFFIX,
     Motion,
@@ -18,7 +19,6 @@ from mosca.data.motion.motion import (
     number,
     numbers,
     quaternions_from_euler,
-    read_text,
     rotations_in_world,
     without_flips,
 )
@@ -47,7 +47,7 @@ def read_bvh(
     channels of joints other than the root are accepted where they do not change. Raises InputError naming file, line
     and what is expected.
     """
-    text = read_text(path, "BVH")
+    text = read_text(path, "a BVH file", "latin-1", MOST_TABLE_BYTES)
     head, found, body = text.partition("MOTION")
     if not found:
         raise InputError(f"{path}: no 'MOTION' section; a BVH file is wanted")

@@ -11,7 +11,9 @@ from pathlib import Path
 import numpy as np
 
 from mosca.data.arrays import Array
-from mosca.data.motion.motion import PointMotion, in_world, number, read_text
+from mosca.data.files.bounded import MOST_TABLE_BYTES, read_text
+from mosca.data.files.decimals import BLANKS
+from mosca.data.motion.motion import PointMotion, in_world, number
 from mosca.errors import InputError
 
 
@@ -21,17 +23,14 @@ def read_points_csv(path: Path, *, metres_per_unit: float = 1.0, y_up: bool = Fa
     The header's first column is ``time`` [s] (any case); ``y_up``: the file's world has Y up, as converted BVH files
     do. Raises InputError naming file, line and what is expected.
     """
+    text = read_text(path, "a CSV table", "utf-8-sig", MOST_TABLE_BYTES)
     try:
-        rows = [
-            row
-            for row in csv.reader(io.StringIO(read_text(path, "CSV", "utf-8-sig"), newline=""), strict=True)
-            if row
-        ]
+        rows = [row for row in csv.reader(io.StringIO(text, newline=""), strict=True) if row]
     except csv.Error as error:
         raise InputError(f"{path}: not a CSV table: {error}") from None
     if len(rows) < 2:
         raise InputError(f"{path}: {len(rows)} lines given; a header and one line of numbers at least wanted")
-    names = _point_names([cell.strip() for cell in rows[0]], path)
+    names = _point_names([cell.strip(BLANKS) for cell in rows[0]], path)
     table = np.array([_row(row, len(rows[0]), f"{path}: row {k}") for k, row in enumerate(rows[1:], 2)])
     time_s = table[:, 0]
     if np.isnan(time_s).any() or np.any(np.diff(time_s) <= 0):
@@ -56,4 +55,4 @@ def _row(cells: list[str], width: int, where: str) -> Array:
     if len(cells) != width:
         raise InputError(f"{where}: {len(cells)} cells given, {width} wanted as in the header")
     empty = ("", "nan")
-    return np.array([np.nan if c.strip().lower() in empty else number(c.strip(), where) for c in cells])
+    return np.array([np.nan if c.lower() in empty else number(c, where) for c in (c.strip(BLANKS) for c in cells)])

@@ -7,7 +7,6 @@ facing the file's +z faces the world's -y and has its left at +x.
 """
 
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
 
@@ -181,25 +180,6 @@ def rotations_in_world(wxyz: Array) -> Array:
     """Return quaternions (..., 4) of file rotations with Y up as rotations of the world's axes."""
     # R' = A R A^T rotates the rotation's axis by A and leaves its angle.
     return np.concatenate([wxyz[..., :1], in_world(wxyz[..., 1:])], axis=-1)
-
-
-def read_text(path: Path, what: str, encoding: str = "latin-1") -> str:
-    """Return the text of file ``path``; InputError where it cannot be read. ``what`` names the format.
-
-    ``encoding``: Latin-1 takes any bytes, for formats of which ASCII alone is read.
-    """
-    try:
-        return path.read_bytes().decode(encoding)
-    except UnicodeDecodeError as error:
-        raise InputError(
-            f"{path}: is no {encoding} text ({error.reason} at byte {error.start}); a {what} file is wanted"
-        ) from None
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file; a {what} file is wanted") from None
-    except IsADirectoryError:
-        raise InputError(f"{path}: is a folder; a {what} file is wanted") from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
 
 
 def number(token: str, where: str) -> float:

@@ -18,6 +18,8 @@ from mosca.data.rotations import nearest_rotation
 from mosca.errors import InputError
 
 Notes = tuple[str, ...]
+CALIBRATION = "a file of a calibration"
+"""What is wanted where one is missing."""
 """What was assumed, fitted or left out, one line each, for the person who converts."""
 
 COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4", "tauX", "tauY")
@@ -188,18 +190,6 @@ def named(cameras: Sequence[Camera], path: Path) -> tuple[tuple[Camera, ...], No
         if names.count(name) > 1:
             raise InputError(f"{path}: camera name '{name}' stands twice; give each camera its own name")
     return tuple(renamed), tuple(notes)
-
-
-def read_text(path: Path) -> str:
-    """Return a small text file; InputError where it is missing, a folder or no text."""
-    try:
-        return path.read_text(encoding="utf-8-sig")
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file") from None
-    except IsADirectoryError:
-        raise InputError(f"{path}: is a folder; a file is wanted") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read: {error}") from None
 
 
 def numbers(text: str, path: Path) -> list[float]:

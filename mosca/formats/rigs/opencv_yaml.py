@@ -14,22 +14,28 @@ import cv2
 import numpy as np
 
 from mosca.data.arrays import Array
-from mosca.data.files.bounded import check_brackets
+from mosca.data.files.bounded import read_text
 from mosca.data.files.whole_file import write_text
 from mosca.data.rig import Camera, Pose
 from mosca.data.rotations import rotation_from_vector
 from mosca.errors import InputError
 from mosca.formats.rigs.lens_conversion import (
+    CALIBRATION,
     Notes,
     RigFileOptions,
     checked_camera,
     opencv_lens,
     opencv_parts,
-    read_text,
     rotation_of,
 )
 
 SUFFIXES = (".yml", ".yaml", ".xml", ".json")
+MOST_OPENED = 4000
+"""Lists and tables in a file: OpenCV's parsers call themselves for each that stands in another one.
+
+20,000 inside each other are read, 40,000 overflow a stack of 8 MiB. They stand no deeper than there are characters
+that may open one; OpenCV's own calibrations have some hundred of them."""
+_MAY_OPEN = ":-[{<"
 MATRIX = ("camera_matrix", "cameraMatrix", "Camera_Matrix", "intrinsic_matrix", "K", "mtx")
 DISTORTION = (
     "distortion_coefficients",
@@ -106,15 +112,16 @@ def write_opencv(cameras: tuple[Camera, ...], path: Path, options: RigFileOption
 
 
 def _opened(path: Path) -> Any:
-    text = read_text(path)
+    text = read_text(path, CALIBRATION, "utf-8-sig")
     if not text.strip():
         raise InputError(f"{path}: is empty; a file of OpenCV's FileStorage is wanted")
     if "\0" in text:
         raise InputError(f"{path}: holds zero bytes; a text file of OpenCV's FileStorage is wanted")
-    try:
-        check_brackets(text)
-    except ValueError as error:
-        raise InputError(f"{path}: {error}; give a calibration as OpenCV writes it") from None
+    if sum(map(text.count, _MAY_OPEN)) > MOST_OPENED:
+        raise InputError(
+            f"{path}: holds more than {MOST_OPENED} of the characters {' '.join(_MAY_OPEN)} that may open a list or "
+            "table; give the calibration without the points that it was computed from"
+        )
     try:
         storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
         opened = storage.isOpened() and storage.root().isMap()

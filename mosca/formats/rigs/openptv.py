@@ -14,17 +14,18 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from mosca.data.arrays import Array
+from mosca.data.files.bounded import read_text
 from mosca.data.files.whole_file import write_text
 from mosca.data.rig import Camera, MoscaLens, Pose
 from mosca.errors import InputError
 from mosca.formats.rigs.lens_conversion import (
+    CALIBRATION,
     Notes,
     RigFileOptions,
     checked_camera,
     fit_note,
     naming,
     numbers,
-    read_text,
     rotation_of,
 )
 from mosca.formats.rigs.openptv_model import OpenPTVInterior, from_lens, pixel_shape, rolled, to_lens
@@ -95,7 +96,7 @@ def _sensor(folder: Path, options: RigFileOptions) -> tuple[Sensor | None, Notes
     if path is None:
         note = f"{folder}: no ptv.par, which holds the refractive indices; air is taken"
         return None, (note,)
-    lines = [line.strip() for line in read_text(path).splitlines() if line.strip()]
+    lines = [line.strip() for line in read_text(path, CALIBRATION, "utf-8-sig").splitlines() if line.strip()]
     count = lines[0] if lines else ""
     first = 2 * int(count) + 4 if count.isdecimal() and len(count) < 4 else len(lines)
     if len(lines) < first + 8:
@@ -116,7 +117,7 @@ def _sensor(folder: Path, options: RigFileOptions) -> tuple[Sensor | None, Notes
 
 
 def _camera(path: Path, sensor: Sensor | None, options: RigFileOptions) -> tuple[Camera, Notes]:
-    values = numbers(read_text(path), path)
+    values = numbers(read_text(path, CALIBRATION, "utf-8-sig"), path)
     if len(values) not in (18, 21):
         raise InputError(
             f"{path}: {len(values)} numbers given; an .ori has 3 of the centre, 3 angles, 9 of the matrix, 3 of the "
@@ -137,7 +138,7 @@ def _camera(path: Path, sensor: Sensor | None, options: RigFileOptions) -> tuple
             )
         sensor = (options.size_px, options.pixel_mm)
     beside = path.with_name(path.name.removesuffix(".ori") + ".addpar")
-    added = numbers(read_text(beside), beside)
+    added = numbers(read_text(beside, CALIBRATION, "utf-8-sig"), beside)
     if len(added) != 7:
         raise InputError(f"{beside}: {len(added)} numbers given; k1 k2 k3 p1 p2 scx she are wanted")
     if not (c > 0 and added[5] > 0 and abs(added[6]) < 1):

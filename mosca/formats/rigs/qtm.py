@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from mosca.data.files.bounded import read_bytes
 from mosca.data.files.decimals import real
 from mosca.data.files.whole_file import whole_file
 from mosca.data.rig import Camera, OpenCVLens, Pose
@@ -70,9 +71,17 @@ def write_qtm(cameras: tuple[Camera, ...], path: Path, options: RigFileOptions) 
     return notes
 
 
+class _PlainTree(ElementTree.TreeBuilder):
+    """A tree of elements alone: no document type, so no entities either, which could stand for any text or file."""
+
+    def doctype(self, name: str, pubid: str | None, system: str | None) -> None:
+        """Refuse a document type."""
+        raise ValueError(f"<!DOCTYPE {name[:40]}> stands in it")
+
+
 def _root(path: Path) -> Element:
     try:
-        root = ElementTree.fromstring(path.read_bytes())
+        root = ElementTree.fromstring(read_bytes(path), ElementTree.XMLParser(target=_PlainTree()))
     except FileNotFoundError:
         raise InputError(f"{path}: no such file") from None
     except IsADirectoryError:

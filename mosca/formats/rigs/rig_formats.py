@@ -12,6 +12,7 @@ images of different sizes not into OpenPTV's, and more than a stereo pair takes 
 from dataclasses import dataclass
 from pathlib import Path
 
+from mosca.data.files.bounded import open_file
 from mosca.data.files.rig_file import write_rig
 from mosca.data.rig import Camera, Rig
 from mosca.errors import InputError
@@ -100,7 +101,7 @@ def format_of(path: Path) -> str:
     if name.endswith(".ori"):
         return "openptv"
     try:
-        with path.open("rb") as file:
+        with open_file(path) as file:
             head = file.read(HEAD)
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from None

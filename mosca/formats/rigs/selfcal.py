@@ -14,9 +14,11 @@ import numpy as np
 
 from mosca.camera.projection import fit_lens, image_grid, lens_directions
 from mosca.data.arrays import Array
+from mosca.data.files.bounded import read_text
 from mosca.data.rig import Camera, OpenCVLens, Pose
 from mosca.errors import InputError
 from mosca.formats.rigs.lens_conversion import (
+    CALIBRATION,
     Notes,
     RigFileOptions,
     checked_camera,
@@ -24,7 +26,6 @@ from mosca.formats.rigs.lens_conversion import (
     matrix_of,
     numbers,
     opencv_lens,
-    read_text,
     rotation_of,
 )
 
@@ -58,7 +59,7 @@ def _camera(
 ) -> tuple[Camera, str]:
     radial, matrix_path = folder / f"basename{number}.rad", folder / f"camera{number}.Pmat.cal"
     lens = _radial(radial)
-    projection = np.array(numbers(_without_comments(read_text(matrix_path)), matrix_path))
+    projection = np.array(numbers(_without_comments(read_text(matrix_path, CALIBRATION, "utf-8-sig")), matrix_path))
     if len(projection) != 12:
         raise InputError(f"{matrix_path}: {len(projection)} numbers given; a 3 x 4 matrix is wanted")
     interior, rotation, centre = _factors(projection.reshape(3, 4), matrix_path)
@@ -77,7 +78,7 @@ def _camera(
 
 def _radial(path: Path) -> OpenCVLens:
     values = {}
-    for key, text in VALUE.findall(read_text(path)):
+    for key, text in VALUE.findall(read_text(path, CALIBRATION, "utf-8-sig")):
         values[key] = numbers(text, path)[0]
     wanted = [f"K{i}{j}" for i in "123" for j in "123"] + [f"kc{i}" for i in "1234"]
     missing = [key for key in wanted if key not in values]
@@ -108,7 +109,7 @@ def _sizes(folder: Path, count: int, options: RigFileOptions) -> list[tuple[int,
     path = folder / "Res.dat"
     if not path.is_file() and options.size_px is not None:
         return [options.size_px] * count
-    values = numbers(read_text(path), path)
+    values = numbers(read_text(path, CALIBRATION, "utf-8-sig"), path)
     if len(values) != 2 * count or not all(0 < v <= 65535 and v.is_integer() for v in values):
         raise InputError(
             f"{path}: {len(values)} numbers given; width and height of {count} cameras are wanted, whole px"
@@ -118,9 +119,9 @@ def _sizes(folder: Path, count: int, options: RigFileOptions) -> list[tuple[int,
 
 def _names(folder: Path, count: int) -> list[str]:
     path = folder / "camera_order.txt"
-    names = read_text(path).split() if path.is_file() else []
+    names = read_text(path, CALIBRATION, "utf-8-sig").split() if path.is_file() else []
     return names if len(names) == count else [f"cam_{k + 1}" for k in range(count)]
 
 
 def _without_comments(text: str) -> str:
-    return "\n".join(line for line in text.splitlines() if not line.lstrip().startswith(("#", "%")))
+    return "\n".join(line for line in text.split("\n") if not line.lstrip().startswith(("#", "%")))

@@ -14,9 +14,10 @@ import ezc3d
 import numpy as np
 
 from mosca.data.arrays import Array
+from mosca.data.files.bounded import read_bytes
 from mosca.data.files.whole_file import whole_file
 from mosca.errors import InputError
-from mosca.formats.tracks.c3d_checks import fault_of
+from mosca.formats.tracks.c3d_checks import MOST_BYTES, fault_of
 from mosca.formats.tracks.marker_table import MarkerTable, plain_names
 
 # What ezc3d, and reading what it gives, raise on bytes that are not what they should be.
@@ -70,10 +71,9 @@ def read_c3d(path: Path) -> MarkerTable:
     Raises InputError where it cannot be read, is cut short or damaged, has no points or an unknown unit.
     """
     path = Path(path)
-    if not path.is_file():
-        raise InputError(f"{path}: no such file")
     try:
-        fault = fault_of(path.read_bytes())
+        data = read_bytes(path, MOST_BYTES)
+        fault = fault_of(data)
         if fault:
             raise InputError(f"{path}: cannot be read as C3D: {fault}")
         document = ezc3d.c3d(str(path))
@@ -83,11 +83,13 @@ def read_c3d(path: Path) -> MarkerTable:
         rate_hz = float(parameters["RATE"]["value"][0])
         unit = parameters["UNITS"]["value"][0].strip().lower() if parameters["UNITS"]["value"] else "mm"
         first_frame = int(document["header"]["points"]["first_frame"])
-        n_bytes = _bytes_needed(document, path)
+        n_bytes = _bytes_needed(document, data)
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file; a C3D file is wanted") from None
     except _DAMAGE as error:
-        raise InputError(f"{path}: cannot be read as C3D: {error}") from None
-    if n_bytes > path.stat().st_size:
-        raise InputError(f"{path}: cannot be read as C3D: cut short, {path.stat().st_size} of {n_bytes} bytes")
+        raise InputError(f"{path}: cannot be read as C3D: {getattr(error, 'strerror', None) or error}") from None
+    if n_bytes > len(data):
+        raise InputError(f"{path}: cannot be read as C3D: cut short, {len(data)} of {n_bytes} bytes")
     if unit not in METRES_PER:
         raise InputError(f"{path}: POINT:UNITS = {unit!r}; {', '.join(METRES_PER)} are known")
     if points.size == 0 or not rate_hz > 0:
@@ -103,13 +105,12 @@ def read_c3d(path: Path) -> MarkerTable:
     return MarkerTable(names, xyz, measured, deviation, first_frame, rate_hz)
 
 
-def _bytes_needed(document: ezc3d.c3d, path: Path) -> int:
+def _bytes_needed(document: ezc3d.c3d, data: bytes) -> int:
     """Return how long the file must be to hold its frames: ezc3d reads truncated files without an error.
 
     (C3D user guide, header section: words 4 and 5 are the first and last frame, word 9 the data's block.)
     """
-    with open(path, "rb") as file:
-        first, last, block = struct.unpack("<6x2H6xH", file.read(18))
+    first, last, block = struct.unpack_from("<6x2H6xH", data)
     n_frames = max(last - first + 1, document["data"]["points"].shape[2])
     header = document["header"]
     per_point_frame = round(header["analogs"]["frame_rate"] / header["points"]["frame_rate"])

@@ -6,6 +6,8 @@ of the next record, then for a parameter its type, dimensions and values, and a 
 
 import math
 import struct
+from collections.abc import Mapping
+from typing import NamedTuple
 
 BLOCK = 512
 KEY = 0x50
@@ -14,7 +16,16 @@ TYPES = {0xFF: 1, 1: 1, 2: 2, 4: 4}
 """Bytes of a value: characters, bytes, 16-bit whole numbers, floats."""
 NEEDED = {"USED": 2, "SCALE": 4, "RATE": 4, "DATA_START": 2, "FRAMES": 2}
 """Parameters of the group POINT, and bytes of their value at least."""
+SCALARS = ("USED", "RATE", "RATIO", "DATA_START", "GEN_SCALE")
+"""Parameters whose first value ezc3d takes, in the groups that it interprets."""
+INTERPRETED = ("ANALOG", "ROTATION", "FORCE_PLATFORM")
 MOST_DIMENSIONS = 7
+MOST_BYTES = 1 << 26
+"""Of a file [B]: ezc3d takes 17 bytes of memory for an analog sample, of which the file has 2 or 4."""
+MOST_SAMPLES = 3 << 20
+"""Points times frames: ezc3d takes 265 bytes of memory for one, of which the file has 8 or 16."""
+ROTATION_BYTES = 17 * 4
+"""A matrix of 4 x 4 and its reliability."""
 
 
 def fault_of(data: bytes) -> str:
@@ -27,15 +38,26 @@ def fault_of(data: bytes) -> str:
     blocks, processor = data[start + 2], data[start + 3]
     if processor not in PROCESSORS:
         return f"processor {processor} given; 84 (Intel), 85 (DEC) and 86 (MIPS) are known"
+    section, order = data[start : start + BLOCK * max(blocks, 1)], PROCESSORS[processor]
+    held: dict[tuple[str, str], _Value] = {}
     try:
-        return _fault_of_section(data[start : start + BLOCK * max(blocks, 1)], PROCESSORS[processor])
+        return _fault_of_section(section, order, held) or _fault_of_sizes(data, order, held)
     except (IndexError, struct.error):
         return "its parameters run past the end of their section"
 
 
-def _fault_of_section(section: bytes, order: str) -> str:
+class _Value(NamedTuple):
+    """Type, number and first value (as a 16-bit whole number; 0 for others) of a parameter."""
+
+    kind: int
+    n: int
+    first: int
+
+
+def _fault_of_section(section: bytes, order: str, held: dict[tuple[str, str], _Value]) -> str:
+    """Return what is wrong with the parameters; ``held`` is filled with them, by group and name."""
     groups: dict[int, str] = {}
-    parameters: list[tuple[int, str, int, int]] = []
+    parameters: list[tuple[int, str, _Value]] = []
     at = 4
     while section[at]:
         length = abs(struct.unpack_from("b", section, at)[0])
@@ -49,8 +71,10 @@ def _fault_of_section(section: bytes, order: str) -> str:
             if kind not in TYPES or n_dimensions > MOST_DIMENSIONS:
                 return f"parameter {name!r} has type {kind} and {n_dimensions} dimensions"
             count = math.prod(section[end + 2 + k] for k in range(n_dimensions))
-            end += 2 + n_dimensions + count * TYPES[kind]
-            parameters.append((group, name, kind, count))
+            end += 2 + n_dimensions
+            first = struct.unpack_from(f"{order}H", section, end)[0] if kind == 2 and count else 0
+            end += count * TYPES[kind]
+            parameters.append((group, name, _Value(kind, count, first)))
         elif group < 0:
             if -group in groups or name in groups.values():
                 return f"group {name!r} stands twice"
@@ -65,18 +89,36 @@ def _fault_of_section(section: bytes, order: str) -> str:
         if at + step < end:
             return f"record {name!r} overlaps the next"
         at += step
-    return _fault_of_names(groups, parameters)
+    for number, name, value in parameters:
+        if number not in groups:
+            return f"parameter {name!r} is in group {number}, which is not there"
+        held[groups[number], name] = value
+    return _fault_of_values(held)
 
 
-def _fault_of_names(groups: dict[int, str], parameters: list[tuple[int, str, int, int]]) -> str:
-    """Return what is missing, or in no group."""
-    held: dict[tuple[str, str], tuple[int, int]] = {}
-    for group, name, kind, count in parameters:
-        if group not in groups:
-            return f"parameter {name!r} is in group {group}, which is not there"
-        held[groups[group], name] = kind, count
+def _fault_of_values(held: Mapping[tuple[str, str], _Value]) -> str:
+    """Return what is missing or is no number."""
+    for (group, name), value in held.items():
+        if group in INTERPRETED and name in SCALARS and value.n == 0:
+            return f"parameter {group}:{name} has no value"
     for name, width in NEEDED.items():
-        kind, count = held.get(("POINT", name), (0, 0))
+        kind, count, _ = held.get(("POINT", name), _Value(0, 0, 0))
         if count != 1 or TYPES[kind] not in (2, 4) or (width == 4 and kind != 4):
             return f"parameter POINT:{name} is missing or is no number"
     return ""
+
+
+def _fault_of_sizes(data: bytes, order: str, held: Mapping[tuple[str, str], _Value]) -> str:
+    """Return what would take too much memory, or lies behind the end of the file."""
+
+    def stated(group: str, name: str) -> int:
+        return held.get((group, name), _Value(0, 0, 0)).first
+
+    n_points, first, last = struct.unpack_from(f"{order}2xH2x2H", data)
+    n_points, n_frames = max(n_points, stated("POINT", "USED")), max(last - first + 1, stated("POINT", "FRAMES"))
+    if n_points * n_frames > MOST_SAMPLES:
+        return f"{n_points} points in {n_frames} frames; at most {MOST_SAMPLES} samples are read; cut it into parts"
+    # ezc3d ends the process where rotations are missing
+    n_rotations = stated("ROTATION", "USED") * max(stated("ROTATION", "RATIO"), 1) * n_frames
+    end = BLOCK * (stated("ROTATION", "DATA_START") - 1) + n_rotations * ROTATION_BYTES
+    return f"cut short, {len(data)} of {end} bytes" if n_rotations and end > len(data) else ""

@@ -9,6 +9,7 @@ import numpy as np
 
 from mosca.data.arrays import Array
 from mosca.data.files import decimals
+from mosca.data.files.bounded import MOST_TABLE_BYTES, read_text
 from mosca.data.files.whole_file import whole_file
 from mosca.errors import InputError
 
@@ -56,12 +57,10 @@ def read_named(path: Path, needed: Sequence[str], optional: Sequence[str], kind:
 
 
 def _rows(path: Path) -> list[list[str]]:
+    text = read_text(path, "a CSV table", most_bytes=MOST_TABLE_BYTES)
     try:
-        text = Path(path).read_text(encoding="utf-8")
         return list(csv.reader(io.StringIO(text, newline=""), strict=True))
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file") from None
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+    except csv.Error as error:
         raise InputError(f"{path}: cannot be read as CSV: {error}") from None
 
 

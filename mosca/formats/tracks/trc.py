@@ -8,7 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from mosca.data.files.decimals import real
+from mosca.data.files.bounded import MOST_TABLE_BYTES, read_text
+from mosca.data.files.decimals import BLANKS, real
 from mosca.data.files.whole_file import write_text
 from mosca.errors import InputError
 from mosca.formats.tracks.marker_table import MarkerTable, plain_names
@@ -46,15 +47,11 @@ def read_trc(path: Path) -> MarkerTable:
     Raises InputError naming the line, its content and what is expected.
     """
     path = Path(path)
-    try:
-        lines = path.read_text(encoding="utf-8-sig").removesuffix("\n").split("\n")
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read as text: {error}") from None
+    text = read_text(path, "a TRC file", "utf-8-sig", MOST_TABLE_BYTES)
+    lines = text.removesuffix("\n").split("\n")
     if len(lines) < 5 or not lines[0].startswith("PathFileType"):
         raise InputError(f"{path}: not a TRC file; its first line starts with PathFileType")
-    head = dict(zip(lines[1].split("\t"), (cell.strip() for cell in lines[2].split("\t")), strict=False))
+    head = dict(zip(lines[1].split("\t"), (cell.strip(BLANKS) for cell in lines[2].split("\t")), strict=False))
     rate_hz = _number(head.get("DataRate", ""), path, 3, "DataRate")
     unit = head.get("Units", "").lower()
     if unit not in METRES_PER or not rate_hz > 0:
@@ -62,7 +59,7 @@ def read_trc(path: Path) -> MarkerTable:
             f"{path}, line 3: Units = {unit!r} and DataRate = {rate_hz:g}; "
             f"{', '.join(METRES_PER)} and a rate above 0 are allowed"
         )
-    names = tuple(cell.strip() for cell in lines[3].split("\t")[2:] if cell.strip())
+    names = tuple(cell.strip(BLANKS) for cell in lines[3].split("\t")[2:] if cell.strip(BLANKS))
     if not names or len(set(names)) != len(names) or head.get("NumMarkers") != str(len(names)):
         raise InputError(
             f"{path}, line 4: {len(names)} marker names ({len(set(names))} of them distinct), "
@@ -70,7 +67,7 @@ def read_trc(path: Path) -> MarkerTable:
         )
     frames, values = [], []
     for number, line in enumerate(lines[5:], start=6):
-        cells = [cell.strip() for cell in line.split("\t")]
+        cells = [cell.strip(BLANKS) for cell in line.split("\t")]
         if not any(cells):
             continue
         frames.append(_number(cells[0], path, number, "Frame#"))
