@@ -6,6 +6,7 @@ from pathlib import Path
 import import_graph as graph
 import import_law as law
 import pytest
+import reader_law
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -55,6 +56,48 @@ def test_the_law_bites(tmp_path, room, line):
     assert law.violations(tmp_path) == []
     path.write_text(f"import numpy\n{line}\n")
     assert len(law.violations(tmp_path)) == 1
+
+
+def test_files_are_opened_by_bounded_readers():
+    assert reader_law.violations(ROOT) == []
+    assert reader_law.unused(ROOT) == []
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "file = open(path)",
+        "file = open(path, 'rb')",
+        "file = open(path, mode='r+')",
+        "file = open(path, mode)",
+        "file = path.open()",
+        "file = path.open('rb')",
+        "text = Path(path).read_text(encoding='utf-8')",
+        "data = path.read_bytes()",
+        "import numpy as np\nnp.load(path)",
+        "import tomllib\ntomllib.loads(text)",
+        "from json import loads as parsed\nparsed(text)",
+        "def f():\n    import json\n    json.load(file)",
+        "import av\nav.open(path)",
+        "import cv2\ncv2.imread(path)",
+        "import cv2\ncv2.imdecode(data, 0)",
+        "import cv2\ncv2.FileStorage(text, 0)",
+        "import xml.etree.ElementTree as Xml\nXml.parse(path)",
+        "from xml.etree import ElementTree\nElementTree.fromstring(text)",
+        "import mujoco\nmujoco.MjSpec.from_file(path)",
+    ],
+)
+def test_the_law_of_readers_bites(tmp_path, line):
+    path = tmp_path / "mosca" / "recording" / "reader.py"
+    path.parent.mkdir(parents=True)
+    allowed = (
+        "from mosca.data.files.bounded import read_text\n"
+        "read_text(path)\nopen(path, 'wb')\npath.open('x')\nshutter.open(3, 5)\n"
+    )
+    path.write_text(allowed)
+    assert reader_law.violations(tmp_path) == []
+    path.write_text(f"{allowed}{line}\n")
+    assert len(reader_law.violations(tmp_path)) == 1
 
 
 def test_files_can_be_read_in_one_sitting():

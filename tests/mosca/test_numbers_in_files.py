@@ -110,7 +110,7 @@ def test_names_in_a_points_table_are_utf_8(tmp_path):
     path.write_text("time,Füße.x,Füße.y,Füße.z\n0,1,2,3\n", encoding="utf-8-sig")
     assert read_points_csv(path).names == ("Füße",)
     path.write_text("time,Füße.x,Füße.y,Füße.z\n0,1,2,3\n", encoding="latin-1")
-    with pytest.raises(InputError, match=r"p\.csv: is no utf-8-sig text .*a CSV file is wanted"):
+    with pytest.raises(InputError, match=r"p\.csv: cannot be read: no utf-8-sig text .*a CSV table is wanted"):
         read_points_csv(path)
 
 
