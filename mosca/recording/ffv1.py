@@ -1,9 +1,9 @@
 """Are the slices of an FFV1 packet as they were written? FFmpeg's decoder shows damaged ones as good images.
 
-From version 3 on (RFC 9043, sections 4.3 and 4.9) a stream has a configuration record, and a packet is a row of
-slices. Each slice ends with its size (24 bit), a status byte and a CRC-32 (polynomial 0x04C11DB7, from 0 on) that
-makes the remainder of the whole slice 0, as that of the record is. Status and CRC are left out where the encoder was
-told to (``-slicecrc 0``).
+From version 3 on (RFC 9043, sections 4.3 and 4.9) a stream has a configuration record, whose checksum FFmpeg does
+check, and a packet is a row of slices. Each slice ends with its size (24 bit), a status byte and a CRC-32 (polynomial
+0x04C11DB7, from 0 on) that makes the remainder of the whole slice 0. Status and CRC are left out where the encoder
+was told to (``-slicecrc 0``).
 """
 
 import zlib
@@ -15,16 +15,11 @@ _FROM_ZERO = 0xFFFFFFFF
 """Undoes that zlib begins with all bits set and inverts the result."""
 
 
-def has_good_sum(data: bytes) -> bool:
-    """Return whether a slice or a configuration record has the checksum that it ends with."""
-    # zlib takes the bits of a byte from the other end
-    return zlib.crc32(data.translate(_MIRRORED), _FROM_ZERO) == _FROM_ZERO
-
-
 def has_good_slices(packet: bytes) -> bool:
     """Return whether a packet is a row of slices that all have good checksums."""
     slices = _slices(packet, _FOOTER)
-    return bool(slices) and all(map(has_good_sum, slices))
+    # zlib takes the bits of a byte from the other end
+    return bool(slices) and all(zlib.crc32(one.translate(_MIRRORED), _FROM_ZERO) == _FROM_ZERO for one in slices)
 
 
 def is_without_sums(packet: bytes) -> bool:

@@ -9,6 +9,7 @@ import csv
 import io
 import statistics
 from bisect import bisect_left
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -23,7 +24,7 @@ COLUMNS = ("frame", "camera", "time_ns", "exposure_ns", "status")
 STATUSES = get_args(FrameStatus)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Stamp:
     """What is known of a frame's time: start [ns], length of exposure [ns], status as recorded."""
 
@@ -99,7 +100,8 @@ def read_stamps(path: Path, cameras: dict[str, str], rate_hz: float | None) -> T
     return TableStamps(rate_hz or implied_hz, rows, {camera: sorted(r) for camera, r in rows.items()})
 
 
-def _lines(path: Path) -> list[tuple[int, dict[str, str]]]:
+def _lines(path: Path) -> Iterator[tuple[int, dict[str, str]]]:
+    """Yield the number of each line and its cells by column."""
     text = read_text(path, "a CSV table", "utf-8-sig", MOST_TABLE_BYTES)
     try:
         reader = csv.reader(io.StringIO(text, newline=""), strict=True)
@@ -110,17 +112,15 @@ def _lines(path: Path) -> list[tuple[int, dict[str, str]]]:
                 f"{path}: its first line lacks '{missing[0]}'; wanted is {','.join(COLUMNS)} "
                 "(exposure_ns and status may be left out)"
             )
-        lines = []
         for cells in reader:
             if not cells:
                 continue
             if len(cells) != len(header):
                 raise InputError(f"{path}, line {reader.line_num}: {len(cells)} values for {len(header)} columns")
             row = dict(zip(header, (cell.strip(BLANKS) for cell in cells), strict=True))
-            lines.append((reader.line_num, row))
+            yield reader.line_num, row
     except csv.Error as error:
         raise InputError(f"{path}: cannot be read as CSV: {error}") from None
-    return lines
 
 
 def _integer(row: dict[str, str], column: str, path: Path, line: int) -> int:

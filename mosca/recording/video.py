@@ -25,7 +25,7 @@ from mosca.data.files.bounded import open_file
 from mosca.data.frames import CameraInfo, Frame
 from mosca.data.rig import Camera
 from mosca.errors import InputError
-from mosca.recording.ffv1 import has_good_slices, has_good_sum, is_without_sums
+from mosca.recording.ffv1 import has_good_slices, is_without_sums
 from mosca.recording.folder import check_size
 from mosca.recording.image_sequence import dropped_frame, numbered_frame
 from mosca.recording.stamps import Stamps
@@ -167,9 +167,8 @@ def _packets(container: InputContainer, path: Path) -> tuple[list[int], frozense
     Damage is seen in FFV1 with checksums; behind a damaged packet it decodes wrongly up to the next key frame.
     """
     stream = container.streams.video[0]
-    record = bytes(stream.codec_context.extradata or b"") if stream.codec_context.name == "ffv1" else None
-    if record and not has_good_sum(record):
-        raise InputError(f"{path}: what it says of its coding (FFV1) is damaged; copy the file anew")
+    is_ffv1 = stream.codec_context.name == "ffv1"
+    has_slices = is_ffv1 and bool(stream.codec_context.extradata)  # version 3; FFmpeg checks this record itself
     times: set[int] = set()
     damaged: set[int] = set()
     any_good, any_plain, broken = False, False, False
@@ -181,7 +180,7 @@ def _packets(container: InputContainer, path: Path) -> tuple[list[int], frozense
             break
         if not packet.size:
             continue
-        if record:
+        if has_slices:
             good = has_good_slices(data := bytes(packet))
             any_good, any_plain = any_good or good, any_plain or (not good and is_without_sums(data))
             broken = not good or (broken and not packet.is_keyframe)
@@ -189,7 +188,7 @@ def _packets(container: InputContainer, path: Path) -> tuple[list[int], frozense
             times.add(packet.pts)
             if broken:
                 damaged.add(packet.pts)
-    if record is None or (record and (any_good or not any_plain)):
+    if not is_ffv1 or (has_slices and (any_good or not any_plain)):
         return sorted(times), frozenset(damaged), ""
     note = f"{path}: its FFV1 has no checksums, so damage is not seen; encode with -level 3 -slicecrc 1"
     return sorted(times), frozenset(), note

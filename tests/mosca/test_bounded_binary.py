@@ -164,10 +164,13 @@ def test_a_document_type_in_qtm_is_refused(tmp_path, doctype):
         read_any_rig(path, "qtm")
 
 
-@pytest.mark.parametrize("text", ["#EXTM3U\n#EXTINF:1,\nb.mp4\n", "ffconcat version 1.0\nfile b.mp4\n"])
-def test_a_list_of_other_files_is_no_video(tmp_path, text):
+def test_a_list_of_other_files_is_no_video(tmp_path):
+    """FFmpeg goes by the content, and would open what the list names."""
+    ffv1(tmp_path / "b.mkv", {})
     path = tmp_path / "a.mp4"
-    path.write_text(text)
+    path.write_text("ffconcat version 1.0\nfile b.mkv\n")
+    with av.open(str(path)) as container:
+        assert container.streams.video[0].width == 32
     with pytest.raises(InputError, match=r"a\.mp4: cannot be read as a video"):
         open_video(path)
 
@@ -223,9 +226,9 @@ def test_a_damaged_configuration_of_ffv1_is_refused(tmp_path):
     with av.open(str(path)) as container:
         record = bytes(container.streams.video[0].codec_context.extradata)
     data = bytearray(path.read_bytes())
-    data[data.index(record) + 12] ^= 1
+    data[data.index(record) + len(record) - 2] ^= 1
     path.write_bytes(data)
-    with pytest.raises(InputError, match=r"a\.mkv: .* coding"):
+    with pytest.raises(InputError, match=r"a\.mkv: states no known coding"):
         open_recording(tmp_path, fps=100.0)
 
 

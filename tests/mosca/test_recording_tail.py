@@ -170,6 +170,17 @@ def moved(folder):
     return beside, bytearray(beside.read_bytes())
 
 
+@pytest.mark.parametrize("kept", [0, 1, 3])
+def test_frames_behind_the_cut_of_a_tail_are_told(tmp_path, kept):
+    """Before, they were missing without a word."""
+    path, good = moved(tmp_path)
+    slot = (len(good) - 4096) // 4
+    path.write_bytes(good[: 4096 + kept * slot + slot // 2])
+    notes = []
+    assert len(read_tail(path, CAMERAS, notes.append)) == kept
+    assert f"cut short: {kept} of the 4 frames" in notes[0]
+
+
 def test_no_changed_byte_of_a_tail_on_the_disk_is_read(tmp_path):
     path, good = moved(tmp_path)
     notes = []
