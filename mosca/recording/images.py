@@ -109,9 +109,9 @@ def _missing_in_tiff(data: bytes) -> str:
                 values[tag] = _tiff_values(data, order, directory + 2 + 12 * k + 8, kind, count)
     except (struct.error, KeyError):
         return f"TIFF cut short or damaged: its directory is not within its {len(data)} bytes"
-    width, height, tile_width, tile_height = (max(values.get(tag, (0,))) for tag in (256, 257, 322, 323))
-    mono = max(values.get(277, (1,))) == 1 and values.get(262, (1,))[0] in (0, 1)
-    n_bytes = -(-max(values.get(258, (8,))) // 8) * (1 if mono else 4)
+    width, height, tile_width, tile_height = (max(values.get(tag, ()), default=0) for tag in (256, 257, 322, 323))
+    mono = max(values.get(277, ()), default=1) == 1 and max(values.get(262, ()), default=1) <= 1
+    n_bytes = -(-max(values.get(258, ()), default=8) // 8) * (1 if mono else 4)
     if fault := _too_large(width, height, n_bytes) or _too_large(tile_width, tile_height, n_bytes):
         return fault
     for offsets, sizes in ((273, 279), (324, 325)):

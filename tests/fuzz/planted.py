@@ -9,6 +9,14 @@ from fuzz.reader import MUTANT, Reader
 from mosca.errors import InputError
 
 
+class _TwoLinesError(InputError):
+    """One that does not keep to a line."""
+
+    def __str__(self) -> str:
+        """Return two lines."""
+        return "two\nlines"
+
+
 def _seed(folder: Path) -> None:
     (folder / "a.txt").write_bytes(b"whole")
 
@@ -28,7 +36,7 @@ def _planted(name: str) -> Reader:
             case "traceback":
                 return {}["gone"]
             case "several lines":
-                raise InputError("two\nlines")
+                raise _TwoLinesError
         return 3.0
 
     return Reader(name, (_seed,), ("a.txt",), read, lambda folder: 2.0)

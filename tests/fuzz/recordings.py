@@ -185,7 +185,8 @@ def _image_expected(folder: Path) -> Any:
 def _video_seed(suffix: str, codec: str) -> Callable[[Path], None]:
     def make(folder: Path) -> None:
         with av.open(str(folder / f"a.{suffix}"), "w") as container:
-            stream = container.add_stream(codec, rate=100)
+            # FFV1: key frames alone; between others a missing or doubled packet shows in no checksum
+            stream = container.add_stream(codec, rate=100, options={"g": "1"} if codec == "ffv1" else {})
             stream.width, stream.height, stream.pix_fmt = 32, 24, "gray"
             for k in range(8):
                 frame = av.VideoFrame.from_ndarray(picture(k), format="gray")

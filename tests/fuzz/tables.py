@@ -124,10 +124,15 @@ def _c3d_expected(folder: Path) -> Any:
     return {"names": names, "xyz": xyz, "first": first - 1, "rate": point["RATE"]["value"][0]}
 
 
+def _text(path: Path, encoding: str = "latin-1") -> str:
+    """Return a text, its line ends as any system writes them."""
+    return path.read_bytes().decode(encoding).replace("\r\n", "\n").replace("\r", "\n")
+
+
 def _trc_expected(folder: Path) -> Any:
-    lines = (folder / "a.trc").read_bytes().decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    lines = _text(folder / "a.trc", "utf-8-sig").split("\n")
     head = dict(zip(lines[1].split("\t"), (cell.strip() for cell in lines[2].split("\t")), strict=False))
-    names = [cell.strip() for cell in lines[3].split("\t")[2:] if cell.strip()]
+    names = [cell.strip(" ") for cell in lines[3].split("\t")[2:] if cell.strip(" ")]
     rows = [[c.strip() for c in line.split("\t")] for line in lines[5:] if line.strip()]
     if int(head["NumFrames"]) != len(rows) or int(head["NumMarkers"]) != len(names):
         raise ValueError(f"{head['NumFrames']} frames are announced, {len(rows)} are there")
@@ -236,7 +241,7 @@ def _motion(motion: Motion) -> Any:
 
 
 def _bvh_expected(folder: Path) -> Any:
-    head, motion = (folder / "a.bvh").read_bytes().decode("latin-1").split("MOTION", 1)
+    head, motion = _text(folder / "a.bvh").split("MOTION", 1)
     names, parents, offsets, channels, stack = [], [], [], [], []
     for words in filter(None, map(str.split, head.split("\n"))):
         if words[0] in ("ROOT", "JOINT", "End"):
@@ -338,7 +343,7 @@ def _amc_expected(folder: Path) -> Any:
     """Names, the root's path and the count of frames: an own reading of sections, bones and columns."""
     section, bones, length, order, position = "", ["root"], 1.0, [], np.zeros(3)
     children: dict[str, list[str]] = {}
-    for words in filter(None, map(str.split, (folder / "a.asf").read_bytes().decode("latin-1").split("\n"))):
+    for words in filter(None, map(str.split, _text(folder / "a.asf").split("\n"))):
         if words[0].startswith(":"):
             section = words[0][1:]
         elif section == "units" and words[0] == "length" and len(words) == 2:
@@ -347,7 +352,7 @@ def _amc_expected(folder: Path) -> Any:
             order = [word.lower() for word in words[1:]]
         elif section == "root" and words[0] == "position":
             position = plain(words[1:])
-        elif section == "bonedata" and words[0] == "name" and len(words) > 1:
+        elif section == "bonedata" and words[0] == "name" and len(words) > 1 and words[1] not in bones:
             bones.append(words[1])
         elif section == "hierarchy" and words[0] not in ("begin", "end") and not words[0].startswith("#"):
             children.setdefault(words[0], []).extend(words[1:])
@@ -355,7 +360,7 @@ def _amc_expected(folder: Path) -> Any:
     for name in names:
         names += [one for one in bones if one in children.get(name, ())]
     leaves = [f"{name}_end" for name in names[1:] if not children.get(name)]
-    rows = [line.split() for line in (folder / "a.amc").read_bytes().decode("latin-1").split("\n")]
+    rows = [line.split() for line in _text(folder / "a.amc").split("\n")]
     frames = [row for row in rows if len(row) == 1 and row[0].isdecimal()]
     cells = np.array([plain(row[1:]) for row in rows if row and row[0] == "root"])
     for row in rows:
