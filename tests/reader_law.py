@@ -5,7 +5,7 @@ All others go through ``mosca.data.files``: ``bounded`` (regular files of a size
 """
 
 import ast
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from import_law import ROOMS
@@ -48,23 +48,23 @@ ALLOWED = {
 """Where an entry may stand, and why."""
 
 
-def violations(root: Path) -> list[str]:
-    """Return one line for each entry below ``root`` that is not allowed there."""
+def violations(found: Iterable[tuple[str, int, str]]) -> list[str]:
+    """Return one line for each entry that is not allowed where it was ``found``."""
     return [
         f"{path}:{line}: {entry}; mosca.data.files.bounded opens files and parses JSON"
-        for path, line, entry in _found(root)
+        for path, line, entry in found
         if (path, entry) not in ALLOWED
     ]
 
 
-def unused(root: Path) -> list[tuple[str, str]]:
+def unused(found: Iterable[tuple[str, int, str]]) -> list[tuple[str, str]]:
     """Return the rows of ``ALLOWED`` that allow nothing."""
-    there = {(path, entry) for path, _, entry in _found(root)}
+    there = {(path, entry) for path, _, entry in found}
     return [row for row in ALLOWED if row not in there]
 
 
-def _found(root: Path) -> Iterator[tuple[str, int, str]]:
-    """Yield (path, line, entry) of every entry."""
+def entries(root: Path) -> Iterator[tuple[str, int, str]]:
+    """Yield (path, line, entry) of every entry below ``root``."""
     for room in ROOMS:
         for path in sorted((root / room).rglob("*.py")):
             tree = ast.parse(path.read_text(encoding="utf-8"))

@@ -21,6 +21,8 @@ IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".bmp")
 # ImageWidth, ImageLength, BitsPerSample, PhotometricInterpretation, StripOffsets, SamplesPerPixel, StripByteCounts,
 # TileWidth, TileLength, TileOffsets, TileByteCounts
 _TIFF_TAGS = (256, 257, 258, 262, 273, 277, 279, 322, 323, 324, 325)
+# what a damaged file lacks is said in its frame's note; libtiff would print it too
+cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
 _PNG = b"\x89PNG\r\n\x1a\n"
 
 

@@ -33,6 +33,8 @@ def scale_from_scan(
     targets = _printed(path)
     if isinstance(targets, Board):
         raise InputError(f"{path}: a board has no coded targets that a scan shows; measure its ruler, --ruler")
+    if not scan.exists():
+        raise InputError(f"{scan}: no such file")
     image, fault = read_image(scan)
     if image is None:
         raise InputError(fault)

@@ -111,6 +111,7 @@ def test_a_scan_gives_the_printed_lengths(tmp_path):
         (("target", "scale", "board.toml", "--scan", "field.toml", "600"), "no coded targets that a scan shows"),
         (("target", "scale", "field.toml", "--scan", "no.png", "600"), "no.png: no such file"),
         (("target", "scale", "field.toml", "--scan", "board.toml", "600"), "neither PNG, TIFF nor BMP"),
+        (("target", "scale", "field.toml", "--scan", ".", "600"), ".: is a folder; name a file"),
     ],
 )
 def test_wrong_words_are_named(tmp_path, words, message):

@@ -242,6 +242,8 @@ def test_a_calibration_comes_from_the_station_that_has_it(tmp_path):
         calibrated_rig(path, lambda: {})
     with pytest.raises(InputError, match=r"rig file of station B: not valid TOML"):
         calibrated_rig(path, lambda: {"B": "?"})
+    with pytest.raises(InputError, match=r"rig file of station B: not valid TOML: lists and tables stand more than"):
+        calibrated_rig(path, lambda: {"B": "a = " + "[" * 100_000})
 
 
 def free_port():
