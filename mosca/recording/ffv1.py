@@ -15,11 +15,12 @@ _FROM_ZERO = 0xFFFFFFFF
 """Undoes that zlib begins with all bits set and inverts the result."""
 
 
-def has_good_slices(packet: bytes) -> bool:
-    """Return whether a packet is a row of slices that all have good checksums."""
+def whole_slices(packet: bytes) -> int:
+    """Return of how many slices a packet is a row, all with good checksums; 0 for other packets."""
     slices = _slices(packet, _FOOTER)
     # zlib takes the bits of a byte from the other end
-    return bool(slices) and all(zlib.crc32(one.translate(_MIRRORED), _FROM_ZERO) == _FROM_ZERO for one in slices)
+    good = all(zlib.crc32(one.translate(_MIRRORED), _FROM_ZERO) == _FROM_ZERO for one in slices)
+    return len(slices) if good else 0
 
 
 def is_without_sums(packet: bytes) -> bool:

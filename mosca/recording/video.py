@@ -10,7 +10,7 @@ lossless video gives the very values that were written); RGB formats through FFm
 """
 
 import statistics
-from collections.abc import Generator
+from collections.abc import Generator, Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -25,7 +25,7 @@ from mosca.data.files.bounded import open_file
 from mosca.data.frames import CameraInfo, Frame
 from mosca.data.rig import Camera
 from mosca.errors import InputError
-from mosca.recording.ffv1 import has_good_slices, is_without_sums
+from mosca.recording.ffv1 import is_without_sums, whole_slices
 from mosca.recording.folder import check_size
 from mosca.recording.image_sequence import dropped_frame, numbered_frame
 from mosca.recording.stamps import Stamps
@@ -169,29 +169,37 @@ def _packets(container: InputContainer, path: Path) -> tuple[list[int], frozense
     stream = container.streams.video[0]
     is_ffv1 = stream.codec_context.name == "ffv1"
     has_slices = is_ffv1 and bool(stream.codec_context.extradata)  # version 3; FFmpeg checks this record itself
-    times: set[int] = set()
-    damaged: set[int] = set()
-    any_good, any_plain, broken = False, False, False
+    times: list[int] = []
+    slices: list[int] = []
+    keys: list[bool] = []
+    any_plain = False
     packets = container.demux(stream)
     while True:
         try:
             packet = next(packets)
         except (StopIteration, av.error.FFmpegError):
             break
-        if not packet.size:
+        if packet.pts is None or not packet.size:
             continue
+        times.append(packet.pts)
         if has_slices:
-            good = has_good_slices(data := bytes(packet))
-            any_good, any_plain = any_good or good, any_plain or (not good and is_without_sums(data))
-            broken = not good or (broken and not packet.is_keyframe)
-        if packet.pts is not None:
-            times.add(packet.pts)
-            if broken:
-                damaged.add(packet.pts)
-    if not is_ffv1 or (has_slices and (any_good or not any_plain)):
-        return sorted(times), frozenset(damaged), ""
+            data = bytes(packet)
+            slices.append(whole_slices(data))
+            keys.append(packet.is_keyframe)
+            any_plain |= not slices[-1] and is_without_sums(data)
+    if not is_ffv1 or any(slices) or (has_slices and not any_plain):
+        return sorted(set(times)), frozenset(_damaged(times, slices, keys)), ""
     note = f"{path}: its FFV1 has no checksums, so damage is not seen; encode with -level 3 -slicecrc 1"
-    return sorted(times), frozenset(), note
+    return sorted(set(times)), frozenset(), note
+
+
+def _damaged(times: list[int], slices: list[int], keys: list[bool]) -> Iterator[int]:
+    """Yield the times of damaged packets; all have as many slices."""
+    wanted, broken = max(slices, default=0), False
+    for time, found, is_key in zip(times, slices, keys, strict=False):
+        broken = found == 0 or found < wanted or (broken and not is_key)
+        if broken:
+            yield time
 
 
 def _number(times: list[int], path: Path) -> tuple[dict[int, int], str]:

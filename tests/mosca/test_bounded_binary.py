@@ -213,6 +213,25 @@ def test_a_damaged_slice_of_ffv1_is_a_corrupt_frame(tmp_path, options, lost):
     assert all(np.array_equal(one.image, images[one.index]) for one in frames if one.status == "ok")
 
 
+def test_a_packet_that_lacks_whole_slices_is_a_corrupt_frame(tmp_path):
+    """As in a file that was cut at a slice's end: frame 2 has three of its four slices."""
+    (tmp_path / "cut").mkdir()
+    images = ffv1(tmp_path / "a.mkv", {"g": "1", "slices": "4"})
+    with av.open(str(tmp_path / "a.mkv")) as whole, av.open(str(tmp_path / "cut" / "a.mkv"), "w") as cut:
+        stream = cut.add_stream_from_template(whole.streams.video[0])
+        for k, packet in enumerate(one for one in whole.demux(video=0) if one.size):
+            data = bytes(packet)
+            last = 8 + int.from_bytes(data[-8:-5], "big")
+            new = av.Packet(data[:-last] if k == 2 else data)
+            new.pts, new.dts, new.time_base, new.stream = packet.pts, packet.dts, packet.time_base, stream
+            new.is_keyframe = True
+            cut.mux(new)
+    with open_recording(tmp_path / "cut", fps=100.0) as recording:
+        frames = list(recording)
+    assert [one.status for one in frames] == ["ok"] * 2 + ["corrupt"] + ["ok"] * 5
+    assert all(np.array_equal(one.image, images[one.index]) for one in frames if one.status == "ok")
+
+
 def test_ffv1_without_checksums_is_read_with_a_note(tmp_path):
     images = ffv1(tmp_path / "a.mkv", {"slicecrc": "0"})
     with open_recording(tmp_path, fps=100.0) as recording:

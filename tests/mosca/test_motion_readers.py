@@ -345,3 +345,11 @@ def test_subject_16_is_as_tall_as_people_are() -> None:
     positions, _ = forward_kinematics(motion)
     assert len(positions) == 321
     assert 1.6 < np.max(positions[..., 2]) < 2.2
+
+
+def test_a_brace_behind_a_joints_name_is_no_part_of_it(tmp_path):
+    path = tmp_path / "a.bvh"
+    text = "HIERARCHY\nROOT Hips{0}OFFSET 0 0 0\nCHANNELS 1 Xposition\nEnd Site{0}OFFSET 0 1 0\n}}\n}}\n"
+    for brace in ("\n{\n", " {\n"):
+        path.write_text(text.format(brace) + "MOTION\nFrames: 1\nFrame Time: 0.01\n1.0\n")
+        assert read_bvh(path).skeleton.names == ("Hips", "Hips_end")

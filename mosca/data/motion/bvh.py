@@ -80,6 +80,7 @@ def _read_hierarchy(text: str, path: Path) -> list[_Joint]:
             if opening or (keyword == "ROOT") != (not joints) or (keyword != "ROOT" and not open_joints):
                 raise InputError(f"{where}: '{keyword}' is out of place; one ROOT, then joints inside it")
             parent = open_joints[-1] if open_joints else -1
+            rest = rest[:-1] if words[-1] == "{" else rest
             name = joints[parent].name + END_SUFFIX if keyword == "End" else "_".join(rest)
             if not name or name in {joint.name for joint in joints}:
                 raise InputError(f"{where}: joint name '{name}' is empty or used twice; names must differ")
