@@ -291,3 +291,14 @@ def test_a_c3d_file_without_its_rotations_is_refused(tmp_path):
     path.write_bytes(data)
     with pytest.raises(InputError, match="parameter ROTATION:USED has no value"):
         read_c3d(path)
+
+
+def test_a_text_of_c3d_without_a_length_is_refused(tmp_path):
+    """A single character, as the format has it: ezc3d 1.7 reads memory that is not its own."""
+    path = tmp_path / "a.c3d"
+    data = c3d(path)
+    at = after(data, b"ANALOG", b"DESCRIPTIONS")
+    data[at : at + 5] = b"\xff\0A\0\0"  # the type, no dimension, the text, no description
+    path.write_bytes(data)
+    with pytest.raises(InputError, match="parameter 'DESCRIPTIONS' is a text without a length"):
+        read_c3d(path)

@@ -10,13 +10,16 @@ import zipfile
 import av
 import numpy as np
 import pytest
+from rigs import ring
 
 from mosca.data.files.bounded import MOST_TABLE_BYTES, parse_json
 from mosca.data.files.rig_file import read_rig
 from mosca.data.files.toml import read_toml
 from mosca.data.motion.asf import read_asf_amc
 from mosca.data.motion.joint_csv import read_points_csv
+from mosca.data.rig import OpenCVLens
 from mosca.errors import InputError
+from mosca.formats.rigs.rig_formats import read_any_rig, write_any_rig
 from mosca.recording.video import open_video
 from scenarios.spec.scenario import apply_overrides
 
@@ -216,3 +219,15 @@ def test_only_blanks_and_tabs_are_an_empty_cell(tmp_path, cell):
     path.write_text(f"time,a.x,a.y,a.z\n0,1,2,{cell}\n", encoding="utf-8")
     with pytest.raises(InputError, match="a number wanted"):
         read_points_csv(path)
+
+
+@pytest.mark.parametrize("c", ["1e308", "1e60", "inf"])
+def test_a_principal_distance_beyond_all_lenses_is_refused(tmp_path, c):
+    folder = tmp_path / "cal"
+    write_any_rig(ring(1, (OpenCVLens(800.0, 800.0, 327.5, 245.0, k1=-0.1),)), folder, "openptv")
+    (path,) = folder.glob("*.ori")
+    words = path.read_text().split()
+    read_any_rig(folder, "openptv")
+    path.write_text(" ".join([*words[:17], c, *words[18:]]))
+    with pytest.raises(InputError, match=r"c above 0 and up to 100000 mm|a finite number is wanted"):
+        read_any_rig(folder, "openptv")

@@ -42,6 +42,8 @@ SAME_HEIGHT = 1e-9
 AIR = 1.001
 """Largest refractive index of a medium that is taken for air (air: 1.0003)."""
 GLASS = "0.0 0.0 1.0"
+LARGEST_MM = 1e5
+"""Of a principal distance."""
 Sensor = tuple[tuple[int, int], tuple[float, float]]
 
 
@@ -141,9 +143,10 @@ def _camera(path: Path, sensor: Sensor | None, options: RigFileOptions) -> tuple
     added = numbers(read_text(beside, CALIBRATION, "utf-8-sig"), beside)
     if len(added) != 7:
         raise InputError(f"{beside}: {len(added)} numbers given; k1 k2 k3 p1 p2 scx she are wanted")
-    if not (c > 0 and added[5] > 0 and abs(added[6]) < 1):
+    if not (0 < c <= LARGEST_MM and added[5] > 0 and abs(added[6]) < 1):
         raise InputError(
-            f"{path}: c = {c:g}, scx = {added[5]:g}, she = {added[6]:g} given; c and scx above 0, |she| < 1"
+            f"{path}: c = {c:g}, scx = {added[5]:g}, she = {added[6]:g} given; c above 0 and up to "
+            f"{LARGEST_MM:g} mm, scx above 0, |she| < 1"
         )
     interior = OpenPTVInterior(sensor[1], sensor[0], float(c), float(xh), float(yh), *added)
     name = path.name.removesuffix(".ori")

@@ -12,7 +12,8 @@ from typing import NamedTuple
 BLOCK = 512
 KEY = 0x50
 PROCESSORS = {84: "<", 85: "<", 86: ">"}
-TYPES = {0xFF: 1, 1: 1, 2: 2, 4: 4}
+CHARACTERS = 0xFF
+TYPES = {CHARACTERS: 1, 1: 1, 2: 2, 4: 4}
 """Bytes of a value: characters, bytes, 16-bit whole numbers, floats."""
 NEEDED = {"USED": 2, "SCALE": 4, "RATE": 4, "DATA_START": 2, "FRAMES": 2}
 """Parameters of the group POINT, and bytes of their value at least."""
@@ -70,6 +71,8 @@ def _fault_of_section(section: bytes, order: str, held: dict[tuple[str, str], _V
             kind, n_dimensions = section[end], section[end + 1]
             if kind not in TYPES or n_dimensions > MOST_DIMENSIONS:
                 return f"parameter {name!r} has type {kind} and {n_dimensions} dimensions"
+            if kind == CHARACTERS and n_dimensions == 0:
+                return f"parameter {name!r} is a text without a length"  # ezc3d takes its first dimension
             count = math.prod(section[end + 2 + k] for k in range(n_dimensions))
             end += 2 + n_dimensions
             first = struct.unpack_from(f"{order}H", section, end)[0] if kind == 2 and count else 0
