@@ -275,6 +275,15 @@ def test_a_c3d_file_of_too_many_samples_is_refused(tmp_path):
         read_c3d(path)
 
 
+def test_a_c3d_file_whose_last_frame_precedes_its_first_is_refused(tmp_path):
+    path = tmp_path / "a.c3d"
+    data = c3d(path)
+    struct.pack_into("<HH", data, 6, 27, 13)
+    path.write_bytes(data)
+    with pytest.raises(InputError, match="its header states frames 27 to 13"):
+        read_c3d(path)
+
+
 def test_a_c3d_file_without_its_rotations_is_refused(tmp_path):
     """ezc3d 1.7 ends the process on the first and reads memory that is not its own on the second."""
     path = tmp_path / "a.c3d"

@@ -118,6 +118,8 @@ def _fault_of_sizes(data: bytes, order: str, held: Mapping[tuple[str, str], _Val
         return held.get((group, name), _Value(0, 0, 0)).first
 
     n_points, first, last = struct.unpack_from(f"{order}2xH2x2H", data)
+    if last < first:
+        return f"its header states frames {first} to {last}"
     n_points, n_frames = max(n_points, stated("POINT", "USED")), max(last - first + 1, stated("POINT", "FRAMES"))
     if n_points * n_frames > MOST_SAMPLES:
         return f"{n_points} points in {n_frames} frames; at most {MOST_SAMPLES} samples are read; cut it into parts"
