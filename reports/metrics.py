@@ -35,6 +35,7 @@ METRICS = {
     "position_max": MetricKind("m", "at_most", "length"),
     "relative_accuracy": MetricKind("1", "at_most", "share"),
     "sets_complete": MetricKind("1", "at_least", "share"),
+    "frames_complete": MetricKind("1", "at_least", "share"),
     "completeness": MetricKind("1", "at_least", "share"),
     "ghosts_per_frame": MetricKind("1", "at_most", "count"),
     "identity_switches": MetricKind("1", "at_most", "count"),
