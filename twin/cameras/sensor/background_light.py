@@ -65,11 +65,6 @@ class Ambient:
         """Mean electrons of the levels, (n,) ascending."""
         return self.bank.levels_e
 
-    @property
-    def light_e(self) -> Array:
-        """The light that the pixels really get, (H, W) or (1, 1) [electrons]."""
-        return np.asarray(self.levels_e[self.index])
-
     def with_extra(self, extra_e: Array | float) -> "Ambient":
         """Return this light and ``extra_e`` more [electrons, through the lens: times ``flat``], as of one frame.
 
