@@ -17,7 +17,7 @@ H, W = 120, 160
 
 def light_of_pixels(light):
     """The light that the pixels really get, (H, W) or (1, 1) [electrons]."""
-    return light.levels_e[light.index]
+    return light.bank.levels_e[light.index]
 
 
 def test_even_light_is_one_exact_level():
