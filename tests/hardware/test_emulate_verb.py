@@ -135,7 +135,7 @@ def test_a_client_grabs_a_recording_twice_over(take, monkeypatch):
         pulses, withheld = (up.devices[1].counts().get(kind, 0) for kind in ("pulses", "withheld"))
         for client in clients:
             client.arm(64)
-        until(lambda before=pulses: up.devices[1].counts()["pulses"] == before + 30)
+        until(lambda before=pulses: up.devices[1].counts().get("pulses", 0) == before + 30)
         wanted = 30 - (up.devices[1].counts().get("withheld", 0) - withheld)
         images = [clients[1].grab(60.0) for _ in range(wanted)]
         grabbed.append([image.pixels for image in images if image is not None])
