@@ -292,7 +292,7 @@ def test_without_a_sender_everyone_is_taken_and_told_where_a_network_reaches_it(
     [
         ({"sender": "imu"}, "sender 'imu' given; the sender's address is wanted, e.g. 192.168.7.30"),
         ({"sender": "0.0.0.0"}, "the sender's address is wanted"),
-        ({"sender": "10.0.0.3", "kind": "tcp"}, 'with kind = "tcp", which connects to address; leave out'),
+        ({"sender": "10.0.0.3", "kind": "tcp"}, 'with kind = "tcp", which connects to address; leave it out'),
     ],
 )
 def test_a_sender_that_cannot_be_is_told(tmp_path, given, text):
