@@ -38,6 +38,8 @@ class NumberedBuffer:
     buffer: Grabbed
     found: Found
     """How the number was found."""
+    error_ns: float = 0.0
+    """How far off the time may be, where it was measured by commands or readings of clocks [ns]."""
 
 
 @dataclass

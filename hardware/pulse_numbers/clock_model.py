@@ -7,6 +7,7 @@ began anew.
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 PHASE_GAIN = 0.05
 PERIOD_GAIN = 0.0005
@@ -32,6 +33,22 @@ class StampPulse:
     pulse: int
     residual_ns: float
     """Deviation of the stamp from the line of pulses [ns]."""
+    error_ns: float = 0.0
+    """How far off the time may be, where it was measured by commands or readings of clocks [ns]."""
+    certain: bool = True
+    """Whether it is certainly this pulse."""
+
+
+class ExposureStart(NamedTuple):
+    """When an exposure began, by a reading of its camera's clock; host time (monotonic) [ns]."""
+
+    at_ns: float
+    error_ns: float
+    """Largest error [ns]."""
+
+    def within(self, earliest_ns: float, latest_ns: float) -> bool:
+        """Return whether it may have been between two host times."""
+        return earliest_ns - self.error_ns <= self.at_ns <= latest_ns + self.error_ns
 
 
 class DeviceClock:
@@ -48,10 +65,10 @@ class DeviceClock:
         self._stamp_ns = 0
         self._offset_ns = 0.0
 
-    def lock(self, pulse: int, stamp_ns: int) -> None:
-        """Begin anew: ``stamp_ns`` is of ``pulse``; what was learned of the clock's rate is kept."""
+    def lock(self, pulse: int, stamp_ns: int, residual_ns: float = 0.0) -> None:
+        """Begin anew: ``stamp_ns`` is of ``pulse``, and so much behind its line; the learned rate is kept."""
         self.locked = True
-        self._pulse, self._stamp_ns, self._offset_ns = pulse, stamp_ns, 0.0
+        self._pulse, self._stamp_ns, self._offset_ns = pulse, stamp_ns, -residual_ns
 
     def pulse_of(self, stamp_ns: int) -> StampPulse | None:
         """Return the pulse of a stamp not older than the last, or None for a clock that jumped.

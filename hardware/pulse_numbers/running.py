@@ -12,7 +12,7 @@ from hardware.pulse_numbers.camera_state import (
     earliest_arrival_ns,
     index_after_jump,
 )
-from hardware.pulse_numbers.clock_model import HostPulseTimes
+from hardware.pulse_numbers.clock_model import HostPulseTimes, StampPulse
 from hardware.pulse_numbers.clock_sync import ClockPulses
 from hardware.pulse_numbers.counting import OFF_PULSE, CountedPulses
 from hardware.pulse_numbers.free_running import FreeClock
@@ -52,7 +52,7 @@ class Running:
     def begin_by_clock(self, camera: CameraState, pulse: int) -> list[NumberedBuffer]:
         """Number what is pending; its first buffer is of ``pulse``."""
         camera.latency_ns = self._delay_ns(camera.pending[0], pulse)
-        return list(self._lock(camera, pulse))
+        return list(self._lock(camera, StampPulse(pulse, 0.0)))
 
     def begin_by_arrival(self, camera: CameraState, earliest_ns: float) -> list[NumberedBuffer]:
         """Number what is pending; its first buffer would have arrived at ``earliest_ns`` had it been quick."""
@@ -63,7 +63,7 @@ class Running:
             return list(self._counting.begin(camera, earliest_ns))
         pulse = self.pulse_times.pulse_of(earliest_ns)
         camera.latency_ns = earliest_ns - self.pulse_times.at(pulse)
-        return list(self._lock(camera, pulse))
+        return list(self._lock(camera, StampPulse(pulse, 0.0)))
 
     def take(self, camera: CameraState, buffer: Grabbed) -> Iterator[NumberedBuffer]:
         """Take a buffer; yield those whose pulses are known by now."""
@@ -88,15 +88,15 @@ class Running:
             yield from self._vote(camera, final)
             return
         split = index_after_jump(camera.pending, self._period_ns)
-        pulse = clocks.pulse(camera.name, camera.pending[split])
-        if pulse is not None:
-            yield from self._found(camera, split, pulse)
+        found = clocks.pulse(camera.name, camera.pending[split])
+        if found is not None:
+            yield from self._found(camera, split, found)
         elif len(camera.pending) < self._settings.reading_wait and not final:
             return
         elif camera.suspect_pulse is None or split or self._too_early(camera, camera.suspect_pulse):
             yield from self._vote(camera, final)
         else:
-            yield from self._found(camera, split, camera.suspect_pulse)
+            yield from self._found(camera, split, StampPulse(camera.suspect_pulse, 0.0))
 
     def _too_early(self, camera: CameraState, pulse: int) -> bool:
         """Return whether the pending buffers arrived too early for their first one to be of ``pulse``."""
@@ -113,23 +113,25 @@ class Running:
             return  # it jumped again during the vote: the new clock's frames vote too
         earliest = earliest_arrival_ns(camera.pending[split:], self._period_ns)
         pulse = self.pulse_times.pulse_of(earliest - camera.latency_ns - self._usual_delay_ns(camera))
-        yield from self._found(camera, split, pulse)
+        yield from self._found(camera, split, StampPulse(pulse, 0.0))
 
-    def _found(self, camera: CameraState, split: int, pulse: int) -> Iterator[NumberedBuffer]:
-        """Number what is pending: buffer ``split``, the first of the clock as it runs now, is of ``pulse``."""
+    def _found(self, camera: CameraState, split: int, first: StampPulse) -> Iterator[NumberedBuffer]:
+        """Number what is pending: buffer ``split``, the first of the clock as it runs now, is of pulse ``first``."""
+        pulse = first.pulse
         before, camera.pending = camera.pending[:split], camera.pending[split:]
         for buffer in before:
             yield self._by_arrival(camera, buffer)
         if camera.started and pulse != camera.suspect_pulse:
             camera.relocks += 1
-            self._notes.append(f"{camera.name}: its clock jumped or restarted; found again at pulse {pulse}")
+            why = "was exposed between pulses" if first.residual_ns else "its clock jumped or restarted"
+            self._notes.append(f"{camera.name}: {why}; found again at pulse {pulse}")
         elif not camera.started and pulse > 0:
             self._notes.append(f"{camera.name}: its first frame is of pulse {pulse}")
         camera.suspect_pulse = None
-        yield from self._lock(camera, pulse)
+        yield from self._lock(camera, first)
 
-    def _lock(self, camera: CameraState, pulse: int) -> Iterator[NumberedBuffer]:
-        """Align the device clock: its first pending stamp is of ``pulse``; number the rest by it."""
+    def _lock(self, camera: CameraState, first: StampPulse) -> Iterator[NumberedBuffer]:
+        """Align the device clock: its first pending stamp is of pulse ``first``; number the rest by it."""
         pending, camera.pending = camera.pending, []
         camera.started = True
         locked = False
@@ -139,9 +141,9 @@ class Running:
             elif locked or buffer.device_ns is None:
                 yield from self._follow(camera, buffer)
             else:
-                camera.clock.lock(pulse, buffer.device_ns)
+                camera.clock.lock(first.pulse, buffer.device_ns, first.residual_ns)
                 locked = True
-                yield self._numbered(camera, pulse, 0.0, buffer)
+                yield self._numbered(camera, first.pulse, first.residual_ns, buffer, error_ns=first.error_ns)
 
     def _nearest(self, camera: CameraState, clock: FreeClock, buffer: Grabbed) -> NumberedBuffer:
         """Number a frame of a free-running camera by its exposure time."""
@@ -181,7 +183,10 @@ class Running:
         # where clock and trigger counter agree, a late arrival only means a busy machine
         if self._clocks is not None and self._clocks.trusted(camera.name):
             gap = pulse - camera.last_pulse > 1 and not camera.counter.confirms(pulse, buffer)
-            return gap and self._clocks.pulse(camera.name, buffer) != pulse
+            if not gap:
+                return False
+            read = self._clocks.pulse(camera.name, buffer)
+            return read is None or read.pulse != pulse
         if pulse - camera.last_pulse > 1 and not camera.counter.confirms(pulse, buffer):
             unusual = delay - self._usual_delay_ns(camera)
             block, last = buffer.block_id, camera.last_block
@@ -219,9 +224,15 @@ class Running:
         return self._numbered(camera, max(pulse, camera.last_pulse + 1), 0.0, buffer, "arrival")
 
     def _numbered(
-        self, camera: CameraState, pulse: int, residual_ns: float, buffer: Grabbed, found: Found | None = None
+        self,
+        camera: CameraState,
+        pulse: int,
+        residual_ns: float,
+        buffer: Grabbed,
+        found: Found | None = None,
+        error_ns: float = 0.0,
     ) -> NumberedBuffer:
         camera.last_block, camera.last_pulse = buffer.block_id, pulse
         camera.counter.take(pulse, buffer)
         by_stamp: Found = "clock" if self.follows_clock(camera.name) else "stamp"
-        return NumberedBuffer(camera.name, pulse, residual_ns, buffer, found or by_stamp)
+        return NumberedBuffer(camera.name, pulse, residual_ns, buffer, found or by_stamp, error_ns)
