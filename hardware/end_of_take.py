@@ -32,10 +32,11 @@ class EndOfTake:
         """Return whether a pulse lies beyond those wanted."""
         return self._pulses is not None and pulse >= self._pulses
 
-    def none_came(self, numbers: PulseNumbers, silent_s: float) -> bool:
+    def none_came(self, trigger: Trigger, numbers: PulseNumbers, now_ns: int, silent_s: float) -> bool:
         """Return whether no more pulses are waited for: no frame has come for so long, and none was numbered yet."""
-        waiting = self._pulses is not None and numbers.pulse_at(0) is None
-        return waiting and silent_s > self._wait_s
+        if self._pulses is None or silent_s <= self._wait_s:
+            return False
+        return trigger.pulse_at(now_ns) is None and numbers.pulse_at(now_ns) is None
 
     def pulses_over(self, trigger: Trigger, numbers: PulseNumbers, now_ns: int) -> bool:
         """Return whether all pulses wanted were made; a trigger that counts them may lag behind the clock."""

@@ -4,24 +4,22 @@ from collections.abc import Mapping
 
 from hardware.driver import DeviceReport
 from hardware.pulse_numbers.camera_state import NumberedBuffer
+from hardware.settings import HardwareTable
 from mosca.data.frames import Frame, StampEvent
 
 
 class FrameMaker:
     """Frames in pulse time: pulse k is at k periods, plus the deviation of the camera's stamp.
 
-    ``events``: what the stamps of each camera mark. ``reports``: the size of its frames. ``time_error_ms``: a time
-    that may be off by more is in doubt.
+    ``events``: what the stamps of each camera mark. ``reports``: the size of its frames. ``shared``: the rate, and
+    what is accepted without doubt.
     """
 
     def __init__(
-        self,
-        rate_hz: float,
-        events: Mapping[str, StampEvent],
-        reports: Mapping[str, DeviceReport],
-        time_error_ms: float,
+        self, shared: HardwareTable, events: Mapping[str, StampEvent], reports: Mapping[str, DeviceReport]
     ) -> None:
-        self._period_ns, self._time_error_ns = 1e9 / rate_hz, time_error_ms * 1e6
+        self._period_ns, self._time_error_ns = 1e9 / shared.rate_hz, shared.time_error_ms * 1e6
+        self._accept_unproven = shared.accept_unproven
         self._events, self._reports = events, reports
         self._last_index: dict[str, int] = {}
         self._index_base = dict.fromkeys(events, 0)
@@ -43,7 +41,7 @@ class FrameMaker:
 
     def _doubt(self, one: NumberedBuffer) -> str:
         """Return what is not certain about the pulse or the time of a frame, "" where both are known."""
-        if one.found == "arrival":
+        if one.found == "arrival" and not self._accept_unproven:
             return "its pulse is known by its arrival alone"
         if one.error_ns > self._time_error_ns:
             return f"its time is known to {one.error_ns / 1e6:.1f} ms"

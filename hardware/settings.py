@@ -122,6 +122,9 @@ class HardwareTable(Table):
     time_error_ms: Positive = Field(
         1.0, description="a frame whose time may be off by more is in doubt, and its frame set is not complete [ms]"
     )
+    accept_unproven: bool = Field(
+        False, description="true: frames whose pulses only arrival times tell complete their frame sets, too"
+    )
     silence_s: Positive = Field(2.0, description="a camera that is silent for so long is noted")
 
 

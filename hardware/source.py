@@ -84,7 +84,7 @@ class HardwareSource:
         self._end = EndOfTake(pulses, rig.shared.rate_hz, rig.shared.wait_s)
         self._past_end: set[str] = set()
         events = {name: self._event(name) for name in rig.cameras}
-        self._frames = FrameMaker(rig.shared.rate_hz, events, self.reports, rig.shared.time_error_ms)
+        self._frames = FrameMaker(rig.shared, events, self.reports)
 
     @property
     def on_image(self) -> Callable[[Array], object] | None:
@@ -284,10 +284,11 @@ class HardwareSource:
 
     def _pulses_over(self, numbers: PulseNumbers) -> bool:
         """Return whether no more pulses are waited for; note where none came."""
-        if self._end.pulses_over(self._trigger, numbers, time.monotonic_ns()):
+        now_ns = time.monotonic_ns()
+        if self._end.pulses_over(self._trigger, numbers, now_ns):
             return True
         silent_s = min(polled.idle_s for polled in self._readers.polling.values())
-        if not self._end.none_came(numbers, silent_s):
+        if not self._end.none_came(self._trigger, numbers, now_ns, silent_s):
             return False
         self.statistics.note(
             f"trigger '{self.rig.shared.trigger.source}': no pulse came in {self.rig.shared.wait_s:g} s; check "

@@ -75,20 +75,33 @@ class DeviceClock:
 
         The same stamp again is the same pulse again.
         """
-        since_ns = stamp_ns - self._stamp_ns - self._offset_ns
-        steps = round(since_ns / self.period_ns)
-        residual = since_ns - steps * self.period_ns
-        reach = min(LARGEST_RESIDUAL + RESIDUAL_PER_STEP * abs(steps), RESIDUAL_AT_MOST) * self.period_ns
-        if steps < 0 or steps > LONGEST_GAP or abs(residual) > reach:
+        nearest = self.nearest(stamp_ns)
+        steps, residual = nearest.pulse - self._pulse, nearest.residual_ns
+        if steps < 0 or not self._fits(steps, residual):
             return None
         if steps == 0:
-            return StampPulse(self._pulse, residual)
+            return nearest
         self._pulse += steps
         self._stamp_ns = stamp_ns
         # the line moves a little towards the stamp: the rest of the residual stays as the offset of the next one
         self._offset_ns = -(1 - PHASE_GAIN) * residual
         self.period_ns = _limited_drift(self.period_ns + PERIOD_GAIN * residual / steps, self.nominal_ns)
-        return StampPulse(self._pulse, residual)
+        return nearest
+
+    def nearest(self, stamp_ns: int) -> StampPulse:
+        """Return the pulse that is nearest to a stamp, however far from it the stamp is; changes nothing."""
+        since_ns = stamp_ns - self._stamp_ns - self._offset_ns
+        steps = round(since_ns / self.period_ns)
+        return StampPulse(self._pulse + steps, since_ns - steps * self.period_ns)
+
+    def expects(self, pulse: int, stamp_ns: int) -> bool:
+        """Return whether a stamp of ``pulse`` is where the line has it: the clock did not jump since the last one."""
+        nearest = self.nearest(stamp_ns)
+        return nearest.pulse == pulse and self._fits(pulse - self._pulse, nearest.residual_ns)
+
+    def _fits(self, steps: int, residual_ns: float) -> bool:
+        reach = min(LARGEST_RESIDUAL + RESIDUAL_PER_STEP * abs(steps), RESIDUAL_AT_MOST) * self.period_ns
+        return abs(steps) <= LONGEST_GAP and abs(residual_ns) <= reach
 
 
 class HostPulseTimes:

@@ -9,6 +9,7 @@ from hardware.pulse_numbers.camera_state import (
     CameraState,
     Found,
     NumberedBuffer,
+    behind_others_ns,
     earliest_arrival_ns,
     index_after_jump,
 )
@@ -113,14 +114,17 @@ class Running:
             return  # it jumped again during the vote: the new clock's frames vote too
         earliest = earliest_arrival_ns(camera.pending[split:], self._period_ns)
         pulse = self.pulse_times.pulse_of(earliest - camera.latency_ns - self._usual_delay_ns(camera))
-        yield from self._found(camera, split, StampPulse(pulse, 0.0))
+        behind_ns = behind_others_ns(camera.pending[split:], self._period_ns)
+        yield from self._found(camera, split, StampPulse(pulse, behind_ns))
 
     def _found(self, camera: CameraState, split: int, first: StampPulse) -> Iterator[NumberedBuffer]:
         """Number what is pending: buffer ``split``, the first of the clock as it runs now, is of pulse ``first``."""
         pulse = first.pulse
         before, camera.pending = camera.pending[:split], camera.pending[split:]
+        stamp = camera.pending[0].device_ns
+        steady = camera.clock.locked and stamp is not None and camera.clock.expects(pulse, stamp)
         for buffer in before:
-            yield self._by_arrival(camera, buffer)
+            yield self._late(camera, buffer) if steady else self._by_arrival(camera, buffer)
         if camera.started and pulse != camera.suspect_pulse:
             camera.relocks += 1
             why = "was exposed between pulses" if first.residual_ns else "its clock jumped or restarted"
@@ -212,14 +216,30 @@ class Running:
         others = self._delays_of_others_ns(camera)
         return float(np.median(others)) if others else min(camera.delays, default=0.0)
 
-    def _by_arrival(self, camera: CameraState, buffer: Grabbed) -> NumberedBuffer:
-        """Number a buffer without a stamp: by its block id after the last one, else by its arrival."""
+    def _late(self, camera: CameraState, buffer: Grabbed) -> NumberedBuffer:
+        """Number a buffer that was exposed between pulses: by its stamp if its block id agrees, else by arrival."""
+        if buffer.device_ns is not None:
+            nearest = camera.clock.nearest(buffer.device_ns)
+            if nearest.pulse == self._by_block(camera, buffer):
+                return self._numbered(camera, nearest.pulse, nearest.residual_ns, buffer)
+        return self._by_arrival(camera, buffer)
+
+    def _by_block(self, camera: CameraState, buffer: Grabbed) -> int | None:
+        """Return a buffer's pulse by its block id after the last one; None where there is none, or it is behind."""
         block, last = buffer.block_id, camera.last_block
-        if block is not None and last is not None and block > last:
-            by_block = camera.last_pulse + block - last
+        return None if block is None or last is None or block <= last else camera.last_pulse + block - last
+
+    def _by_arrival(self, camera: CameraState, buffer: Grabbed) -> NumberedBuffer:
+        """Number a buffer whose stamp says nothing: by its block id after the last one, else by its arrival.
+
+        With a stamp that fits no pulse it was exposed at another time than its pulse's.
+        """
+        by_block = self._by_block(camera, buffer)
+        if by_block is not None:
             arrival = self._arrival_ns(camera, buffer)
             if self.pulse_times.at(by_block) < arrival + OFF_PULSE * self._period_ns:
-                return self._numbered(camera, by_block, 0.0, buffer, "neighbours")
+                found: Found = "neighbours" if buffer.device_ns is None else "arrival"
+                return self._numbered(camera, by_block, 0.0, buffer, found)
         pulse = self.pulse_times.pulse_of(self._arrival_ns(camera, buffer))
         return self._numbered(camera, max(pulse, camera.last_pulse + 1), 0.0, buffer, "arrival")
 

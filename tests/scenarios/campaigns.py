@@ -190,8 +190,7 @@ def read_truth(campaign: Campaign, folder: Path) -> Truth:
             exposures[row["camera"]][row["serial"]] = Exposure(row["start_ns"], row["trigger"])
         elif "begin_ns" in row and campaign.wire == "serial":
             begin_ns = row["begin_ns"]
-    killed = any(event.what == "kill rig" for event in campaign.events)
-    return Truth(campaign.rate_hz, campaign.pulses, campaign.limit, EXPOSURE_NS, exposures, begin_ns, killed)
+    return Truth(campaign.rate_hz, campaign.pulses, campaign.limit, EXPOSURE_NS, exposures, begin_ns)
 
 
 def read_outcome(campaign: Campaign, folder: Path, code: int) -> Outcome:

@@ -187,11 +187,8 @@ def test_a_wrong_verdict_is_found():
     assert any(line.startswith("sets_complete = 1.0000, in truth 0.98") for line in wrongs)
     assert any(line.startswith("passed: True, though 0.98") for line in wrongs)
     assert checked(truth, replace(outcome, code=0))[1] == ["exit code 0, passed: False"]
-    # a run without a record has not been judged: only a dead rig may end so, in one line
     gone = replace(outcome, record=None, code=2, stderr="mosca: pulse generator: is gone")
-    assert checked(truth, gone)[1]
-    assert checked(replace(truth, killed=True), gone)[1] == []
-    assert checked(replace(truth, killed=True), replace(gone, code=0))[1]
+    assert checked(truth, gone)[1] == ["exit code 2 and no record: mosca: pulse generator: is gone"]
 
 
 @pytest.mark.parametrize("new", [{"camera": 1}, {"serial": 99}, {"camera": -1, "serial": -1}])
