@@ -94,11 +94,6 @@ class DeviceClock:
         steps = round(since_ns / self.period_ns)
         return StampPulse(self._pulse + steps, since_ns - steps * self.period_ns)
 
-    def expects(self, pulse: int, stamp_ns: int) -> bool:
-        """Return whether a stamp of ``pulse`` is where the line has it: the clock did not jump since the last one."""
-        nearest = self.nearest(stamp_ns)
-        return nearest.pulse == pulse and self._fits(pulse - self._pulse, nearest.residual_ns)
-
     def _fits(self, steps: int, residual_ns: float) -> bool:
         reach = min(LARGEST_RESIDUAL + RESIDUAL_PER_STEP * abs(steps), RESIDUAL_AT_MOST) * self.period_ns
         return abs(steps) <= LONGEST_GAP and abs(residual_ns) <= reach

@@ -134,7 +134,7 @@ class ClockPulses:
     def pulse(self, name: str, buffer: Grabbed) -> StampPulse | None:
         """Return a frame's pulse; None where its device clock was not read since it arrived, or it fits no pulse.
 
-        Its deviation from the pulse is 0 where the reading cannot tell it from that.
+        Its deviation from the pulse is known as well as the readings and the pulse times are: a few ms.
         """
         if self._times is None or name not in self._clocks or self.checked_ns(name) < buffer.host_ns:
             return None
@@ -147,9 +147,7 @@ class ClockPulses:
         residual_ns = found.at_ns - self._times.at(pulse)
         if abs(residual_ns) >= PULSE_GATE * self._period_ns:
             return None
-        if abs(residual_ns) <= found.error_ns + SLACK_NS:
-            return StampPulse(pulse, 0.0)
-        return StampPulse(pulse, residual_ns, found.error_ns)
+        return StampPulse(pulse, residual_ns, found.error_ns + SLACK_NS + PRECISE * self._period_ns)
 
     def follow(self, name: str, pulse: int, buffer: Grabbed) -> float | None:
         """Adjust the pulse times by a frame whose pulse is known; return its host time [ns], None where not known."""

@@ -1,6 +1,6 @@
 """Second phase of the numbering: each camera's device clock is followed, and found again by a vote after a jump."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from hardware.pulse_numbers.camera_state import (
     earliest_arrival_ns,
     index_after_jump,
 )
-from hardware.pulse_numbers.clock_model import HostPulseTimes, StampPulse
+from hardware.pulse_numbers.clock_model import LARGEST_RESIDUAL, HostPulseTimes, StampPulse
 from hardware.pulse_numbers.clock_sync import ClockPulses
 from hardware.pulse_numbers.counting import OFF_PULSE, CountedPulses
 from hardware.pulse_numbers.free_running import FreeClock
@@ -121,33 +121,60 @@ class Running:
         """Number what is pending: buffer ``split``, the first of the clock as it runs now, is of pulse ``first``."""
         pulse = first.pulse
         before, camera.pending = camera.pending[:split], camera.pending[split:]
-        stamp = camera.pending[0].device_ns
-        steady = camera.clock.locked and stamp is not None and camera.clock.expects(pulse, stamp)
+        by_line = self._by_line(camera, first)
         for buffer in before:
-            yield self._late(camera, buffer) if steady else self._by_arrival(camera, buffer)
-        if camera.started and pulse != camera.suspect_pulse:
+            yield self._by_arrival(camera, buffer) if by_line is None else self._late(camera, buffer)
+        if by_line is not None:
+            if abs(by_line.residual_ns) > LARGEST_RESIDUAL * self._period_ns:
+                self._notes.append(f"{camera.name}: its frame of pulse {pulse} was exposed between pulses")
+        elif camera.started and pulse != camera.suspect_pulse:
             camera.relocks += 1
-            why = "was exposed between pulses" if first.residual_ns else "its clock jumped or restarted"
-            self._notes.append(f"{camera.name}: {why}; found again at pulse {pulse}")
+            self._notes.append(f"{camera.name}: its clock jumped or restarted; found again at pulse {pulse}")
         elif not camera.started and pulse > 0:
             self._notes.append(f"{camera.name}: its first frame is of pulse {pulse}")
         camera.suspect_pulse = None
-        yield from self._lock(camera, first)
+        if by_line is None:
+            yield from self._lock(camera, _on_grid(first))
+            return
+        pending, camera.pending = camera.pending, []
+        stamp = pending[0].device_ns
+        if stamp is not None:
+            camera.clock.pulse_of(stamp)  # the line follows stamps that fit it
+        yield self._numbered(camera, by_line.pulse, by_line.residual_ns, pending[0])
+        yield from self._follow_all(camera, pending[1:])
+
+    def _by_line(self, camera: CameraState, first: StampPulse) -> StampPulse | None:
+        """Return the first pending stamp's place by the camera's own line, which is the more precise one.
+
+        None where its clock did not run on: the line is farther from ``first`` than that is uncertain.
+        """
+        stamp = camera.pending[0].device_ns
+        if stamp is None or not camera.clock.locked:
+            return None
+        line = camera.clock.nearest(stamp)
+        apart_ns = (line.pulse - first.pulse) * self._period_ns + line.residual_ns - first.residual_ns
+        if abs(apart_ns) > max(first.error_ns, LARGEST_RESIDUAL * self._period_ns):
+            return None
+        return StampPulse(first.pulse, first.residual_ns + apart_ns)
 
     def _lock(self, camera: CameraState, first: StampPulse) -> Iterator[NumberedBuffer]:
         """Align the device clock: its first pending stamp is of pulse ``first``; number the rest by it."""
         pending, camera.pending = camera.pending, []
         camera.started = True
-        locked = False
-        for buffer in pending:
+        while pending and pending[0].device_ns is None:
+            yield self._by_arrival(camera, pending.pop(0))
+        for buffer in pending[:1]:
+            if buffer.device_ns is not None:
+                camera.clock.lock(first.pulse, buffer.device_ns, first.residual_ns)
+            yield self._numbered(camera, first.pulse, first.residual_ns, buffer, error_ns=first.error_ns)
+        yield from self._follow_all(camera, pending[1:])
+
+    def _follow_all(self, camera: CameraState, buffers: Sequence[Grabbed]) -> Iterator[NumberedBuffer]:
+        for buffer in buffers:
             if camera.pending:  # suspected again: what follows waits
                 camera.pending.append(buffer)
-            elif locked or buffer.device_ns is None:
-                yield from self._follow(camera, buffer)
             else:
-                camera.clock.lock(first.pulse, buffer.device_ns, first.residual_ns)
-                locked = True
-                yield self._numbered(camera, first.pulse, first.residual_ns, buffer, error_ns=first.error_ns)
+                yield from self._follow(camera, buffer)
 
     def _nearest(self, camera: CameraState, clock: FreeClock, buffer: Grabbed) -> NumberedBuffer:
         """Number a frame of a free-running camera by its exposure time."""
@@ -256,3 +283,9 @@ class Running:
         camera.counter.take(pulse, buffer)
         by_stamp: Found = "clock" if self.follows_clock(camera.name) else "stamp"
         return NumberedBuffer(camera.name, pulse, residual_ns, buffer, found or by_stamp, error_ns)
+
+
+def _on_grid(first: StampPulse) -> StampPulse:
+    """Return a place that a reading gave, on its pulse where the reading does not exclude that."""
+    off_ns = abs(first.residual_ns)
+    return StampPulse(first.pulse, 0.0, off_ns) if off_ns <= first.error_ns else first

@@ -140,8 +140,9 @@ def test_software_trigger_pairs_cameras_without_a_clock(tmp_path):
         sets = list(assemble(rig, rig.cameras))
     # pictures count the commands: those of skipped pulses were not sent
     sent = {name: commands.numbers for name, commands in rig._trigger._commands.items()}
-    assert [s.pulse for s in sets] == list(range(sets[-1].pulse + 1))
-    assert all({sent[name][pulse_in(f)] for name, f in s.frames.items()} <= {s.pulse} for s in sets)
+    for one in sets:
+        shown = {sent[name][pulse_in(frame)] for name, frame in one.frames.items()}
+        assert shown <= {round(one.time_ns * RATE / 1e9)}
 
 
 class Gone(FakeLine):

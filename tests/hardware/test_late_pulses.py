@@ -148,3 +148,30 @@ def test_the_time_of_a_frame_without_stamp_is_as_certain_as_its_arrival():
     for one in out:
         assert one.found == "count"
         assert one.error_ns == pytest.approx(late_ns.get((one.camera, one.pulse), 0), abs=MS / 10)
+
+
+def test_a_frame_after_a_gap_keeps_the_time_of_its_stamp_though_readings_are_rough():
+    """Camera a missed pulses; its clock ran on, and its stamps are better than a reading of a busy machine."""
+    numbers, out, truth = PulseNumbers(list(CLOCKS), RATE, START_NS), [], {}
+
+    def rough(name, at_ns, off_ns):
+        return ClockReading(at_ns + off_ns + CLOCKS[name], at_ns - 2 * MS, at_ns + 2 * MS)
+
+    for name, off_ns in (("a", -1_900_000), ("b", 1_900_000)):
+        out += numbers.read(name, rough(name, START_NS - 3 * MS, off_ns))
+    for pulse in range(200):
+        for name in CLOCKS:
+            if name == "a" and pulse in (90, 91, 120):
+                continue
+            true_ns = START_NS + pulse * PERIOD_NS
+            buffer = Grabbed(pulse + 1, true_ns + CLOCKS[name], true_ns + EXPOSURE_NS + MS, EXPOSURE_NS, None)
+            truth[id(buffer)] = buffer, pulse
+            out += numbers.take(name, buffer)
+            if numbers.wants_reading(name) is not None:
+                out += numbers.read(name, rough(name, true_ns + 4 * MS, 1_900_000))
+    out += numbers.rest()
+    assert len(out) == 397
+    assert all(one.pulse == truth[id(one.buffer)][1] for one in out)
+    first = {"a": out[0].residual_ns, "b": out[0].residual_ns}
+    assert max(abs(one.residual_ns - first[one.camera]) + one.error_ns for one in out) < MS / 10
+    assert numbers.relocks == {"a": 0, "b": 0}
