@@ -24,6 +24,8 @@ MOST_FRAMES_HZ = 200
 LIMITS = (1.0, 0.95, 0.8, 0.4)
 PATIENT_S = 300.0
 """For the programs to begin and to end, however busy the machine is."""
+STREAM = 47
+"""Of the draws; with this one each trigger meets each fault in 20 seeds."""
 _FOLDER = Path(__file__).resolve().parent
 
 
@@ -76,14 +78,16 @@ class Campaign:
 
 def drawn(seed: int, seconds: float = 60.0) -> Campaign:
     """Return the campaign of a seed; the faults lie within its duration, with time to see what follows."""
-    rng = np.random.default_rng([seed, 2])
+    rng = np.random.default_rng([seed, STREAM])
     trigger = TRIGGERS[seed % len(TRIGGERS)]
     count = int(rng.integers(2, 5))
     cameras = tuple(f"cam{k + 1}" for k in range(count))
     rate = float(rng.choice([r for r in (20, 25, 40, 50, 100) if r * count <= MOST_FRAMES_HZ]))
     wire = str(rng.choice(["serial", "external"])) if trigger.startswith("line") else ""
     kinds = ["kill camera", "withhold", "reboot", "unplug", "late", "packets", "kill rig"]
-    wanted = [str(k) for k in rng.choice(kinds, int(rng.integers(2, 6)), p=[0.1, 0.2, 0.17, 0.2, 0.15, 0.13, 0.05])]
+    wanted = [
+        str(k) for k in rng.choice(kinds, int(rng.integers(2, 6)), p=[0.12, 0.17, 0.17, 0.17, 0.15, 0.13, 0.09])
+    ]
     # one that ends cameras or rig comes once
     last = [k for k in dict.fromkeys(wanted) if k.startswith("kill")]
     wanted = [k for k in wanted if not k.startswith("kill")]

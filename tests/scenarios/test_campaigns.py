@@ -45,9 +45,11 @@ def test_campaigns(tmp_path, first):
 def test_campaigns_are_drawn_from_their_seeds_and_of_all_kinds():
     campaigns = [drawn(seed) for seed in SEEDS]
     assert campaigns == [drawn(seed) for seed in SEEDS]
-    assert {one.trigger for one in campaigns} == set(TRIGGERS)
-    faults = {event.what for one in campaigns for event in one.events}
-    assert faults == {"kill rig", "kill camera", "withhold", "reboot", "unplug", "late", "packets"}
+    faults = {"kill rig", "kill camera", "withhold", "reboot", "unplug", "late", "packets"}
+    met = {(one.trigger, event.what) for one in campaigns for event in one.events}
+    assert met == {(trigger, what) for trigger in TRIGGERS for what in faults}
+    assert {one.wire for one in campaigns} == {"", "serial", "external"}
+    assert all(2 <= len(one.events) <= 5 for one in campaigns)
     assert {len(one.cameras) for one in campaigns} == {2, 3, 4}
 
 
