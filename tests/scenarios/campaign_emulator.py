@@ -11,7 +11,6 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable
 from dataclasses import replace
 from ipaddress import IPv4Address
 from pathlib import Path
@@ -182,7 +181,6 @@ def main() -> None:
         devices.append(Device(k + 1, identity, faults, timetable))
     named = {device.identity.name: device for device in devices}
     wire, port = Wire(devices, timetable), ""
-    closing: list[Callable[[], None]] = []
     if campaign.wire == "serial":
         box = PulseBox(wire.pulse)
         port = box.port
@@ -192,8 +190,6 @@ def main() -> None:
     addresses = {name: str(device.identity.address.ip) for name, device in named.items()}
     print(json.dumps({"addresses": addresses, "port": port}), flush=True)
     sys.stdin.read()
-    for close in closing:
-        close()
 
 
 if __name__ == "__main__":
