@@ -98,6 +98,10 @@ class FieldReader:
         own += " and more" if len(self.mark_of) > MOST_TOLD else ""
         return f"; its numbers are {own}; seen are {seen or 'none'}{more}"
 
+    def sees_others(self) -> bool:
+        """Return whether numbers of another target were seen."""
+        return bool(self._others)
+
     def _part(self, found: CodedDetections) -> Part:
         mark = np.array([self.mark_of[int(number)] for number in found.number], dtype=np.int64)
         return Part(0, 0, mark, found.xy_px, found.covariance_px2, 2 * found.semi_axes_px[:, 0])
@@ -122,6 +126,10 @@ class BoardReader:
         """Return why the images show no board."""
         return "".join(f"; in {count} images: {why}" for why, count in self.refusals.items())
 
+    def sees_others(self) -> bool:
+        """Return False: a board that is not found may be out of sight."""
+        return False
+
 
 class _WandReader:
     """Finds the balls of a wand; their marks are -1 where the ends cannot be distinguished."""
@@ -140,3 +148,7 @@ class _WandReader:
     def seen_instead(self) -> str:
         """Return nothing: balls cannot be told apart."""
         return ""
+
+    def sees_others(self) -> bool:
+        """Return False: balls cannot be told apart."""
+        return False
