@@ -10,7 +10,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 LIMIT_S = 20.0
-"""For one mutant."""
+"""For one mutant: of the processor's time, and ``PATIENCE`` times as much on the clock."""
+PATIENCE = 10
+"""A busy machine may leave a process without a processor; one that waits for ever takes no time of it."""
 START_S = 180.0
 """For imports, seeds and a first compilation."""
 GOOD = ("refused", "equal")
@@ -60,7 +62,7 @@ def _batch(report: Report, numbers: tuple[int, int], table: str, limit_s: float)
     command = [sys.executable, "-m", "fuzz.worker", table, report.reader, report.seed, str(first), str(last)]
     environment = {**os.environ, "PYTHONPATH": f"{ROOT / 'tests'}{os.pathsep}{ROOT}", "OPENBLAS_NUM_THREADS": "1"}
     begun = first
-    running = False
+    running, begun_s, waited = False, 0.0, 0
     with subprocess.Popen(
         command, cwd=ROOT, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE
     ) as worker:
@@ -73,6 +75,9 @@ def _batch(report: Report, numbers: tuple[int, int], table: str, limit_s: float)
             ready.register(worker.stderr, selectors.EVENT_READ, "err")
             while ready.get_map():
                 events = ready.select(limit_s if running else START_S)
+                waited = 0 if events else waited + 1
+                if not events and running and waited < PATIENCE and _cpu_s(worker.pid) < begun_s + limit_s:
+                    continue
                 if not events:
                     worker.kill()
                     report.add(begun, "hang", f"more than {limit_s:g} s")
@@ -87,7 +92,7 @@ def _batch(report: Report, numbers: tuple[int, int], table: str, limit_s: float)
                         *lines, unfinished = (unfinished + data).split(b"\n")
                         for line in lines:
                             told = json.loads(line)
-                            running, begun = "begun" in told, told["number"]
+                            running, begun, begun_s = "begun" in told, told["number"], _cpu_s(worker.pid)
                             if not running:
                                 report.add(told["number"], told["kind"], told["said"])
         code = worker.wait()
@@ -98,3 +103,12 @@ def _batch(report: Report, numbers: tuple[int, int], table: str, limit_s: float)
     if code != 0:
         raise RuntimeError(f"fuzz.worker {report.reader} ended with {code} between mutants: {text}")
     return last
+
+
+def _cpu_s(pid: int) -> float:
+    """Return the processor's time that a process has taken [s]; 0 where it has ended."""
+    try:
+        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    except OSError:
+        return 0.0
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")

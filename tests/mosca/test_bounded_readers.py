@@ -18,6 +18,7 @@ from mosca.data.files.toml import read_toml
 from mosca.data.motion.asf import read_asf_amc
 from mosca.data.motion.joint_csv import read_points_csv
 from mosca.data.rig import OpenCVLens
+from mosca.data.tracks import read_npz
 from mosca.errors import InputError
 from mosca.formats.rigs.rig_formats import read_any_rig, write_any_rig
 from mosca.recording.video import open_video
@@ -231,3 +232,13 @@ def test_a_principal_distance_beyond_all_lenses_is_refused(tmp_path, c):
     path.write_text(" ".join([*words[:17], c, *words[18:]]))
     with pytest.raises(InputError, match=r"c above 0 and up to 100000 mm|a finite number is wanted"):
         read_any_rig(folder, "openptv")
+
+
+def test_an_encrypted_array_is_refused(tmp_path):
+    path = tmp_path / "tracks.npz"
+    npz(path, (1,), bytes(8))
+    data = bytearray(path.read_bytes())
+    data[data.index(b"PK\x01\x02") + 8] |= 1  # the flags in the archive's directory
+    path.write_bytes(data)
+    with pytest.raises(InputError, match=r"tracks\.npz: holds no tracks: frame\.npy is encrypted"):
+        read_npz(path)

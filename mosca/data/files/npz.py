@@ -26,6 +26,8 @@ MOST_RATIO = 100
 """Of the arrays' size to the archive's, above that; deflate reaches 1000 where all bytes are the same."""
 _HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
 DIGEST = "sha256"
+_ENCRYPTED = 1
+"""Bit 0 of the flags of a zip file's member (APPNOTE 4.4.4)."""
 
 
 def write_npz_file(path: Path, arrays: Mapping[str, Array]) -> None:
@@ -99,6 +101,8 @@ def _check_sizes(file: BufferedReader) -> None:
         if n_bytes > most:
             raise ValueError(f"its arrays would take {n_bytes} bytes; at most {most} are read from so small a file")
         for member in members:
+            if member.flag_bits & _ENCRYPTED:
+                raise ValueError(f"{member.filename} is encrypted")
             with archive.open(member) as array:
                 version = np.lib.format.read_magic(array)
                 if version not in _HEADERS:
