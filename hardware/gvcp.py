@@ -13,6 +13,13 @@ ACK_HEADER = struct.Struct(">HHHH")
 SCHEDULED = 0x80
 """Flag of ACTION: a time follows."""
 
+PRIVILEGE_REGISTER = 0x0A00
+"""Control Channel Privilege (CCP): the bits below, and the switchover key of who asks in the upper 16."""
+EXCLUSIVE_ACCESS, CONTROL_ACCESS, SWITCHOVER_ENABLE = 0x1, 0x2, 0x4
+SWITCHOVER_CAPABILITY = 1 << 21
+"""Of the GVCP Capability register: another program may take the control over (primary application switchover)."""
+KEY_BITS = 16
+
 
 class Command(IntEnum):
     """Control commands; an acknowledgement has the command's number plus 1."""

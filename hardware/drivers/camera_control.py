@@ -1,7 +1,8 @@
 """Control of a GigE Vision camera that another program holds, or held when it was killed.
 
 A camera obeys one program, its controller. One that ends without giving the control back (``kill -9``, a crash) keeps
-it until the camera has had no sign of life of it for the heartbeat time-out.
+it until the camera has had no sign of life of it for the heartbeat time-out, unless the camera can be taken over
+(``hardware.drivers.control_switchover``).
 """
 
 import errno
@@ -11,6 +12,7 @@ import time
 
 from hardware.driver import DeviceError
 from hardware.drivers.aravis_library import Aravis, AravisError
+from hardware.drivers.control_switchover import Controller, ControlSwitchover
 
 log = logging.getLogger("mosca.hardware.drivers")
 
@@ -23,8 +25,10 @@ MARGIN_S = 2.0
 AGAIN_S = 0.2
 
 
-def wait_for_control(aravis: Aravis, device: int, camera: str) -> None:
+def wait_for_control(aravis: Aravis, device: int, camera: str, switchover: ControlSwitchover) -> None:
     """Take the control of a camera as soon as the program that holds it has been silent for the heartbeat time-out.
+
+    At once where that was killed on this machine and left the key for it.
 
     Parameters
     ----------
@@ -34,13 +38,15 @@ def wait_for_control(aravis: Aravis, device: int, camera: str) -> None:
         Its device, which is not the camera's controller.
     camera
         The camera in words, for the messages.
+    switchover
+        Its key.
 
     Raises
     ------
     DeviceError
         The program that holds it is alive, or the camera would keep to it for longer than ``LONGEST_WAIT_S``.
     """
-    holder = _holder(aravis, device)
+    holder = controller_of(aravis, device)
     who = "another program" if holder is None else f"another program ({holder[0]}:{holder[1]})"
     alive = None if holder is None else _alive(holder)
     if alive:
@@ -49,6 +55,14 @@ def wait_for_control(aravis: Aravis, device: int, camera: str) -> None:
     if heartbeat_ms is None:
         raise DeviceError(f"{camera} is controlled by {who}, which lets nobody else read; close that first")
     wait_s = heartbeat_ms / 1e3
+    if holder is not None and alive is False and switchover.take_over(holder):
+        log.warning(
+            "%s was still controlled by %s, which has ended, and would let go after %g s: taken over",
+            camera,
+            who,
+            wait_s,
+        )
+        return
     if wait_s > LONGEST_WAIT_S:
         raise DeviceError(
             f"{camera} is controlled by {who}, and lets go {wait_s:g} s after that has ended; close that and wait, "
@@ -74,7 +88,7 @@ def _taken(aravis: Aravis, device: int) -> bool:
         return False
 
 
-def _holder(aravis: Aravis, device: int) -> tuple[str, int] | None:
+def controller_of(aravis: Aravis, device: int) -> Controller | None:
     """Return address and port of the controller; None where the camera does not tell."""
     port, address = (aravis.register(device, one) for one in (PORT_REGISTER, ADDRESS_REGISTER))
     if not port or not address:
@@ -82,7 +96,7 @@ def _holder(aravis: Aravis, device: int) -> tuple[str, int] | None:
     return socket.inet_ntoa(address.to_bytes(4, "big")), port & 0xFFFF
 
 
-def _alive(holder: tuple[str, int]) -> bool | None:
+def _alive(holder: Controller) -> bool | None:
     """Whether a program of this machine has the port; None for another machine's address."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as trial:
         try:

@@ -21,8 +21,9 @@ from hardware.drivers.aravis_library import (
 )
 from hardware.drivers.aravis_library import load as load_library
 from hardware.drivers.blocks import BlockIds
-from hardware.drivers.camera_control import HEARTBEAT_REGISTER, PORT_REGISTER, wait_for_control
+from hardware.drivers.camera_control import HEARTBEAT_REGISTER, PORT_REGISTER, controller_of, wait_for_control
 from hardware.drivers.configure import COUNTER_CHUNKS, capabilities_of, counter_chunk
+from hardware.drivers.control_switchover import ControlSwitchover
 from hardware.drivers.discovery import confirmed
 from hardware.drivers.features import text
 from hardware.drivers.opened import GenICamCamera, chosen, claim, described, not_found, release
@@ -161,6 +162,7 @@ class GigeCamera(GenICamCamera):
         self._counter: bytes | None = None
         self._chunks = 0
         self._control_socket: PeerSocket | None = None
+        self._switchover: ControlSwitchover | None = None
         self._stream_socket: PeerSocket | None = None
         try:
             with _opening:
@@ -176,13 +178,15 @@ class GigeCamera(GenICamCamera):
             if not aravis("camera_is_gv_device", self._camera):
                 raise DeviceError(f"camera '{name}': {described(device)} is no GigE Vision camera")
             self._device = aravis("camera_get_device", self._camera)
+            self._switchover = ControlSwitchover(aravis, self._device)
             if not aravis("gv_device_is_controller", self._device):
-                wait_for_control(aravis, self._device, f"camera '{name}': {described(device)}")
+                wait_for_control(aravis, self._device, f"camera '{name}': {described(device)}", self._switchover)
             super().__init__(name, device, AravisFeatures(aravis, self._device))
             self._tie_control(made.values())
             # one that refuses keeps its own time, and is as good as before
             with contextlib.suppress(AravisError):
                 aravis("device_write_register", self._device, HEARTBEAT_REGISTER, HEARTBEAT_MS)
+            self._switchover.enable(controller_of(aravis, self._device))
             serial = decoded(aravis("camera_get_device_serial_number", self._camera))
             self.device = Device("gige", text(self.features, "DeviceModelName"), serial, device.address)
         except AravisError as error:
@@ -198,6 +202,8 @@ class GigeCamera(GenICamCamera):
             self._control_socket.close()
         camera, self._camera, self._device = self._camera, 0, 0
         self._aravis.unref(camera)
+        if self._switchover is not None:
+            self._switchover.close()
 
     def _tie_control(self, made: Collection[Address]) -> None:
         """Take answers from the camera only; ``made``: the sockets that came with it."""

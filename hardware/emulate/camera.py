@@ -61,6 +61,8 @@ class EmulatedCamera:
         tree = features(tuple(dict.fromkeys((FORMAT_OF_DEPTH[identity.bit_depth], "Mono8"))))
         self._features = {feature.register or feature.name: feature for feature in tree}
         registers = {register.name: register for register in (*BOOTSTRAP, *own_registers(tree))}
+        if not identity.switchover:
+            del registers["SwitchoverKey"]
         xml = describe(tree, registers, identity.vendor, identity.model)
         self._xml_bytes = len(xml)
         self.registers = RegisterFile(registers.values(), self._live(), self._write, (XML_START, xml))
@@ -146,6 +148,11 @@ class EmulatedCamera:
     def packet_bytes(self) -> int:
         """Size of stream packets, as SCPS has it."""
         return int(self._values["StreamPacketSize"]) & 0xFFFF
+
+    @property
+    def switchover_key(self) -> int | None:
+        """Key with which another client may take the control over; None without that capability."""
+        return int(self._values["SwitchoverKey"]) & 0xFFFF if self.identity.switchover else None
 
     def destination(self) -> Destination | None:
         """Return where the stream goes, None while the channel is closed."""

@@ -194,8 +194,8 @@ class Control:
 
     def _write(self, address: int, data: bytes, client: Client) -> None:
         if address == PRIVILEGE and len(data) == 4:
-            level = int.from_bytes(data, "big")
-            if self._camera.privilege.ask(client, level, time.monotonic_ns()):
+            value = int.from_bytes(data, "big")
+            if self._camera.privilege.ask(client, value, time.monotonic_ns(), self._camera.switchover_key):
                 self._camera.release()
             return
         self._camera.privilege.check_write(client)

@@ -53,7 +53,7 @@ BOOTSTRAP = (
     Register("DiscoveryDelay", 0x0950),
     Register("ControlConfiguration", 0x0954, access="RW"),
     Register("PendingTimeout", 0x0958),
-    Register("SwitchoverKey", 0x095C),
+    Register("SwitchoverKey", 0x095C, access="WO"),
     Register("StreamConfiguration", 0x0960, access="RW"),
     Register("ControlPrivilege", 0x0A00, access="RW"),
     Register("PrimaryPort", 0x0A04),

@@ -6,6 +6,7 @@ from ipaddress import IPv4Interface
 from hardware.emulate.features import XML_START
 from hardware.emulate.gige_vision import FORMAT_OF_DEPTH, PIXEL_FORMATS, TICKS_PER_SECOND, VERSION_2_0
 from hardware.emulate.registers import Value
+from hardware.gvcp import SWITCHOVER_CAPABILITY
 
 BIG_ENDIAN_UTF8 = 0x80000001
 PERSISTENT_IP, DHCP, LINK_LOCAL = 1, 2, 4
@@ -14,6 +15,7 @@ LOCALLY_ADMINISTERED = 0x0200
 CONTROL_CAPABILITY = (
     1 << 31  # user-defined name
     | 1 << 30  # serial number
+    | 1 << 27  # port and address of the controller
     | 1 << 26  # test packets hold data
     | 1 << 22  # extended status codes
     | 1 << 19  # IEEE 1588
@@ -49,6 +51,8 @@ class Identity:
     vendor: str = "Mosca"
     model: str = "Twin"
     firmware: str = "1.0"
+    switchover: bool = False
+    """Whether another client may take the control over with a key; many cameras have no such capability."""
 
 
 def boot_values(identity: Identity, xml_bytes: int, source_port: int) -> dict[str, Value]:
@@ -78,7 +82,7 @@ def boot_values(identity: Identity, xml_bytes: int, source_port: int) -> dict[st
         "ActionSignals": 1,
         "StreamCapability": SOURCE_PORT_CAPABILITY,
         "StreamSourcePort": source_port,
-        "ControlCapability": CONTROL_CAPABILITY,
+        "ControlCapability": CONTROL_CAPABILITY | (SWITCHOVER_CAPABILITY if identity.switchover else 0),
         "HeartbeatTimeout": HEARTBEAT_MS,
         "TickFrequency": TICKS_PER_SECOND,
         "StreamPacketSize": PACKET_BYTES,

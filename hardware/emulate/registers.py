@@ -6,7 +6,8 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
-from hardware.emulate.gige_vision import CONTROL_ACCESS, EXCLUSIVE_ACCESS, Refused, Status
+from hardware.emulate.gige_vision import Refused, Status
+from hardware.gvcp import CONTROL_ACCESS, EXCLUSIVE_ACCESS, KEY_BITS, SWITCHOVER_ENABLE
 
 Kind = Literal["unsigned", "signed", "double", "text"]
 Access = Literal["RO", "RW", "WO"]
@@ -138,15 +139,33 @@ class Privilege:
         self.level = 0
         self._heard_ns = 0
 
-    def ask(self, client: Client, level: int, now_ns: int) -> bool:
-        """Give ``client`` the access ``level`` (0: give it back); Refused where another holds it.
+    def ask(self, client: Client, value: int, now_ns: int, key: int | None = None) -> bool:
+        """Give ``client`` the access that it writes as ``value`` (0: give it back); Refused where another holds it.
 
-        Returns whether it was given back.
+        Parameters
+        ----------
+        client
+            Who asks.
+        value
+            Access in the lower bits; in the upper 16 the key with which the control is taken over.
+        now_ns
+            Time of this machine's monotonic clock [ns].
+        key
+            The camera's own key; None where no client can take the control over.
+
+        Returns
+        -------
+        bool
+            Whether it was given back.
         """
+        access = value & (EXCLUSIVE_ACCESS | CONTROL_ACCESS)
         if self.holder not in (None, client):
-            raise Refused(Status.ACCESS_DENIED)
+            allowed = key is not None and self.level == CONTROL_ACCESS | SWITCHOVER_ENABLE
+            if not (allowed and access and value >> KEY_BITS == key):
+                raise Refused(Status.ACCESS_DENIED)
         had = self.holder is not None
-        self.level = level & (EXCLUSIVE_ACCESS | CONTROL_ACCESS)
+        shared = key is not None and access == CONTROL_ACCESS
+        self.level = access | (value & SWITCHOVER_ENABLE if shared else 0)
         self.holder = client if self.level else None
         self._heard_ns = now_ns
         return had and not self.level

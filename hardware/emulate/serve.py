@@ -4,6 +4,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from functools import partial
 from ipaddress import IPv4Address, IPv4Interface
 from threading import Event, Thread
@@ -184,6 +185,7 @@ def served(
     serials: Mapping[str, str] | None = None,
     faults: Mapping[str, Faults] | None = None,
     first_block: int = 1,
+    switchover: bool = False,
     progress: Callable[[int, int | None], None] | None = None,
 ) -> Served:
     """Return the cameras of ``source`` as GigE Vision devices, once ``ahead`` pulses of frames are in memory.
@@ -207,6 +209,8 @@ def served(
         By camera.
     first_block
         Block id of an acquisition's first frame.
+    switchover
+        Whether another client may take the control over with a key (a capability that many cameras lack).
     progress
         Called with pulses done and to do while frames are read ahead.
     """
@@ -226,6 +230,7 @@ def served(
         devices = []
         for k, info in enumerate(infos):
             identity = _identity(info, places[k], (serials or {}).get(info.name) or serial_at(places[k]), store)
+            identity = replace(identity, switchover=switchover)
             own = (faults or {}).get(info.name, FAULTLESS)
             device = EmulatedDevice(identity, partial(store.frame, info.name), own, first_block)
             stack.callback(device.close)

@@ -35,6 +35,7 @@ SHARE = Number(0.0, 1.0)
 @click.option("--reboot", "reboots", multiple=True, metavar="CAMERA@S", help="this camera reboots after S seconds")
 @click.option("--drift", type=Number(), default=0.0, metavar="PPM", help="the clocks drift from -PPM to +PPM")
 @click.option("--seed", type=click.IntRange(min=0), default=0, help="of the losses")
+@click.option("--switchover", is_flag=True, help="cameras can be taken over with a key (control switchover)")
 @click.option("--rig-out", type=OUT_FILE, help="write a rig file with which 'mosca capture --rig' grabs from them")
 @click.option(
     "--trigger",

@@ -76,6 +76,8 @@ class ServeRequest:
     ahead: int | None = None
     """Pulses read ahead; None: as many as fit in memory."""
     trouble: InjectedFaults = InjectedFaults()
+    switchover: bool = False
+    """Whether a client may take a camera over from another with a key."""
     rig_out: Path | None = None
     trigger: TriggerKind = "Line1"
     workers: int = 1
@@ -116,6 +118,7 @@ def serve(
                 addresses=subject.addresses,
                 serials=subject.serials,
                 faults=_faults(names, request.trouble),
+                switchover=request.switchover,
                 progress=progress,
             )
         )
