@@ -319,7 +319,7 @@ def _outline(part: Part, frame: int) -> Array:
         return np.array([[a, b, 0.0] for a in (-x, x) for b in (-y, y)])
     if isinstance(part, CodedTarget):
         half = PLATE_RADII * part.dot_radius_m / np.sqrt(2)
-        return np.array(part.at_m) + np.concatenate([np.eye(3), -np.eye(3)]) * half
+        return np.asarray(part.at_m + np.concatenate([np.eye(3), -np.eye(3)]) * half)
     with np.load(part.file) as data:
         vertices = data["vertices"][frame]
     corners = np.array([vertices.min(0), vertices.max(0)])

@@ -5,6 +5,7 @@
 something is filmed that calibrates, ``witness.npz`` (its keys are in ``README.md`` beside it).
 """
 
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -92,9 +93,14 @@ def truth(scene: Scene, render: Render, draw: int) -> dict[str, Any]:
 
 
 def write_recording(scene: Scene, render: Render, out: Path, draw: int = 0) -> dict[str, Any]:
-    """Write the folder ``out`` and return what ``witness.npz`` holds; ``draw`` selects the noise."""
+    """Write the folder ``out`` and return what ``witness.npz`` holds; ``draw`` selects the noise.
+
+    A folder of an earlier draw is replaced.
+    """
     values = truth(scene, render, draw)
     sensors = [VirtualSensor(scene.sensor, camera.size, (scene.seed, c)) for c, camera in enumerate(scene.cameras)]
+    if (out / "witness.npz").is_file():
+        shutil.rmtree(out)
     rows = ["frame,camera,time_ns,exposure_ns,status"]
     for camera in scene.cameras:
         (out / camera.name).mkdir(parents=True, exist_ok=True)

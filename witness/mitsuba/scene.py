@@ -195,7 +195,7 @@ class Sensor:
 class Quality:
     """Samples a pixel; powers of two."""
 
-    window_samples: int = 2048
+    window_samples: int = 512
     background_samples: int = 64
     plate_samples: int = 64
     """In windows around boards, plates and meshes."""
@@ -211,7 +211,7 @@ class Scene:
     frames: int
     rate_hz: float
     exposure_s: float
-    finish: str = "lambert"
+    finish: str = "retro"
     light: Light = field(default_factory=Light)
     room: Room = field(default_factory=Room)
     sensor: Sensor = field(default_factory=Sensor)

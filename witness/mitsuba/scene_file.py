@@ -5,7 +5,7 @@
     frames = 30
     rate_hz = 100.0
     exposure_s = 0.0002
-    finish = "lambert"                       # or "retro"
+    finish = "retro"                         # of balls and discs; or "lambert"
     seed = 3
     [cameras]                                # on a circle; the same rig for the same table
     radius_m = 3.2
@@ -111,7 +111,7 @@ def scene_of(table: dict[str, Any], name: str, folder: Path) -> Scene:
         for key, kind in (("light", Light), ("room", Room), ("sensor", Sensor), ("quality", Quality))
     }
     frames, rate, seed = int(table.pop("frames")), float(table.pop("rate_hz")), int(table.pop("seed", 1))
-    exposure, finish = float(table.pop("exposure_s")), table.pop("finish", "lambert")
+    exposure, finish = float(table.pop("exposure_s")), table.pop("finish", "retro")
     if finish not in ("lambert", "retro"):
         raise ValueError(f"finish = {finish!r}; allowed: 'lambert', 'retro'")
     bodies: list[Body] = []

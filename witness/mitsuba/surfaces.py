@@ -1,8 +1,8 @@
 """The Mitsuba scene of one instant: shapes, surfaces and lamps as Mitsuba's own plugins.
 
 Retroreflection is a surface of our own: Mitsuba has none. Its luminance coefficient for a lamp at observation angle a
-and entrance angle b is ``exp(-(a / LOBE)^2)`` times a falloff of b that is even up to 30 deg and ends at 80 deg: the
-form of curves that makers of glass-bead tape print (angles as in ASTM E810).
+and entrance angle b is ``exp(-(a / LOBE)^2)`` times a falloff of b that is even up to EVEN_RAD and ends at
+DARK_RAD: the form of curves that makers of glass-bead tape print (angles as in ASTM E810).
 """
 
 import glob
@@ -20,6 +20,7 @@ from witness.mitsuba.textures import BLACK, PLATE_RADII, board_texture, coded_te
 
 VARIANT = "llvm_ad_mono"
 LOBE_RAD = math.radians(1.2)
+EVEN_RAD, DARK_RAD = math.radians(50.0), math.radians(87.0)
 RETRO_GAIN = 300.0
 """Of retroreflective tape over a white Lambert surface, on its axis."""
 LAMBERT = 0.8
@@ -74,7 +75,7 @@ def _register_retro() -> None:
             cos_in, cos_out = mi.Frame3f.cos_theta(wo), mi.Frame3f.cos_theta(si.wi)
             angle = dr.norm(wo - si.wi)
             entrance = dr.safe_acos(cos_in)
-            rise = dr.clip((math.radians(80.0) - entrance) / math.radians(50.0), 0, 1)
+            rise = dr.clip((DARK_RAD - entrance) / (DARK_RAD - EVEN_RAD), 0, 1)
             falloff = rise * rise * (3 - 2 * rise)
             value = LAMBERT / np.pi * RETRO_GAIN * dr.exp(-dr.square(angle / LOBE_RAD)) * falloff
             return mi.Spectrum(dr.select((cos_in > 0) & (cos_out > 0) & active, value, 0))
