@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.ndimage import maximum_filter, minimum_filter
+from scipy.ndimage import gaussian_filter, maximum_filter, minimum_filter
 
 from witness.mitsuba.projection import project
 from witness.mitsuba.scene import Array, Ball, Bar, Board, CodedTarget, Disc, Mesh, Part, Scene
@@ -25,6 +25,8 @@ SLICE_PX = 0.4
 """Farthest motion of an image in one of the instants that make up an exposure."""
 PROBE_SAMPLES = 16
 """Rays a pixel and instant that find where targets are; a neighbourhood of 3 x 3 covers what they miss."""
+BACKGROUND_BLUR_PX = 1.0
+"""Takes the rendering's noise from the room where no target is; its textures are coarser."""
 INNER_SHARE = 0.25
 """Of an edge's samples, for pixels inside of a target: only lamps and shading vary there."""
 VISIBLE_RAYS = 256
@@ -157,7 +159,7 @@ class Film:
         for c in range(len(scene.cameras)):
             pixels = Pixels(np.full(x.size, c), x.ravel(), y.ravel())
             light = self._transport.render(room, pixels, scene.quality.background_samples, scene.seed, maps=False)
-            out[c] = light.total.reshape(h, w)
+            out[c] = gaussian_filter(light.total.reshape(h, w), BACKGROUND_BLUR_PX)
         return out
 
     def _windows(self, frame: int) -> list[tuple[int, ...]]:
@@ -231,10 +233,9 @@ class Film:
             whole = [np.zeros(grid[:1]), np.zeros(grid, np.float32), np.zeros(grid, np.float32)]
             for part in np.unique(share[share > 0])[::-1]:
                 each = max(int(samples * part) // 2 // count, 4)
+                seed, chosen = _seed(scene.seed, frame, half), pixels.where(share == part)
                 lights = [
-                    self._transport.render(
-                        instant, pixels.where(share == part), each, _seed(scene.seed, frame, half, s), maps
-                    )
+                    self._transport.render(instant, chosen, each, seed, maps, (s, count))
                     for s, instant in enumerate(scenes)
                 ]
                 mean = [sum(getattr(one, f.name) for one in lights) / count for f in fields(Light)]
@@ -253,8 +254,8 @@ class Film:
         where all of them do, all at edges.
         """
         hits = sum(
-            self._transport.render(one, pixels, PROBE_SAMPLES, _seed(self.scene.seed, frame, 2, s)).hits.mean((1, 2))
-            for s, one in enumerate(scenes)
+            self._transport.render(one, pixels, PROBE_SAMPLES, _seed(self.scene.seed, frame, 2)).hits.mean((1, 2))
+            for one in scenes
         ) / len(scenes)
         pieces, first = [], 0
         for grid in grids:
@@ -298,8 +299,8 @@ class Film:
         return out
 
 
-def _seed(scene: int, frame: int, half: int, instant: int) -> int:
-    return (scene * 1000003 + frame * 4099 + half * 2053 + instant * 17 + 1) & 0x7FFFFFFF
+def _seed(scene: int, frame: int, half: int) -> int:
+    return (scene * 1000003 + frame * 4099 + half * 2053 + 1) & 0x7FFFFFFF
 
 
 def _outline(part: Part, frame: int) -> Array:

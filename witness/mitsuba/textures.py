@@ -11,7 +11,7 @@ TEXELS_A_SQUARE = 64
 PLATE_TEXELS = 1024
 PLATE_RADII = 8.0
 """Edge of a coded target's plate in dot radii; its ring runs from 2 to 3 of them."""
-SUB = 4
+SUB = 2
 
 
 def board_texture(board: Board) -> Array:

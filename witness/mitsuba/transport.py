@@ -73,19 +73,26 @@ class Transport:
         self._row = len(rows[0])
         self._table = mi.Float(np.array(rows, dtype=np.float32).ravel())
         self._bounces = bounces
+        # the first coordinates are spread best: pixel and lamp, or lens and pixel where edges are blurred
+        self._order = (2, 3, 4, 5, 0, 1) if any(camera.aperture_m for camera in cameras) else (0, 1, 2, 3, 4, 5)
 
-    def render(self, scene: Any, pixels: Pixels, samples: int, seed: int, maps: bool = True) -> Light:
-        """Return the light on ``pixels`` in Mitsuba's ``scene`` by ``samples`` (a power of two) a pixel."""
+    def render(
+        self, scene: Any, pixels: Pixels, samples: int, seed: int, maps: bool = True, part: tuple[int, int] = (0, 1)
+    ) -> Light:
+        """Return the light on ``pixels`` in Mitsuba's ``scene`` by ``samples`` (a power of two) a pixel.
+
+        ``part``: which of how many equal parts of one series of points: instants of one exposure share a series.
+        """
         n, step = len(pixels), max(1, MOST_SAMPLES // samples)
         total = np.zeros(n)
         bins = SUB * SUB if maps else 1
         target, hits = np.zeros((n, bins), np.float32), np.zeros((n, bins), np.float32)
         marks = _marker_table(scene)
-        points = _sobol(samples, seed)
+        points = _sobol(samples, seed, *part)
         for first in range(0, n, step):
-            part = pixels.part(first, min(n, first + step))
-            here = slice(first, first + len(part))
-            total[here], target[here], hits[here] = self._launch(scene, marks, points, part, samples, seed, maps)
+            some = pixels.part(first, min(n, first + step))
+            here = slice(first, first + len(some))
+            total[here], target[here], hits[here] = self._launch(scene, marks, points, some, samples, seed, maps)
         scale = bins / samples
         shape = (n, SUB, SUB) if maps else (n, 1, 1)
         return Light(total / samples, (target * scale).reshape(shape), (hits * scale).reshape(shape))
@@ -105,7 +112,7 @@ class Transport:
         px = dr.gather(mi.Int32, mi.Int32(pixels.x), which)
         py = dr.gather(mi.Int32, mi.Int32(pixels.y), which)
         shift = _hashed(mi, camera, px, py, dr.opaque(mi.UInt32, seed))
-        u = [self._coordinate(points, k, shift, d) for d in range(DIMENSIONS)]
+        u = [self._coordinate(points, k, shift, d) for d in self._order]
         ray = self._ray(camera, mi.Float(px) + u[0] - 0.5, mi.Float(py) + u[1] - 0.5, u[4], u[5])
         light, on_target = self._radiance(scene, marks, ray, u[2], u[3], index, seed)
         total = dr.zeros(mi.Float, n)
@@ -208,13 +215,14 @@ def _marker_table(scene: Any) -> Any:
     return mi.UInt32(table)
 
 
-def _sobol(samples: int, seed: int) -> Any:
+def _sobol(samples: int, seed: int, part: int, parts: int) -> Any:
     import mitsuba as mi
 
-    exponent = samples.bit_length() - 1
-    if 1 << exponent != samples:
-        raise ValueError(f"samples = {samples}: a power of two is wanted")
+    exponent = (samples * parts).bit_length() - 1
+    if 1 << exponent != samples * parts:
+        raise ValueError(f"samples = {samples} in {parts} parts: powers of two are wanted")
     points = qmc.Sobol(DIMENSIONS, scramble=True, rng=np.random.default_rng(seed)).random_base2(exponent)
+    points = points[part * samples : (part + 1) * samples]
     return mi.UInt32((points * 2.0**32).astype(np.uint64).astype(np.uint32).ravel())
 
 
