@@ -5,5 +5,5 @@
 bounds; ``sensor.py`` noise and counts; ``recording.py`` the folder that is written. ``python -m witness.mitsuba
 SCENE.toml --out DIR`` does it all. Imports nothing of the project.
 
-World: right-handed, metres. Camera: x right, y down, z forward. Pixel (0, 0) is the centre of the top-left pixel.
+World: right-handed, metres. LensCamera: x right, y down, z forward. Pixel (0, 0) is the centre of the top-left pixel.
 """

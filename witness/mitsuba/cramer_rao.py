@@ -10,14 +10,14 @@ import numpy as np
 
 from witness.mitsuba.film import Markers, Render
 from witness.mitsuba.projection import project
-from witness.mitsuba.scene import Array, Scene
+from witness.mitsuba.scene import Array, WitnessScene
 from witness.mitsuba.sensor import variance_e2
 
 CLEAR = 0.999
 """Visible share from which a target counts as unobstructed."""
 
 
-def scale_e(scene: Scene, render: Render) -> float:
+def scale_e(scene: WitnessScene, render: Render) -> float:
     """Return photoelectrons per radiance: the 95th percentile of targets' brightest pixels gets ``peak_e``.
 
     Without targets that of all windows' pixels.
@@ -33,7 +33,7 @@ def scale_e(scene: Scene, render: Render) -> float:
     return scene.sensor.peak_e / float(np.percentile(values, 95))
 
 
-def image_bounds(scene: Scene, render: Render, scale: float) -> tuple[Array, Array]:
+def image_bounds(scene: WitnessScene, render: Render, scale: float) -> tuple[Array, Array]:
     """Return bounds (F, C, M, 2, 2) [px^2] of unobstructed targets, NaN elsewhere, and the render's own noise.
 
     The second (F, C, M, 2) [px]: how far an efficient estimator would move between both halves, over two: one draw
@@ -70,7 +70,7 @@ def render_noise_share(bounds: Array, moved: Array) -> float:
     return float(np.sqrt(1 + (white**2).mean()) - 1)
 
 
-def point_bounds(scene: Scene, markers: Markers, bounds: Array) -> Array:
+def point_bounds(scene: WitnessScene, markers: Markers, bounds: Array) -> Array:
     """Return bounds (F, M, 3, 3) [m^2] of points seen by two cameras or more, NaN elsewhere."""
     frames, cameras, m = bounds.shape[:3]
     information, seen = np.zeros((frames, m, 3, 3)), np.zeros((frames, m), int)

@@ -14,10 +14,10 @@ import numpy as np
 from scipy.ndimage import gaussian_filter, maximum_filter, minimum_filter
 
 from witness.mitsuba.projection import project
-from witness.mitsuba.scene import Array, Ball, Bar, Board, CodedTarget, Disc, Mesh, Part, Scene
+from witness.mitsuba.scene import Array, Bar, Chessboard, CodedPlate, MarkerBall, MarkerDisc, Mesh, Part, WitnessScene
 from witness.mitsuba.surfaces import load_mitsuba, mitsuba_scene
 from witness.mitsuba.textures import PLATE_RADII
-from witness.mitsuba.transport import SUB, Light, Pixels, Transport
+from witness.mitsuba.transport import SUB, PixelLight, PixelRenderer, Pixels
 
 MARGIN_PX = 2.5
 """Dark pixels around a target's image in its window."""
@@ -27,6 +27,8 @@ PROBE_SAMPLES = 16
 """Rays a pixel and instant that find where targets are; a neighbourhood of 3 x 3 covers what they miss."""
 BACKGROUND_BLUR_PX = 1.0
 """Takes the rendering's noise from the room where no target is; its textures are coarser."""
+PROBE_SEES = 0.2
+"""Where no pixel's rays meet the target more often, it is blurred over more than its size: rays may miss it."""
 INNER_SHARE = 0.25
 """Of an edge's samples, for pixels inside of a target: only lamps and shading vary there."""
 VISIBLE_RAYS = 256
@@ -89,9 +91,11 @@ class Render:
         return out
 
 
-def markers(scene: Scene) -> Markers:
+def markers(scene: WitnessScene) -> Markers:
     """Return all balls' and discs' places; the mean over the exposure by 9 Gauss-Legendre points."""
-    parts = [(body, part) for body in scene.bodies for part in body.parts if isinstance(part, Ball | Disc)]
+    parts = [
+        (body, part) for body in scene.bodies for part in body.parts if isinstance(part, MarkerBall | MarkerDisc)
+    ]
     nodes, weights = np.polynomial.legendre.leggauss(9)
     xyz = np.zeros((scene.frames, len(parts), 3))
     mean, normal = xyz.copy(), xyz.copy()
@@ -100,7 +104,7 @@ def markers(scene: Scene) -> Markers:
         for m, (body, part) in enumerate(parts):
             rotation, position = body.motion.pose(t)
             xyz[frame, m] = position + rotation @ part.at_m
-            if isinstance(part, Disc):
+            if isinstance(part, MarkerDisc):
                 normal[frame, m] = rotation @ part.normal / np.linalg.norm(part.normal)
             for node, weight in zip(nodes, weights, strict=True):
                 rotation, position = body.motion.pose(t + node * scene.exposure_s / 2)
@@ -112,10 +116,10 @@ def markers(scene: Scene) -> Markers:
 class Film:
     """Renders a scene frame by frame."""
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: WitnessScene) -> None:
         load_mitsuba()
         self.scene, self.markers = scene, markers(scene)
-        self._transport = Transport(scene.cameras, scene.room.bounces)
+        self._transport = PixelRenderer(scene.cameras, scene.room.bounces)
 
     def render(self, progress: Any = None) -> Render:
         """Return the whole scene's noise-free images; ``progress(frame)`` is called after each frame."""
@@ -173,7 +177,7 @@ class Film:
             for body in scene.bodies:
                 for part in body.parts:
                     number = -1
-                    if isinstance(part, Ball | Disc):
+                    if isinstance(part, MarkerBall | MarkerDisc):
                         number, marker = marker, marker + 1
                     poses = [body.motion.pose(s) for s in (t - open_s, t, t + open_s)]
                     outline = np.concatenate([p + _outline(part, frame) @ r.T for r, p in poses])
@@ -211,7 +215,9 @@ class Film:
                     farthest = max(farthest, float(np.nan_to_num(np.abs(ends[1] - ends[0])).max()))
         return 1 << max(0, int(np.ceil(np.log2(max(farthest / SLICE_PX, 1e-9)))))
 
-    def _exposed(self, frame: int, windows: list[tuple[int, ...]], samples: int) -> list[tuple[Light, Light]]:
+    def _exposed(
+        self, frame: int, windows: list[tuple[int, ...]], samples: int
+    ) -> list[tuple[PixelLight, PixelLight]]:
         """Return each window's light in two independent halves of ``samples / 2`` each."""
         scene, count = self.scene, self.slices(frame)
         grids = [np.mgrid[y : y + h, x : x + w] for *_, x, y, w, h in windows]
@@ -238,14 +244,14 @@ class Film:
                     self._transport.render(instant, chosen, each, seed, maps, (s, count))
                     for s, instant in enumerate(scenes)
                 ]
-                mean = [sum(getattr(one, f.name) for one in lights) / count for f in fields(Light)]
+                mean = [sum(getattr(one, f.name) for one in lights) / count for f in fields(PixelLight)]
                 for out, values in zip(whole, mean, strict=True):
                     out[share == part] = values
             whole[0][share == 0] = behind[share == 0]
-            halves.append(Light(*whole))
+            halves.append(PixelLight(*whole))
         ends = np.concatenate([[0], np.cumsum([g[0].size for g in grids])])
         return [
-            tuple(Light(h.total[a:b], h.target[a:b], h.hits[a:b]) for h in halves)  # type: ignore[misc]
+            tuple(PixelLight(h.total[a:b], h.target[a:b], h.hits[a:b]) for h in halves)  # type: ignore[misc]
             for a, b in pairwise(ends)
         ]
 
@@ -261,7 +267,8 @@ class Film:
         for grid in grids:
             met = np.asarray(hits)[first : first + grid[0].size].reshape(grid.shape[1:])
             inner = minimum_filter(met, 3) > 1 - 1e-6
-            pieces.append(np.where(inner, INNER_SHARE, maximum_filter(met, 3) > 0).ravel())
+            near = (maximum_filter(met, 3) > 0) | (met.max() < PROBE_SEES)
+            pieces.append(np.where(inner, INNER_SHARE, near).ravel())
             first += grid[0].size
         return np.concatenate(pieces)
 
@@ -305,7 +312,7 @@ def _seed(scene: int, frame: int, half: int) -> int:
 
 def _outline(part: Part, frame: int) -> Array:
     """Return points (n, 3) in the body's frame whose hull holds the part."""
-    if isinstance(part, Ball | Disc):
+    if isinstance(part, MarkerBall | MarkerDisc):
         k = np.arange(SPHERE_POINTS) + 0.5
         z, turn = 1 - 2 * k / SPHERE_POINTS, k * np.pi * (1 + np.sqrt(5))
         flat = np.sqrt(1 - z * z)
@@ -315,10 +322,10 @@ def _outline(part: Part, frame: int) -> Array:
         ends = np.array([part.start_m, part.end_m])
         jitter = np.concatenate([np.eye(3), -np.eye(3)]) * part.diameter_m
         return np.asarray((ends[:, None] + jitter).reshape(-1, 3))
-    if isinstance(part, Board):
+    if isinstance(part, Chessboard):
         x, y = (n * part.square_m / 2 + part.margin_m for n in (part.columns, part.rows))
         return np.array([[a, b, 0.0] for a in (-x, x) for b in (-y, y)])
-    if isinstance(part, CodedTarget):
+    if isinstance(part, CodedPlate):
         half = PLATE_RADII * part.dot_radius_m / np.sqrt(2)
         return np.asarray(part.at_m + np.concatenate([np.eye(3), -np.eye(3)]) * half)
     with np.load(part.file) as data:
@@ -327,7 +334,9 @@ def _outline(part: Part, frame: int) -> Array:
     return np.array([[corners[i, 0], corners[j, 1], corners[k, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
 
 
-def _window_maps(window: tuple[int, ...], halves: tuple[Light, Light], background: Array) -> tuple[Any, ...]:
+def _window_maps(
+    window: tuple[int, ...], halves: tuple[PixelLight, PixelLight], background: Array
+) -> tuple[Any, ...]:
     """Return total of both halves, contrast, its derivatives, light centroid and area of a window."""
     _, camera, marker, x, y, w, h = window
     total = np.stack([half.total for half in halves])

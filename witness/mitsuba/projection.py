@@ -7,7 +7,7 @@ y'' = y' q + p1 (r^2 + 2 y'^2) + 2 p2 x' y'; u = fx x'' + cx, v = fy y'' + cy.
 
 import numpy as np
 
-from witness.mitsuba.scene import Array, Camera
+from witness.mitsuba.scene import Array, LensCamera
 
 NEWTON_STEPS = 12
 
@@ -30,7 +30,7 @@ def distort(xy: Array, distortion: tuple[float, ...]) -> tuple[Array, Array]:
     return out, np.stack(rows, -2)
 
 
-def project(camera: Camera, points: Array) -> tuple[Array, Array]:
+def project(camera: LensCamera, points: Array) -> tuple[Array, Array]:
     """Return pixels (..., 2) and their derivatives (..., 2, 3) by the points (..., 3) in the world; NaN behind."""
     rotation = camera.rotation
     p = (np.asarray(points, float) - camera.position_m) @ rotation
@@ -46,7 +46,7 @@ def project(camera: Camera, points: Array) -> tuple[Array, Array]:
     return xy * scale + camera.principal_px, scale[:, None] * (slopes @ by_point) @ rotation.T
 
 
-def directions(camera: Camera, pixels: Array) -> Array:
+def directions(camera: LensCamera, pixels: Array) -> Array:
     """Return rays' directions (..., 3) in the world, of length 1 along the camera's axis."""
     wanted = (np.asarray(pixels, float) - camera.principal_px) / camera.focal_px
     xy = wanted.copy()
@@ -57,7 +57,7 @@ def directions(camera: Camera, pixels: Array) -> Array:
     return result
 
 
-def in_image(camera: Camera, pixels: Array, margin: float = 0.0) -> Array:
+def in_image(camera: LensCamera, pixels: Array, margin: float = 0.0) -> Array:
     """Return whether pixels (..., 2) lie inside the image, ``margin`` away from its edge."""
     w, h = camera.size
     with np.errstate(invalid="ignore"):
@@ -70,7 +70,7 @@ def in_image(camera: Camera, pixels: Array, margin: float = 0.0) -> Array:
     return result
 
 
-def ball_outline_area(camera: Camera, centre: Array, diameter_m: float, around: int = 720) -> tuple[float, Array]:
+def ball_outline_area(camera: LensCamera, centre: Array, diameter_m: float, around: int = 720) -> tuple[float, Array]:
     """Return area [px^2] and area centroid [px] of a ball's outline through the distorted lens (polygon of its rim).
 
     The rim is the circle in which the cone from the lens's centre touches the sphere.

@@ -15,7 +15,7 @@ import numpy as np
 from witness.mitsuba.cramer_rao import image_bounds, point_bounds, render_noise_share, scale_e
 from witness.mitsuba.film import Film, Render, markers
 from witness.mitsuba.projection import project
-from witness.mitsuba.scene import Array, Ball, Board, Camera, CodedTarget, Scene
+from witness.mitsuba.scene import Array, Chessboard, CodedPlate, LensCamera, MarkerBall, WitnessScene
 from witness.mitsuba.sensor import VirtualSensor
 
 KEYS = {
@@ -45,7 +45,7 @@ KEYS = {
 }
 
 
-def rendered(scene: Scene, cache: Path, progress: Any = None) -> tuple[Render, bool]:
+def rendered(scene: WitnessScene, cache: Path, progress: Any = None) -> tuple[Render, bool]:
     """Return the noise-free images, from ``cache`` if they are there; and whether they were."""
     path = cache / f"{scene.render_key()}.npz"
     if path.is_file():
@@ -56,7 +56,7 @@ def rendered(scene: Scene, cache: Path, progress: Any = None) -> tuple[Render, b
     return render, False
 
 
-def truth(scene: Scene, render: Render, draw: int) -> dict[str, Any]:
+def truth(scene: WitnessScene, render: Render, draw: int) -> dict[str, Any]:
     """Return what goes into ``witness.npz``."""
     made = markers(scene)
     scale = scale_e(scene, render)
@@ -92,7 +92,7 @@ def truth(scene: Scene, render: Render, draw: int) -> dict[str, Any]:
     }
 
 
-def write_recording(scene: Scene, render: Render, out: Path, draw: int = 0) -> dict[str, Any]:
+def write_recording(scene: WitnessScene, render: Render, out: Path, draw: int = 0) -> dict[str, Any]:
     """Write the folder ``out`` and return what ``witness.npz`` holds; ``draw`` selects the noise.
 
     A folder of an earlier draw is replaced.
@@ -129,11 +129,11 @@ def write_recording(scene: Scene, render: Render, out: Path, draw: int = 0) -> d
     return values
 
 
-def _mid_ns(scene: Scene, frame: int) -> int:
+def _mid_ns(scene: WitnessScene, frame: int) -> int:
     return round(scene.mid_exposure_s(frame) * 1e9)
 
 
-def _write_truth(scene: Scene, values: dict[str, Any], path: Path) -> None:
+def _write_truth(scene: WitnessScene, values: dict[str, Any], path: Path) -> None:
     rows = ["label,time_ns,x,y,z"]
     for frame in range(scene.frames):
         for name, (x, y, z) in zip(values["names"], values["xyz"][frame], strict=True):
@@ -141,7 +141,7 @@ def _write_truth(scene: Scene, values: dict[str, Any], path: Path) -> None:
     path.write_text("\n".join(rows) + "\n", encoding="utf-8")
 
 
-def _camera_table(camera: Camera) -> str:
+def _camera_table(camera: LensCamera) -> str:
     k1, k2, p1, p2, k3 = camera.distortion
     lens = {
         "fx_px": camera.focal_px[0],
@@ -162,27 +162,27 @@ def _camera_table(camera: Camera) -> str:
     )
 
 
-def _target_table(scene: Scene) -> str:
+def _target_table(scene: WitnessScene) -> str:
     """Return the description of what calibrates, or nothing."""
     if len(scene.bodies) != 1:
         return ""
     parts = scene.bodies[0].parts
     first = parts[0]
-    if isinstance(first, Board):
+    if isinstance(first, Chessboard):
         return (
             f'kind = "board"\ncolumns = {first.columns}\nrows = {first.rows}\nsquare_m = {first.square_m!r}\n'
             f"margin_m = {first.margin_m!r}\n"
         )
-    if isinstance(first, CodedTarget):
+    if isinstance(first, CodedPlate):
         rows = [f'kind = "field"\ndot_radius_m = {first.dot_radius_m!r}\n']
         for part in parts:
-            assert isinstance(part, CodedTarget)
+            assert isinstance(part, CodedPlate)
             rows.append(
                 f"[[target]]\nnumber = {part.name.split('/')[1]}\nposition_m = {_list(part.at_m)}\n"
                 f"normal = {_list(part.normal)}\nx_axis = {_list(part.x_axis)}\n"
             )
         return "\n".join(rows)
-    balls = [part for part in parts if isinstance(part, Ball)]
+    balls = [part for part in parts if isinstance(part, MarkerBall)]
     if len(balls) < 2:
         return ""
     if balls[0].name.startswith("wand/"):

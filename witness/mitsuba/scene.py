@@ -16,7 +16,7 @@ Triple = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
-class Camera:
+class LensCamera:
     """OpenCV's lens (``distortion`` k1, k2, p1, p2, k3) behind a thin lens; ``aperture_m``: diameter, 0: pinhole."""
 
     name: str
@@ -38,7 +38,7 @@ class Camera:
 
 
 @dataclass(frozen=True)
-class Motion:
+class Swing:
     """Position ``centre + amplitude sin(2 pi frequency t + phase)``, axis by axis; the same for the rotation vector.
 
     Turns follow the base orientation: world_from_body = Exp(turn) base. With ``hold_s`` it stands still for that long
@@ -68,7 +68,7 @@ class Motion:
 
 
 @dataclass(frozen=True)
-class Ball:
+class MarkerBall:
     """A marker ball at ``at_m`` of its body."""
 
     name: str
@@ -77,7 +77,7 @@ class Ball:
 
 
 @dataclass(frozen=True)
-class Disc:
+class MarkerDisc:
     """A flat round marker, seen from the side to which ``normal`` points."""
 
     name: str
@@ -96,7 +96,7 @@ class Bar:
 
 
 @dataclass(frozen=True)
-class Board:
+class Chessboard:
     """A chessboard: ``columns`` x ``rows`` squares, the upper left one black, on a plate with a white margin.
 
     Origin in the middle of the face, x right, y up, z to the front.
@@ -109,7 +109,7 @@ class Board:
 
 
 @dataclass(frozen=True)
-class CodedTarget:
+class CodedPlate:
     """White dot, ring of ``sectors`` on a black plate; sector k counter-clockwise from ``x_axis``, from the front."""
 
     name: str
@@ -130,19 +130,19 @@ class Mesh:
     reflectance: float
 
 
-Part = Ball | Disc | Bar | Board | CodedTarget | Mesh
+Part = MarkerBall | MarkerDisc | Bar | Chessboard | CodedPlate | Mesh
 
 
 @dataclass(frozen=True)
 class Body:
     """Parts that move together."""
 
-    motion: Motion
+    motion: Swing
     parts: tuple[Part, ...]
 
 
 @dataclass(frozen=True)
-class Light:
+class Lamps:
     """``ring``: radiance of an annulus around each lens; ``panels``: squares (x, y, z, edge, radiance), face down."""
 
     ring: float = 1.0
@@ -167,7 +167,7 @@ class Room:
 
 
 @dataclass(frozen=True)
-class Sensor:
+class SensorValues:
     """See ``sensor.py``. ``peak_e``: photoelectrons of the brightest pixel of a near target."""
 
     bits: int = 8
@@ -202,19 +202,19 @@ class Quality:
 
 
 @dataclass(frozen=True)
-class Scene:
+class WitnessScene:
     """All of it; ``finish`` of balls and discs: ``lambert`` or ``retro``."""
 
     name: str
-    cameras: tuple[Camera, ...]
+    cameras: tuple[LensCamera, ...]
     bodies: tuple[Body, ...]
     frames: int
     rate_hz: float
     exposure_s: float
     finish: str = "retro"
-    light: Light = field(default_factory=Light)
+    light: Lamps = field(default_factory=Lamps)
     room: Room = field(default_factory=Room)
-    sensor: Sensor = field(default_factory=Sensor)
+    sensor: SensorValues = field(default_factory=SensorValues)
     quality: Quality = field(default_factory=Quality)
     seed: int = 1
 

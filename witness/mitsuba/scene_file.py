@@ -1,4 +1,4 @@
-"""Scene files: TOML tables that this module turns into a ``Scene``.
+"""Scene files: TOML tables that this module turns into a ``WitnessScene``.
 
 ::
 
@@ -35,21 +35,21 @@ import numpy as np
 from witness.mitsuba.projection import in_image, project
 from witness.mitsuba.scene import (
     Array,
-    Ball,
     Bar,
-    Board,
     Body,
-    Camera,
-    CodedTarget,
-    Disc,
-    Light,
+    Chessboard,
+    CodedPlate,
+    Lamps,
+    LensCamera,
+    MarkerBall,
+    MarkerDisc,
     Mesh,
-    Motion,
     Part,
     Quality,
     Room,
-    Scene,
-    Sensor,
+    SensorValues,
+    Swing,
+    WitnessScene,
     quaternion,
 )
 
@@ -91,7 +91,7 @@ ABOUT = {"lens": 0.02, "principal_px": 6.0, "k1": 0.02}
 """How far the cameras' lenses differ from the table, rms: relative focal length, principal point, k1."""
 
 
-def read_scene(path: Path) -> Scene:
+def read_scene(path: Path) -> WitnessScene:
     """Return the scene of a file; ValueError naming file and key."""
     with path.open("rb") as file:
         table = tomllib.load(file)
@@ -101,14 +101,14 @@ def read_scene(path: Path) -> Scene:
         raise ValueError(f"{path}: {error}") from None
 
 
-def scene_of(table: dict[str, Any], name: str, folder: Path) -> Scene:
+def scene_of(table: dict[str, Any], name: str, folder: Path) -> WitnessScene:
     """Return the scene of tables; ``folder`` is where files that it names lie."""
     table = dict(table)
     table.pop("title", None)
     cameras = _cameras(_filled(table.pop("cameras", {}), CAMERAS, "cameras"))
     made: dict[str, Any] = {
         key: kind(**_tuples(_known(table.pop(key, {}), kind, key)))
-        for key, kind in (("light", Light), ("room", Room), ("sensor", Sensor), ("quality", Quality))
+        for key, kind in (("light", Lamps), ("room", Room), ("sensor", SensorValues), ("quality", Quality))
     }
     frames, rate, seed = int(table.pop("frames")), float(table.pop("rate_hz")), int(table.pop("seed", 1))
     exposure, finish = float(table.pop("exposure_s")), table.pop("finish", "retro")
@@ -120,16 +120,16 @@ def scene_of(table: dict[str, Any], name: str, folder: Path) -> Scene:
     for key, parts in (("wand", _wand), ("l_frame", _l_frame), ("board", _board), ("field", _field), ("mesh", _mesh)):
         if key in table:
             given = dict(table.pop(key))
-            motion = Motion(**{k: _tuple(given.pop(k, CARRIED[k])) for k in CARRIED})
+            motion = Swing(**{k: _tuple(given.pop(k, CARRIED[k])) for k in CARRIED})
             bodies.append(Body(motion, tuple(parts(given, folder))))
             if given:
                 raise ValueError(f"[{key}]: unknown keys {sorted(given)}")
     if table:
         raise ValueError(f"unknown keys {sorted(table)}")
-    return Scene(name, cameras, tuple(bodies), frames, rate, exposure, finish, seed=seed, **made)
+    return WitnessScene(name, cameras, tuple(bodies), frames, rate, exposure, finish, seed=seed, **made)
 
 
-def _cameras(table: dict[str, Any]) -> tuple[Camera, ...]:
+def _cameras(table: dict[str, Any]) -> tuple[LensCamera, ...]:
     random = np.random.default_rng(table["seed"])
     look_at, made = np.array(table["look_at_m"]), []
     for k, (azimuth, height) in enumerate(zip(table["azimuths_deg"], table["heights_m"], strict=True)):
@@ -144,7 +144,7 @@ def _cameras(table: dict[str, Any]) -> tuple[Camera, ...]:
         k1, *rest = table["distortion"]
         distortion = (k1 + ABOUT["k1"] * random.standard_normal(), *rest)
         made.append(
-            Camera(
+            LensCamera(
                 f"cam{k + 1}",
                 tuple(table["size"]),
                 (round(float(focal), 4), round(float(focal) * 1.001, 4)),
@@ -159,7 +159,7 @@ def _cameras(table: dict[str, Any]) -> tuple[Camera, ...]:
     return tuple(made)
 
 
-def _cloud(table: dict[str, Any], cameras: tuple[Camera, ...], frames: int, rate: float, seed: int) -> list[Body]:
+def _cloud(table: dict[str, Any], cameras: tuple[LensCamera, ...], frames: int, rate: float, seed: int) -> list[Body]:
     """Return markers at random places that never meet and are in the view of ``seen_by`` cameras throughout."""
     random = np.random.default_rng([seed, 1])
     half, reach = np.array(table["half_size_m"]), float(table["amplitude_m"])
@@ -171,7 +171,7 @@ def _cloud(table: dict[str, Any], cameras: tuple[Camera, ...], frames: int, rate
         if len(bodies) == table["count"]:
             return bodies
         frequency = table["speed_mps"] / (2 * np.pi * max(reach, 1e-9)) / np.sqrt(1.5) * random.uniform(0.7, 1.3, 3)
-        motion = Motion(
+        motion = Swing(
             _tuple((half * random.uniform(-1, 1, 3)).round(6)),
             (reach,) * 3,
             _tuple(frequency.round(6)),
@@ -187,9 +187,9 @@ def _cloud(table: dict[str, Any], cameras: tuple[Camera, ...], frames: int, rate
         normal = np.array([*random.uniform(-0.35, 0.35, 2), 1.0])
         if seen >= table["seen_by"]:
             name, size = f"m{len(bodies) + 1:02d}", table["diameter_m"]
-            part: Part = Ball(name, (0.0, 0.0, 0.0), size)
+            part: Part = MarkerBall(name, (0.0, 0.0, 0.0), size)
             if table["shape"] == "disc":
-                part = Disc(name, (0.0, 0.0, 0.0), _tuple(normal.round(6)), size)
+                part = MarkerDisc(name, (0.0, 0.0, 0.0), _tuple(normal.round(6)), size)
             bodies.append(Body(motion, (part,)))
             tracks.append(track)
     raise ValueError(
@@ -200,7 +200,7 @@ def _cloud(table: dict[str, Any], cameras: tuple[Camera, ...], frames: int, rate
 def _wand(given: dict[str, Any], _: Path) -> list[Part]:
     along, size = given.pop("along_m"), given.pop("diameter_m")
     middle = (along[0] + along[-1]) / 2
-    parts: list[Part] = [Ball(f"wand/{k + 1}", (x - middle, 0.0, 0.0), size) for k, x in enumerate(along)]
+    parts: list[Part] = [MarkerBall(f"wand/{k + 1}", (x - middle, 0.0, 0.0), size) for k, x in enumerate(along)]
     bar = given.pop("bar_m", 0.0)
     if bar:
         ends = [x - middle for x in along]
@@ -210,17 +210,17 @@ def _wand(given: dict[str, Any], _: Path) -> list[Part]:
 
 def _l_frame(given: dict[str, Any], _: Path) -> list[Part]:
     size = given.pop("diameter_m")
-    return [Ball(one["name"], _tuple(one["position_m"]), size) for one in given.pop("marker")]
+    return [MarkerBall(one["name"], _tuple(one["position_m"]), size) for one in given.pop("marker")]
 
 
 def _board(given: dict[str, Any], _: Path) -> list[Part]:
-    return [Board(given.pop("columns"), given.pop("rows"), given.pop("square_m"), given.pop("margin_m"))]
+    return [Chessboard(given.pop("columns"), given.pop("rows"), given.pop("square_m"), given.pop("margin_m"))]
 
 
 def _field(given: dict[str, Any], _: Path) -> list[Part]:
     radius = given.pop("dot_radius_m")
     return [
-        CodedTarget(
+        CodedPlate(
             f"coded/{one['number']}",
             _tuple(one["position_m"]),
             _tuple(one.get("normal", (0.0, 0.0, 1.0))),

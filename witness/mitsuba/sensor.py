@@ -7,13 +7,13 @@ PRNU, DSNU and hot pixels belong to the camera: the same in all frames and draws
 
 import numpy as np
 
-from witness.mitsuba.scene import Array, Sensor
+from witness.mitsuba.scene import Array, SensorValues
 
 
 class VirtualSensor:
     """One camera's sensor; ``seed`` names camera and scene."""
 
-    def __init__(self, sensor: Sensor, size: tuple[int, int], seed: tuple[int, ...]) -> None:
+    def __init__(self, sensor: SensorValues, size: tuple[int, int], seed: tuple[int, ...]) -> None:
         self.sensor, shape = sensor, (size[1], size[0])
         random = np.random.default_rng([*seed, 71])
         self._response = 1 + sensor.prnu * random.standard_normal(shape)
@@ -35,7 +35,7 @@ class VirtualSensor:
         return np.clip(counts, 0, 2**sensor.bits - 1).astype(np.uint8 if sensor.bits <= 8 else np.uint16)
 
 
-def variance_e2(sensor: Sensor, electrons: Array) -> Array:
+def variance_e2(sensor: SensorValues, electrons: Array) -> Array:
     """Return the variance of a pixel's temporal noise in photoelectrons^2: Poisson, dark noise, rounding."""
     scale = 2.0 ** (sensor.bits - 8)
     dark = ((sensor.read_dn * scale) ** 2 + 1 / 12) / sensor.gain_dn_per_e**2

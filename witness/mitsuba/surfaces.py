@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from witness.mitsuba.scene import Array, Ball, Bar, Board, CodedTarget, Disc, Mesh, Scene
+from witness.mitsuba.scene import Array, Bar, Chessboard, CodedPlate, MarkerBall, MarkerDisc, Mesh, WitnessScene
 from witness.mitsuba.textures import BLACK, PLATE_RADII, board_texture, coded_texture, grain
 
 VARIANT = "llvm_ad_mono"
@@ -95,7 +95,7 @@ def _register_retro() -> None:
     mi.register_bsdf("witness_retro", Retro)
 
 
-def mitsuba_scene(scene: Scene, t: float, frame: int, moving: bool = True) -> Any:
+def mitsuba_scene(scene: WitnessScene, t: float, frame: int, moving: bool = True) -> Any:
     """Return Mitsuba's scene at ``t``; shapes whose id begins with MARKER are balls and discs.
 
     ``moving = False``: the room and its lamps alone. ``frame`` selects a mesh's vertices.
@@ -112,7 +112,7 @@ def mitsuba_scene(scene: Scene, t: float, frame: int, moving: bool = True) -> An
         rotation, position = body.motion.pose(t)
         for p, part in enumerate(body.parts):
             key = f"{b}_{p}"
-            if isinstance(part, Ball):
+            if isinstance(part, MarkerBall):
                 centre = [float(x) for x in position + rotation @ part.at_m]
                 content[MARKER + key] = {
                     "type": "sphere",
@@ -120,7 +120,7 @@ def mitsuba_scene(scene: Scene, t: float, frame: int, moving: bool = True) -> An
                     "radius": part.diameter_m / 2,
                     "bsdf": {"type": "ref", "id": "skin"},
                 }
-            elif isinstance(part, Disc):
+            elif isinstance(part, MarkerDisc):
                 content[MARKER + key] = {
                     "type": "disk",
                     "to_world": _facing(
@@ -142,11 +142,11 @@ def mitsuba_scene(scene: Scene, t: float, frame: int, moving: bool = True) -> An
     return mi.load_dict(content)
 
 
-def _surface(mi: Any, part: Board | CodedTarget | Mesh, rotation: Array, position: Array, frame: int) -> Any:
-    if isinstance(part, Board):
+def _surface(mi: Any, part: Chessboard | CodedPlate | Mesh, rotation: Array, position: Array, frame: int) -> Any:
+    if isinstance(part, Chessboard):
         x, y = (n * part.square_m / 2 + part.margin_m for n in (part.columns, part.rows))
         return _textured(mi, rotation @ np.diag([x, y, 1.0]), position, _board_image(part))
-    if isinstance(part, CodedTarget):
+    if isinstance(part, CodedPlate):
         z = rotation @ (np.array(part.normal) / np.linalg.norm(part.normal))
         x = rotation @ np.array(part.x_axis)
         x = x - z * (x @ z)
@@ -160,12 +160,12 @@ def _surface(mi: Any, part: Board | CodedTarget | Mesh, rotation: Array, positio
 
 
 @cache
-def _board_image(board: Board) -> Array:
+def _board_image(board: Chessboard) -> Array:
     return board_texture(board)
 
 
 @cache
-def _coded_image(target: CodedTarget) -> Array:
+def _coded_image(target: CodedPlate) -> Array:
     return coded_texture(target)
 
 
@@ -178,10 +178,10 @@ def _mesh_file(file: str) -> dict[str, Array]:
 def _textured(mi: Any, axes: Array, centre: Array, image: Array) -> dict[str, Any]:
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = axes, centre
-    # Mitsuba's v runs upwards: its bitmaps' first row is at v = 1
+    # a bitmap's first row is at v = 0: the rectangle's lower edge
     texture = {
         "type": "bitmap",
-        "bitmap": mi.Bitmap(np.ascontiguousarray(image[..., None], dtype=np.float32)),
+        "bitmap": mi.Bitmap(np.ascontiguousarray(image[::-1, :, None], dtype=np.float32)),
         "raw": True,
         "filter_type": "bilinear",
         "wrap_mode": "clamp",
@@ -193,7 +193,7 @@ def _textured(mi: Any, axes: Array, centre: Array, image: Array) -> dict[str, An
     }
 
 
-def _lamps(mi: Any, scene: Scene) -> dict[str, Any]:
+def _lamps(mi: Any, scene: WitnessScene) -> dict[str, Any]:
     light, lamps = scene.light, {}
     if light.ring > 0:
         for camera in scene.cameras:
@@ -217,7 +217,7 @@ def _lamps(mi: Any, scene: Scene) -> dict[str, Any]:
     return lamps
 
 
-def _room(mi: Any, scene: Scene) -> dict[str, Any]:
+def _room(mi: Any, scene: WitnessScene) -> dict[str, Any]:
     room, shapes = scene.room, {}
     half, low, high = room.half_width_m, room.floor_z_m, room.floor_z_m + room.height_m
     grain_texels = room.grain_m / (2 * half) * WALL_TEXELS

@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 
-from witness.mitsuba.scene import Array, Board, CodedTarget
+from witness.mitsuba.scene import Array, Chessboard, CodedPlate
 
 WHITE, BLACK = 0.85, 0.04
 """Reflectances of matt paper and matt print."""
@@ -14,7 +14,7 @@ PLATE_RADII = 8.0
 SUB = 2
 
 
-def board_texture(board: Board) -> Array:
+def board_texture(board: Chessboard) -> Array:
     """Return reflectances (rows, columns); the first row is the board's upper edge. Edges lie between texels."""
     n = TEXELS_A_SQUARE
     margin = round(board.margin_m / board.square_m * n)
@@ -23,7 +23,7 @@ def board_texture(board: Board) -> Array:
     return np.pad(image, margin, constant_values=WHITE)
 
 
-def coded_texture(target: CodedTarget) -> Array:
+def coded_texture(target: CodedPlate) -> Array:
     """Return reflectances (n, n), y up in the first row; each texel averages SUB^2 points."""
     n = PLATE_TEXELS * SUB
     steps = ((np.arange(n) + 0.5) / n - 0.5) * PLATE_RADII

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import qmc
 
-from witness.mitsuba.scene import Array, Camera
+from witness.mitsuba.scene import Array, LensCamera
 from witness.mitsuba.surfaces import MARKER, load_mitsuba
 
 SUB = 8
@@ -25,7 +25,7 @@ DIMENSIONS = 6
 
 
 @dataclass(frozen=True)
-class Light:
+class PixelLight:
     """What came of a list of pixels: ``total`` (n) mean radiance, ``target`` (n, SUB, SUB) that from targets,
     ``hits`` (n, SUB, SUB) the share of rays that met one; sub-pixels (row, column).
     """
@@ -53,10 +53,10 @@ class Pixels:
         return Pixels(self.camera[first:last], self.x[first:last], self.y[first:last])
 
 
-class Transport:
+class PixelRenderer:
     """Renders pixels of ``cameras``; ``bounces`` diffuse reflections before the lamp are followed."""
 
-    def __init__(self, cameras: tuple[Camera, ...], bounces: int) -> None:
+    def __init__(self, cameras: tuple[LensCamera, ...], bounces: int) -> None:
         mi = load_mitsuba()
         rows = [
             [
@@ -78,7 +78,7 @@ class Transport:
 
     def render(
         self, scene: Any, pixels: Pixels, samples: int, seed: int, maps: bool = True, part: tuple[int, int] = (0, 1)
-    ) -> Light:
+    ) -> PixelLight:
         """Return the light on ``pixels`` in Mitsuba's ``scene`` by ``samples`` (a power of two) a pixel.
 
         ``part``: which of how many equal parts of one series of points: instants of one exposure share a series.
@@ -95,7 +95,7 @@ class Transport:
             total[here], target[here], hits[here] = self._launch(scene, marks, points, some, samples, seed, maps)
         scale = bins / samples
         shape = (n, SUB, SUB) if maps else (n, 1, 1)
-        return Light(total / samples, (target * scale).reshape(shape), (hits * scale).reshape(shape))
+        return PixelLight(total / samples, (target * scale).reshape(shape), (hits * scale).reshape(shape))
 
     def _launch(
         self, scene: Any, marks: Any, points: Any, pixels: Pixels, samples: int, seed: int, maps: bool
