@@ -11,7 +11,17 @@ from witness.mitsuba.cramer_rao import image_bounds, render_noise_share, scale_e
 from witness.mitsuba.film import Film
 from witness.mitsuba.projection import ball_outline_area, project
 from witness.mitsuba.recording import rendered
-from witness.mitsuba.scene import Body, Chessboard, CodedPlate, Lamps, MarkerBall, Part, Quality, Swing, WitnessScene
+from witness.mitsuba.scene import (
+    Body,
+    Chessboard,
+    CodedPlate,
+    MarkerBall,
+    Part,
+    Quality,
+    SceneLamps,
+    Swing,
+    WitnessScene,
+)
 from witness.mitsuba.scene_file import scene_of
 from witness.mitsuba.textures import BLACK, WHITE
 
@@ -23,7 +33,7 @@ except ImportError as error:
 
 from witness.mitsuba.transport import SUB, PixelRenderer, Pixels  # noqa: E402
 
-LAMPS = Lamps(ring=0.0, panels=((0.0, 0.0, 8.0, 2.0, 1.0),))
+LAMPS = SceneLamps(ring=0.0, panels=((0.0, 0.0, 8.0, 2.0, 1.0),))
 
 
 def _scene(*parts: Part, motion: Swing | None = None, **changes: Any) -> WitnessScene:
@@ -39,7 +49,7 @@ def _places(scene: WitnessScene, samples: int) -> list[tuple[float, np.ndarray]]
     for c, camera in enumerate(scene.cameras):
         part = scene.bodies[0].parts[0]
         assert isinstance(part, MarkerBall)
-        middle = np.rint(project(camera, np.array(part.at_m))[0]).astype(int)
+        middle = np.rint(project(camera, np.array(part.at_m))).astype(int)
         half = int(part.diameter_m * 130) + 4
         y, x = np.mgrid[middle[1] - half : middle[1] + half + 1, middle[0] - half : middle[0] + half + 1]
         light = transport.render(instant, Pixels(np.full(x.size, c), x.ravel(), y.ravel()), samples, 5)
@@ -79,7 +89,7 @@ def test_blur_of_a_thin_lens() -> None:
         # pixels add 1/6, the ball its own disc
         own = (camera.focal_px[0] * 0.008 / depth) ** 2 / 8
         assert spread == pytest.approx(blur**2 / 8 + 1 / 6 + own, rel=0.02)
-        assert np.allclose(render.light_px[0, window[1], 0], project(camera, np.zeros(3))[0], atol=0.05)
+        assert np.allclose(render.light_px[0, window[1], 0], project(camera, np.zeros(3)), atol=0.05)
 
 
 def test_light_of_a_moving_ball_lies_at_its_mean_place(tmp_path: Path) -> None:
@@ -126,7 +136,7 @@ def test_a_hidden_ball_is_not_seen() -> None:
 
 def _reflectance(scene: WitnessScene, points: np.ndarray) -> np.ndarray:
     """Radiance at world points as the first camera sees them, relative to the brightest."""
-    pixels = np.rint(project(scene.cameras[0], points)[0]).astype(int)
+    pixels = np.rint(project(scene.cameras[0], points)).astype(int)
     transport, instant = PixelRenderer(scene.cameras, 0), surfaces.mitsuba_scene(scene, 0.1, 0)
     light = transport.render(instant, Pixels(np.zeros(len(pixels)), pixels[:, 0], pixels[:, 1]), 256, 1, maps=False)
     return np.asarray(light.total / light.total.max())

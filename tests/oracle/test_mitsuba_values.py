@@ -12,7 +12,14 @@ from witness import emva
 from witness.mitsuba.__main__ import main
 from witness.mitsuba.cramer_rao import image_bounds, point_bounds, render_noise_share
 from witness.mitsuba.film import Render, markers
-from witness.mitsuba.projection import ball_outline_area, directions, distort, project
+from witness.mitsuba.projection import (
+    ball_outline_area,
+    directions,
+    distorted,
+    distortion_slopes,
+    project,
+    project_slopes,
+)
 from witness.mitsuba.recording import write_recording
 from witness.mitsuba.scene import LensCamera, SensorValues, WitnessScene
 from witness.mitsuba.scene_file import read_scene, scene_of
@@ -33,7 +40,7 @@ def _camera() -> LensCamera:
 def test_projection_is_opencvs() -> None:
     camera, random = _camera(), np.random.default_rng(1)
     points = random.uniform(-1, 1, (50, 3))
-    pixels, slopes = project(camera, points)
+    pixels, slopes = project(camera, points), project_slopes(camera, points)
     rotation = camera.rotation.T
     matrix = np.array(
         [[camera.focal_px[0], 0, camera.principal_px[0]], [0, camera.focal_px[1], camera.principal_px[1]], [0, 0, 1]]
@@ -44,9 +51,7 @@ def test_projection_is_opencvs() -> None:
     assert np.abs(pixels - expected[:, 0]).max() < 1e-9
     step = 1e-6
     for axis in range(3):
-        moved = (
-            project(camera, points + step * np.eye(3)[axis])[0] - project(camera, points - step * np.eye(3)[axis])[0]
-        )
+        moved = project(camera, points + step * np.eye(3)[axis]) - project(camera, points - step * np.eye(3)[axis])
         assert np.allclose(slopes[..., axis], moved / (2 * step), rtol=1e-6, atol=1e-4)
     towards = directions(camera, pixels)
     there = points - camera.position_m
@@ -55,10 +60,10 @@ def test_projection_is_opencvs() -> None:
 
 def test_distortion_derivatives() -> None:
     xy, step = np.array([[0.3, -0.2], [-0.1, 0.4]]), 1e-6
-    _, slopes = distort(xy, (-0.2, 0.1, 1e-3, -2e-3, 0.05))
+    slopes = distortion_slopes(xy, (-0.2, 0.1, 1e-3, -2e-3, 0.05))
     for axis in range(2):
         move = step * np.eye(2)[axis]
-        pair = [distort(xy + sign * move, (-0.2, 0.1, 1e-3, -2e-3, 0.05))[0] for sign in (1, -1)]
+        pair = [distorted(xy + sign * move, (-0.2, 0.1, 1e-3, -2e-3, 0.05)) for sign in (1, -1)]
         assert np.allclose(slopes[..., axis], (pair[0] - pair[1]) / (2 * step), atol=1e-8)
 
 
@@ -150,7 +155,7 @@ def test_points_bound_of_two_cameras() -> None:
     bounds = np.full((2, 4, 4, 2, 2), np.nan)
     bounds[:, :2] = 0.01**2 * np.eye(2)
     points = point_bounds(scene, made, bounds)
-    slopes = np.concatenate([project(c, made.mean_xyz[1, 2])[1] for c in scene.cameras[:2]])
+    slopes = np.concatenate([project_slopes(c, made.mean_xyz[1, 2]) for c in scene.cameras[:2]])
     assert np.allclose(points[1, 2], 0.01**2 * np.linalg.inv(slopes.T @ slopes))
     bounds[:, 1] = np.nan
     assert np.isnan(point_bounds(scene, made, bounds)).all()

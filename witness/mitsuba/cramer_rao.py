@@ -9,7 +9,7 @@ space: the sum of P^T C^-1 P over the cameras, P the derivative of the image by 
 import numpy as np
 
 from witness.mitsuba.film import Markers, Render
-from witness.mitsuba.projection import project
+from witness.mitsuba.projection import project_slopes
 from witness.mitsuba.scene import Array, WitnessScene
 from witness.mitsuba.sensor import variance_e2
 
@@ -75,7 +75,7 @@ def point_bounds(scene: WitnessScene, markers: Markers, bounds: Array) -> Array:
     frames, cameras, m = bounds.shape[:3]
     information, seen = np.zeros((frames, m, 3, 3)), np.zeros((frames, m), int)
     for c in range(cameras):
-        _, by_point = project(scene.cameras[c], markers.mean_xyz)
+        by_point = project_slopes(scene.cameras[c], markers.mean_xyz)
         good = np.isfinite(bounds[:, c, :, 0, 0])
         weight = np.linalg.inv(bounds[:, c][good])
         information[good] += by_point[good].transpose(0, 2, 1) @ weight @ by_point[good]

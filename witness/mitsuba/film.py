@@ -166,31 +166,40 @@ class Film:
             out[c] = gaussian_filter(light.total.reshape(h, w), BACKGROUND_BLUR_PX)
         return out
 
+    def _paths(self, frame: int) -> list[tuple[int, Array]]:
+        """Return each part's number (markers count from 0, others are -1) and its outline (3, n, 3) when the shutter
+        opens, at mid-exposure and when it closes.
+        """
+        scene, marker, found = self.scene, 0, []
+        times = scene.mid_exposure_s(frame) + np.array([-0.5, 0.0, 0.5]) * scene.exposure_s
+        for body in scene.bodies:
+            poses = [body.motion.pose(float(t)) for t in times]
+            for part in body.parts:
+                number = -1
+                if isinstance(part, MarkerBall | MarkerDisc):
+                    number, marker = marker, marker + 1
+                outline = _outline(part, frame)
+                found.append((number, np.stack([p + outline @ r.T for r, p in poses])))
+        return found
+
     def _windows(self, frame: int) -> list[tuple[int, ...]]:
         """Return frame, camera, marker, x, y, w, h of each window; what is nearer comes later."""
-        scene = self.scene
         found: list[tuple[int, ...]] = []
-        open_s = scene.exposure_s / 2
-        t = scene.mid_exposure_s(frame)
-        for c, camera in enumerate(scene.cameras):
-            marker, here = 0, []
-            for body in scene.bodies:
-                for part in body.parts:
-                    number = -1
-                    if isinstance(part, MarkerBall | MarkerDisc):
-                        number, marker = marker, marker + 1
-                    poses = [body.motion.pose(s) for s in (t - open_s, t, t + open_s)]
-                    outline = np.concatenate([p + _outline(part, frame) @ r.T for r, p in poses])
-                    box = self._box(c, outline)
-                    if box:
-                        distance = float(np.linalg.norm(outline.mean(0) - camera.position_m))
-                        here.append((distance, (frame, c, number, *box)))
+        paths = self._paths(frame)
+        for c, camera in enumerate(self.scene.cameras):
+            here = []
+            for number, path in paths:
+                outline = path.reshape(-1, 3)
+                box = self._box(c, outline)
+                if box:
+                    distance = float(np.linalg.norm(outline.mean(0) - camera.position_m))
+                    here.append((distance, (frame, c, number, *box)))
             found += [w for _, w in sorted(here, reverse=True)]
         return found
 
     def _box(self, c: int, outline: Array) -> tuple[int, int, int, int] | None:
         camera = self.scene.cameras[c]
-        pixels, _ = project(camera, outline)
+        pixels = project(camera, outline)
         if not np.isfinite(pixels).all():
             return None
         depth = (outline - camera.position_m) @ camera.rotation[:, 2]
@@ -203,16 +212,11 @@ class Film:
 
     def slices(self, frame: int) -> int:
         """Return of how many instants an exposure is made up: a power of two."""
-        scene, t = self.scene, self.scene.mid_exposure_s(frame)
         farthest = 0.0
-        for camera in scene.cameras:
-            for body in scene.bodies:
-                for part in body.parts:
-                    ends = [
-                        project(camera, p + _outline(part, frame) @ r.T)[0]
-                        for r, p in (body.motion.pose(t + s * scene.exposure_s / 2) for s in (-1, 1))
-                    ]
-                    farthest = max(farthest, float(np.nan_to_num(np.abs(ends[1] - ends[0])).max()))
+        ends = np.concatenate([path[[0, 2]] for _, path in self._paths(frame)], axis=1)
+        for camera in self.scene.cameras:
+            first, last = project(camera, ends)
+            farthest = max(farthest, float(np.nan_to_num(np.abs(last - first)).max()))
         return 1 << max(0, int(np.ceil(np.log2(max(farthest / SLICE_PX, 1e-9)))))
 
     def _exposed(
@@ -293,7 +297,7 @@ class Film:
             up, radius = np.cross(axis, side), self.markers.diameter_m[:, None] / 2
             around = np.cos(turn)[:, None] * side[:, None] + np.sin(turn)[:, None] * up[:, None]
             disc = centre[:, None] + (radius * reach)[..., None] * around
-            pixels, _ = project(camera, disc)
+            pixels = project(camera, disc)
             inside = (pixels >= -0.5).all(-1) & (pixels <= np.array(camera.size) - 0.5).all(-1)
             length = np.linalg.norm(disc - origin, axis=-1)
             towards = ((disc - origin) / length[..., None]).reshape(-1, 3).T.astype(np.float32)

@@ -12,38 +12,52 @@ from witness.mitsuba.scene import Array, LensCamera
 NEWTON_STEPS = 12
 
 
-def distort(xy: Array, distortion: tuple[float, ...]) -> tuple[Array, Array]:
-    """Return distorted plane coordinates (..., 2) and their derivatives (..., 2, 2) by the ideal ones ``xy``."""
+def distorted(xy: Array, distortion: tuple[float, ...]) -> Array:
+    """Return distorted plane coordinates (..., 2) of the ideal ones ``xy``."""
+    k1, k2, p1, p2, k3 = distortion
+    x, y = xy[..., 0], xy[..., 1]
+    r2 = x * x + y * y
+    q = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    return np.stack(
+        [x * q + 2 * p1 * x * y + p2 * (r2 + 2 * x * x), y * q + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y], -1
+    )
+
+
+def distortion_slopes(xy: Array, distortion: tuple[float, ...]) -> Array:
+    """Return the derivatives (..., 2, 2) of distorted plane coordinates by the ideal ones ``xy``."""
     k1, k2, p1, p2, k3 = distortion
     x, y = xy[..., 0], xy[..., 1]
     r2 = x * x + y * y
     q = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
     slope = 2 * (k1 + r2 * (2 * k2 + r2 * 3 * k3))
-    out = np.stack(
-        [x * q + 2 * p1 * x * y + p2 * (r2 + 2 * x * x), y * q + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y], -1
-    )
     cross = x * y * slope + 2 * p1 * x + 2 * p2 * y
     rows = [
         np.stack([q + x * x * slope + 2 * p1 * y + 6 * p2 * x, cross], -1),
         np.stack([cross, q + y * y * slope + 6 * p1 * y + 2 * p2 * x], -1),
     ]
-    return out, np.stack(rows, -2)
+    return np.stack(rows, -2)
 
 
-def project(camera: LensCamera, points: Array) -> tuple[Array, Array]:
-    """Return pixels (..., 2) and their derivatives (..., 2, 3) by the points (..., 3) in the world; NaN behind."""
-    rotation = camera.rotation
-    p = (np.asarray(points, float) - camera.position_m) @ rotation
+def _ideal(camera: LensCamera, points: Array) -> tuple[Array, Array]:
+    """Return plane coordinates (..., 2) before distortion and depths (...); NaN behind the camera."""
+    p = (np.asarray(points, float) - camera.position_m) @ camera.rotation
     with np.errstate(all="ignore"):
         z = np.where(p[..., 2] > 1e-6, p[..., 2], np.nan)
-        ideal = p[..., :2] / z[..., None]
-    xy, slopes = distort(ideal, camera.distortion)
+        return p[..., :2] / z[..., None], z
+
+
+def project(camera: LensCamera, points: Array) -> Array:
+    """Return pixels (..., 2) of the points (..., 3) in the world; NaN behind the camera."""
+    return distorted(_ideal(camera, points)[0], camera.distortion) * camera.focal_px + camera.principal_px
+
+
+def project_slopes(camera: LensCamera, points: Array) -> Array:
+    """Return the derivatives (..., 2, 3) of the pixels by the points (..., 3)."""
+    ideal, z = _ideal(camera, points)
     zero = np.zeros_like(z)
-    by_point = np.stack(
-        [np.stack([1 / z, zero, -ideal[..., 0] / z], -1), np.stack([zero, 1 / z, -ideal[..., 1] / z], -1)], -2
-    )
-    scale = np.array(camera.focal_px)
-    return xy * scale + camera.principal_px, scale[:, None] * (slopes @ by_point) @ rotation.T
+    rows = [np.stack([1 / z, zero, -ideal[..., 0] / z], -1), np.stack([zero, 1 / z, -ideal[..., 1] / z], -1)]
+    by_ideal = np.array(camera.focal_px)[:, None] * distortion_slopes(ideal, camera.distortion)
+    return np.asarray(by_ideal @ np.stack(rows, -2) @ camera.rotation.T)
 
 
 def directions(camera: LensCamera, pixels: Array) -> Array:
@@ -51,8 +65,8 @@ def directions(camera: LensCamera, pixels: Array) -> Array:
     wanted = (np.asarray(pixels, float) - camera.principal_px) / camera.focal_px
     xy = wanted.copy()
     for _ in range(NEWTON_STEPS):
-        reached, slopes = distort(xy, camera.distortion)
-        xy = xy - np.linalg.solve(slopes, (reached - wanted)[..., None])[..., 0]
+        off = distorted(xy, camera.distortion) - wanted
+        xy = xy - np.linalg.solve(distortion_slopes(xy, camera.distortion), off[..., None])[..., 0]
     result: Array = np.concatenate([xy, np.ones((*xy.shape[:-1], 1))], -1) @ camera.rotation.T
     return result
 
@@ -86,7 +100,7 @@ def ball_outline_area(camera: LensCamera, centre: Array, diameter_m: float, arou
     radius = diameter_m / 2 * np.sqrt(1 - sine**2)
     angle = np.linspace(0, 2 * np.pi, around, endpoint=False)
     rim = foot + radius * (np.cos(angle)[:, None] * side + np.sin(angle)[:, None] * up)
-    return polygon_centroid(project(camera, rim)[0])
+    return polygon_centroid(project(camera, rim))
 
 
 def polygon_centroid(corners: Array) -> tuple[float, Array]:

@@ -73,7 +73,7 @@ def truth(scene: WitnessScene, render: Render, draw: int) -> dict[str, Any]:
         "xyz": made.xyz,
         "mean_xyz": made.mean_xyz,
         "normal": made.normal,
-        "centre_px": np.stack([project(c, made.mean_xyz)[0] for c in scene.cameras], 1),
+        "centre_px": np.stack([project(c, made.mean_xyz) for c in scene.cameras], 1),
         "light_px": render.light_px,
         "area_px2": render.area_px2,
         "peak_e": peak,

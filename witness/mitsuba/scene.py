@@ -4,6 +4,7 @@ import ast
 import hashlib
 import json
 from dataclasses import asdict, dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -60,6 +61,8 @@ class Swing:
         if self.hold_s > 0:
             t = np.floor(t / self.hold_s) * self.hold_s
         swing = np.sin(2 * np.pi * np.array(self.frequency_hz) * t + self.phase_rad)
+        if not any(self.turn_rad):
+            return rotation_matrix(self.base_wxyz), np.array(self.centre_m) + np.array(self.amplitude_m) * swing
         turn = np.array(self.turn_rad) * np.sin(
             2 * np.pi * np.array(self.turn_frequency_hz) * t + self.turn_phase_rad
         )
@@ -142,7 +145,7 @@ class Body:
 
 
 @dataclass(frozen=True)
-class Lamps:
+class SceneLamps:
     """``ring``: radiance of an annulus around each lens; ``panels``: squares (x, y, z, edge, radiance), face down."""
 
     ring: float = 1.0
@@ -212,7 +215,7 @@ class WitnessScene:
     rate_hz: float
     exposure_s: float
     finish: str = "retro"
-    light: Lamps = field(default_factory=Lamps)
+    light: SceneLamps = field(default_factory=SceneLamps)
     room: Room = field(default_factory=Room)
     sensor: SensorValues = field(default_factory=SensorValues)
     quality: Quality = field(default_factory=Quality)
@@ -250,6 +253,7 @@ def code_digest() -> str:
     return hashlib.sha256("".join(ast.dump(tree) for tree in trees).encode()).hexdigest()
 
 
+@cache
 def rotation_matrix(wxyz: tuple[float, float, float, float]) -> Array:
     """Return the rotation (3, 3) of a unit quaternion."""
     w, x, y, z = wxyz

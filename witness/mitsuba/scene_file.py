@@ -39,7 +39,6 @@ from witness.mitsuba.scene import (
     Body,
     Chessboard,
     CodedPlate,
-    Lamps,
     LensCamera,
     MarkerBall,
     MarkerDisc,
@@ -47,6 +46,7 @@ from witness.mitsuba.scene import (
     Part,
     Quality,
     Room,
+    SceneLamps,
     SensorValues,
     Swing,
     WitnessScene,
@@ -108,7 +108,7 @@ def scene_of(table: dict[str, Any], name: str, folder: Path) -> WitnessScene:
     cameras = _cameras(_filled(table.pop("cameras", {}), CAMERAS, "cameras"))
     made: dict[str, Any] = {
         key: kind(**_tuples(_known(table.pop(key, {}), kind, key)))
-        for key, kind in (("light", Lamps), ("room", Room), ("sensor", SensorValues), ("quality", Quality))
+        for key, kind in (("light", SceneLamps), ("room", Room), ("sensor", SensorValues), ("quality", Quality))
     }
     frames, rate, seed = int(table.pop("frames")), float(table.pop("rate_hz")), int(table.pop("seed", 1))
     exposure, finish = float(table.pop("exposure_s")), table.pop("finish", "retro")
@@ -181,8 +181,7 @@ def _cloud(table: dict[str, Any], cameras: tuple[LensCamera, ...], frames: int, 
         if any(np.linalg.norm(track - other, axis=1).min() < apart for other in tracks):
             continue
         seen = sum(
-            bool(in_image(c, project(c, track)[0], 4 + c.focal_px[0] * table["diameter_m"] / 4).all())
-            for c in cameras
+            bool(in_image(c, project(c, track), 4 + c.focal_px[0] * table["diameter_m"] / 4).all()) for c in cameras
         )
         normal = np.array([*random.uniform(-0.35, 0.35, 2), 1.0])
         if seen >= table["seen_by"]:
