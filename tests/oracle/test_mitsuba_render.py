@@ -134,6 +134,19 @@ def test_a_hidden_ball_is_not_seen() -> None:
     assert render.visible[0].tolist() == [[1.0, 0.0], [1.0, 1.0]]
 
 
+def test_surface_goes_on_around_a_ball() -> None:
+    limb = Limb((-0.5, 0.0, 0.0), (0.5, 0.0, 0.0), 0.4, 0.5)
+    scene = _scene(limb, MarkerBall("ball", (0.0, 0.0, 0.215), 0.03), light=SceneLamps(panels=LAMPS.panels))
+    render = Film(replace(scene, quality=Quality(window_samples=64))).render()
+    image = render.images(0)[0]
+    place = np.rint(project(scene.cameras[0], np.array([0.0, 0.0, 0.215]))).astype(int)
+    row = image[place[1], place[0] - 12 : place[0] + 13]
+    # beside the ball the limb is as bright inside of the ball's window as outside, and nowhere black
+    assert row[12] > 5 * row[0] > 0
+    assert row[[6, 7, 17, 18]] == pytest.approx(row[[0, 1, 23, 24]], rel=0.3)
+    assert row.min() > 0.5 * row[0]
+
+
 def _reflectance(scene: WitnessScene, points: np.ndarray) -> np.ndarray:
     """Radiance at world points as the first camera sees them, relative to the brightest."""
     pixels = np.rint(project(scene.cameras[0], points)).astype(int)

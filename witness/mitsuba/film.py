@@ -14,7 +14,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter, maximum_filter, minimum_filter
 
 from witness.mitsuba.projection import project
-from witness.mitsuba.scene import Array, Bar, Chessboard, CodedPlate, MarkerBall, MarkerDisc, Mesh, Part, WitnessScene
+from witness.mitsuba.scene import Array, Bar, Chessboard, CodedPlate, Limb, MarkerBall, MarkerDisc, Part, WitnessScene
 from witness.mitsuba.surfaces import load_mitsuba, mitsuba_scene
 from witness.mitsuba.textures import PLATE_RADII
 from witness.mitsuba.transport import SUB, PixelLight, PixelRenderer, Pixels
@@ -124,23 +124,24 @@ class Film:
     def render(self, progress: Any = None) -> Render:
         """Return the whole scene's noise-free images; ``progress(frame)`` is called after each frame."""
         scene = self.scene
-        background = self._behind = self._background()
+        background = self._background()
         shape = (scene.frames, len(scene.cameras), len(self.markers.names))
         light_px, area, visible = np.full((*shape, 2), np.nan), np.zeros(shape), np.zeros(shape)
         place, pieces = [], []
         for frame in range(scene.frames):
-            windows = self._windows(frame)
+            windows, behind = self._windows(frame), background.copy()
             surfaces = [w for w in windows if w[2] < 0]
             targets = [w for w in windows if w[2] >= 0]
             for group, samples in ((surfaces, scene.quality.plate_samples), (targets, scene.quality.window_samples)):
-                if group:
-                    lights = self._exposed(frame, group, samples)
-                    for w, halves in zip(group, lights, strict=True):
-                        piece = _window_maps(w, halves, background)
-                        place.append(w)
-                        pieces.append(piece[:4])
-                        if w[2] >= 0:
-                            light_px[w[0], w[1], w[2]], area[w[0], w[1], w[2]] = piece[4], piece[5]
+                for w, halves in zip(group, self._exposed(frame, group, samples, behind), strict=True):
+                    piece = _window_maps(w, halves, background)
+                    place.append(w)
+                    pieces.append(piece[:4])
+                    _, c, marker, x, y, width, height = w
+                    if marker >= 0:
+                        light_px[frame, c, marker], area[frame, c, marker] = piece[4:]
+                    else:
+                        behind[c, y : y + height, x : x + width] = piece[0].mean(0).reshape(height, width)
             visible[frame] = self._visible(frame)
             if progress:
                 progress(frame)
@@ -220,9 +221,14 @@ class Film:
         return 1 << max(0, int(np.ceil(np.log2(max(farthest / SLICE_PX, 1e-9)))))
 
     def _exposed(
-        self, frame: int, windows: list[tuple[int, ...]], samples: int
+        self, frame: int, windows: list[tuple[int, ...]], samples: int, behind: Array
     ) -> list[tuple[PixelLight, PixelLight]]:
-        """Return each window's light in two independent halves of ``samples / 2`` each."""
+        """Return each window's light in two independent halves of ``samples / 2`` each.
+
+        ``behind`` (cameras, H, W) is what pixels show that no target is near.
+        """
+        if not windows:
+            return []
         scene, count = self.scene, self.slices(frame)
         grids = [np.mgrid[y : y + h, x : x + w] for *_, x, y, w, h in windows]
         pixels = Pixels(
@@ -236,7 +242,6 @@ class Film:
         ]
         maps = windows[0][2] >= 0
         share = self._shares(scenes, pixels, grids, frame) if maps else np.ones(len(pixels))
-        behind = self._behind[pixels.camera, pixels.y, pixels.x]
         halves = []
         for half in range(2):
             grid = (len(pixels), SUB, SUB) if maps else (len(pixels), 1, 1)
@@ -251,7 +256,8 @@ class Film:
                 mean = [sum(getattr(one, f.name) for one in lights) / count for f in fields(PixelLight)]
                 for out, values in zip(whole, mean, strict=True):
                     out[share == part] = values
-            whole[0][share == 0] = behind[share == 0]
+            unseen = share == 0
+            whole[0][unseen] = behind[pixels.camera[unseen], pixels.y[unseen], pixels.x[unseen]]
             halves.append(PixelLight(*whole))
         ends = np.concatenate([[0], np.cumsum([g[0].size for g in grids])])
         return [
@@ -322,7 +328,7 @@ def _outline(part: Part, frame: int) -> Array:
         flat = np.sqrt(1 - z * z)
         sphere = np.column_stack([flat * np.cos(turn), flat * np.sin(turn), z])
         return np.array(part.at_m) + sphere * (part.diameter_m / 2 * 1.03)
-    if isinstance(part, Bar):
+    if isinstance(part, Bar | Limb):
         ends = np.array([part.start_m, part.end_m])
         jitter = np.concatenate([np.eye(3), -np.eye(3)]) * part.diameter_m
         return np.asarray((ends[:, None] + jitter).reshape(-1, 3))
@@ -369,4 +375,4 @@ def _window_maps(
     return total, pixels(fine), by_x, by_y, place, float(hits.mean((1, 2)).sum())
 
 
-__all__ = ["Film", "Markers", "Mesh", "Render", "markers"]
+__all__ = ["Film", "Markers", "Render", "markers"]

@@ -133,7 +133,17 @@ class Mesh:
     reflectance: float
 
 
-Part = MarkerBall | MarkerDisc | Bar | Chessboard | CodedPlate | Mesh
+@dataclass(frozen=True)
+class Limb:
+    """A cylinder with round ends between two points, as a mesh of ``LIMB_SIDES``: part of a person's body."""
+
+    start_m: Triple
+    end_m: Triple
+    diameter_m: float
+    reflectance: float
+
+
+Part = Limb | MarkerBall | MarkerDisc | Bar | Chessboard | CodedPlate | Mesh
 
 
 @dataclass(frozen=True)

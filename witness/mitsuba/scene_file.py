@@ -11,7 +11,7 @@
     radius_m = 3.2
     heights_m = [1.8, 2.6, 2.0, 2.8]
     focal_px = 640.0
-    [cloud]                                  # any of these: cloud, wand, l_frame, board, field, mesh
+    [cloud]                                  # any of these: cloud, wand, l_frame, board, field, mesh, limb
     count = 40
     diameter_m = 0.1
     shape = "ball"                           # or "disc"
@@ -40,6 +40,7 @@ from witness.mitsuba.scene import (
     Chessboard,
     CodedPlate,
     LensCamera,
+    Limb,
     MarkerBall,
     MarkerDisc,
     Mesh,
@@ -124,6 +125,12 @@ def scene_of(table: dict[str, Any], name: str, folder: Path) -> WitnessScene:
             bodies.append(Body(motion, tuple(parts(given, folder))))
             if given:
                 raise ValueError(f"[{key}]: unknown keys {sorted(given)}")
+    for number, given in enumerate(table.pop("limb", [])):
+        limb = dict(given)
+        motion = Swing(**{k: _tuple(limb.pop(k, CARRIED[k])) for k in CARRIED})
+        bodies.append(Body(motion, tuple(_limb(limb, number))))
+        if limb:
+            raise ValueError(f"[[limb]]: unknown keys {sorted(limb)}")
     if table:
         raise ValueError(f"unknown keys {sorted(table)}")
     return WitnessScene(name, cameras, tuple(bodies), frames, rate, exposure, finish, seed=seed, **made)
@@ -204,6 +211,23 @@ def _wand(given: dict[str, Any], _: Path) -> list[Part]:
     if bar:
         ends = [x - middle for x in along]
         parts += [Bar((a + size / 2, 0.0, 0.0), (b - size / 2, 0.0, 0.0), bar) for a, b in pairwise(ends)]
+    return parts
+
+
+def _limb(given: dict[str, Any], number: int) -> list[Part]:
+    """Return a limb and the balls that lie on its side, spread by the golden angle."""
+    start, end = np.array(given.pop("start_m")), np.array(given.pop("end_m"))
+    thick, size = given.pop("diameter_m"), given.pop("ball_diameter_m")
+    parts: list[Part] = [Limb(_tuple(start), _tuple(end), thick, given.pop("reflectance", 0.3))]
+    axis = (end - start) / np.linalg.norm(end - start)
+    side = np.cross(axis, [0.0, 0.0, 1.0] if abs(axis[2]) < 0.9 else [1.0, 0.0, 0.0])
+    side /= np.linalg.norm(side)
+    count = given.pop("balls")
+    for k in range(count):
+        turn = k * np.pi * (3 - np.sqrt(5)) + number
+        out = np.cos(turn) * side + np.sin(turn) * np.cross(axis, side)
+        at = start + (end - start) * (k + 0.5) / count + out * (thick + size) / 2
+        parts.append(MarkerBall(f"limb{number}/{k + 1}", _tuple(at.round(6)), size))
     return parts
 
 

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from witness.mitsuba.scene import Array, Bar, Chessboard, CodedPlate, MarkerBall, MarkerDisc, Mesh, WitnessScene
+from witness.mitsuba.scene import Array, Bar, Chessboard, CodedPlate, Limb, MarkerBall, MarkerDisc, Mesh, WitnessScene
 from witness.mitsuba.textures import BLACK, PLATE_RADII, board_texture, coded_texture, grain
 
 VARIANT = "llvm_ad_mono"
@@ -25,6 +25,7 @@ RETRO_GAIN = 300.0
 """Of retroreflective tape over a white Lambert surface, on its axis."""
 LAMBERT = 0.8
 RING_SIDES = 48
+LIMB_SIDES = 48
 BAR_GREY = 0.02
 WALL_TEXELS = 1024
 MARKER = "marker_"
@@ -142,10 +143,15 @@ def mitsuba_scene(scene: WitnessScene, t: float, frame: int, moving: bool = True
     return mi.load_dict(content)
 
 
-def _surface(mi: Any, part: Chessboard | CodedPlate | Mesh, rotation: Array, position: Array, frame: int) -> Any:
+def _surface(
+    mi: Any, part: Chessboard | CodedPlate | Limb | Mesh, rotation: Array, position: Array, frame: int
+) -> Any:
     if isinstance(part, Chessboard):
         x, y = (n * part.square_m / 2 + part.margin_m for n in (part.columns, part.rows))
         return _textured(mi, rotation @ np.diag([x, y, 1.0]), position, _board_image(part))
+    if isinstance(part, Limb):
+        vertices, faces = limb_mesh(part)
+        return _mesh(mi, vertices @ rotation.T + position, faces, _diffuse(part.reflectance))
     if isinstance(part, CodedPlate):
         z = rotation @ (np.array(part.normal) / np.linalg.norm(part.normal))
         x = rotation @ np.array(part.x_axis)
@@ -256,6 +262,25 @@ def _mesh(mi: Any, vertices: Array, faces: Array, bsdf: dict[str, Any], radiance
     params["faces"] = np.ascontiguousarray(faces, dtype=np.uint32).ravel()
     params.update()
     return mesh
+
+
+def limb_mesh(limb: Limb) -> tuple[Array, Array]:
+    """Return vertices (n, 3) in the body's frame and faces (m, 3) of a limb, seen from outside counter-clockwise."""
+    start, end = np.array(limb.start_m), np.array(limb.end_m)
+    axis = (end - start) / np.linalg.norm(end - start)
+    side = np.cross(axis, [0.0, 0.0, 1.0] if abs(axis[2]) < 0.9 else [1.0, 0.0, 0.0])
+    side /= np.linalg.norm(side)
+    radius, n = limb.diameter_m / 2, LIMB_SIDES
+    # rings from pole to pole; its two middle ones are the ends of the cylinder
+    latitude = np.linspace(-np.pi / 2, np.pi / 2, n // 2)
+    centre = np.where(latitude[:, None] < 0, start, end) + radius * np.sin(latitude)[:, None] * axis
+    turn = np.arange(n) * 2 * np.pi / n
+    around = np.cos(turn)[:, None] * side + np.sin(turn)[:, None] * np.cross(axis, side)
+    vertices = centre[:, None] + radius * np.cos(latitude)[:, None, None] * around
+    ring, k = np.meshgrid(np.arange(len(latitude) - 1), np.arange(n), indexing="ij")
+    a, b = ring * n + k, ring * n + (k + 1) % n
+    faces = np.stack([np.stack([a, b, b + n], -1), np.stack([a, b + n, a + n], -1)])
+    return vertices.reshape(-1, 3), faces.reshape(-1, 3)
 
 
 def _diffuse(reflectance: float) -> dict[str, Any]:
