@@ -15,6 +15,7 @@ from witness.mitsuba.scene import (
     Body,
     Chessboard,
     CodedPlate,
+    Limb,
     MarkerBall,
     Part,
     Quality,
@@ -135,7 +136,7 @@ def test_a_hidden_ball_is_not_seen() -> None:
 
 
 def test_surface_goes_on_around_a_ball() -> None:
-    limb = Limb((-0.5, 0.0, 0.0), (0.5, 0.0, 0.0), 0.4, 0.5)
+    limb = Limb((-0.5, 0.0, 0.0), (0.5, 0.0, 0.0), 0.4, 0.05)
     scene = _scene(limb, MarkerBall("ball", (0.0, 0.0, 0.215), 0.03), light=SceneLamps(panels=LAMPS.panels))
     render = Film(replace(scene, quality=Quality(window_samples=64))).render()
     image = render.images(0)[0]
