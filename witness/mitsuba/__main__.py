@@ -4,7 +4,9 @@ import argparse
 import os
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -18,8 +20,12 @@ def cache_folder() -> Path:
     return Path(base) / "mosca-witness"
 
 
+MOST_RENDER_NOISE = 0.05
+"""Share by which the rendering may raise the places' rms; more calls for more samples."""
+
+
 def main(arguments: list[str] | None = None) -> int:
-    """Render the scenes named; 2 for a scene file that cannot be used."""
+    """Render the scenes named; 1 where a render is too noisy, 2 for a scene file that cannot be used."""
     parser = argparse.ArgumentParser(prog="python -m witness.mitsuba", description=__doc__)
     parser.add_argument("scenes", nargs="+", type=Path, metavar="SCENE.toml")
     parser.add_argument("--out", required=True, type=Path, help="a folder NAME is made in it for each scene")
@@ -27,6 +33,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--cache", type=Path, default=None, help="where noise-free renders are kept")
     parser.add_argument("--frames", type=int, default=None, help="only the first ones")
     given = parser.parse_args(arguments)
+    noisy = False
     for path in given.scenes:
         try:
             scene = read_scene(path)
@@ -34,24 +41,26 @@ def main(arguments: list[str] | None = None) -> int:
             print(f"error: {error}", file=sys.stderr)
             return 2
         if given.frames:
-            from dataclasses import replace
-
             scene = replace(scene, frames=min(scene.frames, given.frames))
         begun = time.monotonic()
         render, kept = rendered(scene, given.cache or cache_folder())
         spent = time.monotonic() - begun
         values = write_recording(scene, render, given.out / scene.name, given.draw)
-        bound = 1e3 * np.sqrt(np.nanmedian(values["bound_m2"].trace(axis1=2, axis2=3))) if len(values["names"]) else 0
-        with np.errstate(all="ignore"):
-            sigma = (
-                np.sqrt(np.nanmedian(values["bound_px2"].trace(axis1=3, axis2=4) / 2)) if len(values["names"]) else 0
-            )
-        print(
-            f"{scene.name}: {'kept' if kept else 'rendered'} in {spent:.1f} s, written in "
-            f"{time.monotonic() - begun - spent:.1f} s; median bound {sigma:.4f} px, {bound:.4f} mm; "
-            f"render noise adds {values['render_noise_share']:.1%}"
-        )
-    return 0
+        print(f"{scene.name}: {'kept' if kept else 'rendered'} in {spent:.1f} s; {_figures(values)}")
+        noisy |= values["render_noise_share"] > MOST_RENDER_NOISE
+    return int(noisy)
+
+
+def _figures(values: dict[str, Any]) -> str:
+    """Return the median bounds and the rendering's noise in words."""
+    image, point = values["bound_px2"].trace(axis1=-2, axis2=-1), values["bound_m2"].trace(axis1=-2, axis2=-1)
+    if not np.isfinite(point).any():
+        return "no target whose place has a bound"
+    sigma_px, sigma_mm = np.sqrt(np.nanmedian(image) / 2), 1e3 * np.sqrt(np.nanmedian(point))
+    return (
+        f"median bound {sigma_px:.4f} px an axis, {sigma_mm:.4f} mm; the rendering adds "
+        f"{values['render_noise_share']:.1%} to the places' rms"
+    )
 
 
 if __name__ == "__main__":
