@@ -37,7 +37,6 @@ def write_calibration_page(path: Path, calibration: Calibration, evidence: Calib
         precision=_precision(calibration),
         interior=_interior(calibration),
         exterior=_exterior(calibration),
-        comparison=evidence.comparison,
         pictures=calibration_pictures(calibration, evidence),
     )
 

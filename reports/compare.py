@@ -32,13 +32,13 @@ records of one platform, and only with intervals.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import NormalDist
-from typing import Literal
 
 import numpy as np
 from rich.markup import escape
 from rich.table import Table
 
 from mosca.data.arrays import Array
+from reports.metrics import Combination, MetricKind, kind_of
 from reports.record import Metric, RunRecord
 from reports.units import figure, shown
 
@@ -56,48 +56,6 @@ SPREADS = 2.0
 same kind exceeds it once in a few times, and twice it rarely."""
 NUMERICAL = ("python", "numpy", "scipy", "numba", "mujoco", "opencv-python-headless")
 """Packages whose versions decide about last digits."""
-
-Combination = Literal["mean", "root_mean", "extreme"]
-
-
-@dataclass(frozen=True)
-class Reading:
-    """How a metric is compared."""
-
-    better: Literal["less", "more"] | float
-    """Direction, or the value that it should have."""
-    made_by: Combination = "mean"
-    """How blocks give the metric. "mean": sum(sums) / sum(weights); "root_mean": its square root; "extreme": the
-    largest of sums / weights."""
-    speed: bool = False
-    """Whether it depends on the machine."""
-
-
-READINGS: dict[str, Reading] = {
-    "position_rms": Reading("less", "root_mean"),
-    "position_p95": Reading("less"),
-    "position_max": Reading("less", "extreme"),
-    "relative_accuracy": Reading("less", "root_mean"),
-    "reprojection_rms": Reading("less", "root_mean"),
-    "completeness": Reading("more"),
-    "ghosts_per_frame": Reading("less"),
-    "identity_switches": Reading("less"),
-    "hota": Reading("more"),
-    "nees": Reading(3.0),
-    "coverage95": Reading(0.95),
-    "efficiency": Reading("more"),
-    "latency_p99": Reading("less", speed=True),
-    "frame_rate": Reading("more", speed=True),
-}
-"""The contract's metrics. Their blocks hold, as (sums, weights) of each block:
-
-position_rms (sum of squared 3D errors [m^2], samples); relative_accuracy (the same sums, samples times the
-working space squared [m^2]); reprojection_rms (sum of squared residuals [px^2], residuals); position_p95
-(the block's own p95 times samples, samples); position_max (the block's largest, 1); completeness (matched,
-seen); ghosts_per_frame (ghosts, frames); identity_switches (switches, 1 / number of blocks); nees (sum of
-NEES, samples); coverage95 (samples inside, samples); hota and efficiency (the block's own figure times
-samples, samples); latency_p99 and frame_rate (the block's own figure times frames, frames). A block without
-samples has weight 0."""
 
 
 @dataclass(frozen=True)
@@ -127,13 +85,13 @@ class Regression:
         )
 
 
-def reading(metric: Metric) -> Reading:
-    """Return how ``metric`` is read: by the longest known name that its own starts with, else by its sense."""
-    names = [n for n in READINGS if metric.name == n or metric.name.startswith((n + "_", n + "."))]
-    if names:
-        return READINGS[max(names, key=len)]
+def reading(metric: Metric) -> MetricKind:
+    """Return how ``metric`` is read: as ``kind_of`` says, else by its own sense and what its name says."""
+    kind = kind_of(metric.name)
+    if kind is not None:
+        return kind
     made_by: Combination = "root_mean" if "rms" in metric.name.split("_") else "mean"
-    return Reading("more" if metric.sense == "at_least" else "less", made_by)
+    return MetricKind(metric.unit, metric.sense, "ratio", made_by)
 
 
 def regressions(record: RunRecord, baseline: RunRecord) -> tuple[Regression, ...]:
@@ -168,7 +126,7 @@ def _regression(record: RunRecord, new: Metric, baseline: RunRecord, old: Metric
     if how.speed and not _speed_comparable(record, new, baseline, old):
         return None
     worse_by = _badness(how, new.value) - _badness(how, old.value)
-    size = how.better if isinstance(how.better, float) else abs(old.value)
+    size = abs(old.value) if how.wanted is None else how.wanted
     if not worse_by > SMALLEST_SHARE * size:
         return None
     same_seed, same_versions = record.seed == baseline.seed, _versions(record) == _versions(baseline)
@@ -187,7 +145,7 @@ def _regression(record: RunRecord, new: Metric, baseline: RunRecord, old: Metric
     return Regression(record.scenario, new.name, new.unit, new.value, old.value, worse_by, half_width, share, paired)
 
 
-def _badness(how: Reading, value: float) -> float:
+def _badness(how: MetricKind, value: float) -> float:
     """Return ``value`` with its sign such that more is worse; a missing value is the worst."""
     return float("inf") if np.isnan(value) else float(_turned(how, np.asarray(value)))
 
@@ -205,7 +163,7 @@ def _pairable(new: Metric, old: Metric) -> bool:
     return int(both.sum()) >= FEWEST_BLOCKS
 
 
-def _paired_half_width(how: Reading, new: Metric, old: Metric) -> float:
+def _paired_half_width(how: MetricKind, new: Metric, old: Metric) -> float:
     """Return the half-width of the worsening's 95 % interval from paired blocks, in the metric's unit.
 
     Jackknife: theta_i is the worsening without block i; variance = (b - 1) / b sum (theta_i - mean)^2. For an
@@ -230,13 +188,13 @@ def _paired_half_width(how: Reading, new: Metric, old: Metric) -> float:
     return _students_t(b - 1) * float(np.sqrt(variance))
 
 
-def _turned(how: Reading, values: Array) -> Array:
-    if how.better == "less":
-        return values
-    return -values if how.better == "more" else np.abs(values - float(how.better))
+def _turned(how: MetricKind, values: Array) -> Array:
+    if how.wanted is not None:
+        return np.abs(values - how.wanted)
+    return values if how.sense == "at_most" else -values
 
 
-def _unpaired_half_width(how: Reading, new: Metric, old: Metric) -> float:
+def _unpaired_half_width(how: MetricKind, new: Metric, old: Metric) -> float:
     """Return sqrt(h_new^2 + h_old^2) of the halves of both intervals that face each other."""
     upwards = new.value > old.value
     total = 0.0

@@ -1,9 +1,10 @@
-"""The metrics of a run, one table: unit, kind of quantity, whether a limit is an upper or a lower one, its range."""
+"""The metrics of a run, one table: unit, kind of quantity, whether more or less is better, how runs are compared."""
 
 import math
 from typing import Literal, NamedTuple
 
 Sense = Literal["at_most", "at_least"]
+Combination = Literal["mean", "root_mean", "extreme"]
 Quantity = Literal["length", "share", "count", "ratio", "ppm", "image", "angle", "time", "rate"]
 
 LONGEST_M = 1000.0
@@ -16,7 +17,15 @@ class MetricKind(NamedTuple):
     unit: str
     """Of its value and of a limit that is a bare number."""
     sense: Sense
+    """Of a limit; less is better where it is an upper one."""
     quantity: Quantity
+    made_by: Combination = "mean"
+    """How its blocks give it. "mean": sum(sums) / sum(weights); "root_mean": its square root; "extreme": the largest
+    of sums / weights."""
+    wanted: float | None = None
+    """The value that it should have, where neither less nor more is better: what is farther off is worse."""
+    speed: bool = False
+    """Whether it depends on the machine."""
 
     @property
     def highest(self) -> float:
@@ -30,45 +39,53 @@ class MetricKind(NamedTuple):
 
 
 METRICS = {
-    "position_rms": MetricKind("m", "at_most", "length"),
+    "position_rms": MetricKind("m", "at_most", "length", "root_mean"),
     "position_p95": MetricKind("m", "at_most", "length"),
-    "position_max": MetricKind("m", "at_most", "length"),
-    "relative_accuracy": MetricKind("1", "at_most", "share"),
+    "position_max": MetricKind("m", "at_most", "length", "extreme"),
+    "relative_accuracy": MetricKind("1", "at_most", "share", "root_mean"),
     "sets_complete": MetricKind("1", "at_least", "share"),
+    "frames_complete": MetricKind("1", "at_least", "share"),
     "completeness": MetricKind("1", "at_least", "share"),
     "ghosts_per_frame": MetricKind("1", "at_most", "count"),
     "identity_switches": MetricKind("1", "at_most", "count"),
     "hota": MetricKind("1", "at_least", "share"),
-    "nees": MetricKind("1", "at_most", "ratio"),
-    "coverage95": MetricKind("1", "at_least", "share"),
+    "nees": MetricKind("1", "at_most", "ratio", wanted=3.0),
+    "coverage95": MetricKind("1", "at_least", "share", wanted=0.95),
     "efficiency": MetricKind("1", "at_least", "share"),
     "efficiency_detection": MetricKind("1", "at_least", "share"),
-    "body_position_rms": MetricKind("m", "at_most", "length"),
-    "body_angle_rms": MetricKind("rad", "at_most", "angle"),
+    "body_position_rms": MetricKind("m", "at_most", "length", "root_mean"),
+    "body_angle_rms": MetricKind("rad", "at_most", "angle", "root_mean"),
     "body_completeness": MetricKind("1", "at_least", "share"),
-    "reprojection_rms": MetricKind("px", "at_most", "image"),
-    "calibration_rays_rms": MetricKind("px", "at_most", "image"),
-    "calibration_volume_rms": MetricKind("m", "at_most", "length"),
+    "reprojection_rms": MetricKind("px", "at_most", "image", "root_mean"),
+    "calibration_rays_rms": MetricKind("px", "at_most", "image", "root_mean"),
+    "calibration_volume_rms": MetricKind("m", "at_most", "length", "root_mean"),
     "calibration_sigma_x": MetricKind("m", "at_most", "length"),
     "calibration_sigma_y": MetricKind("m", "at_most", "length"),
     "clock_frames": MetricKind("1", "at_most", "ratio"),
     "clock_drift_ppm": MetricKind("1", "at_most", "ppm"),
     "over_synchronous": MetricKind("1", "at_most", "ratio"),
-    "rms_linear": MetricKind("m", "at_most", "length"),
-    "rms_cubic": MetricKind("m", "at_most", "length"),
-    "rms_neural": MetricKind("m", "at_most", "length"),
+    "rms_linear": MetricKind("m", "at_most", "length", "root_mean"),
+    "rms_cubic": MetricKind("m", "at_most", "length", "root_mean"),
+    "rms_neural": MetricKind("m", "at_most", "length", "root_mean"),
     "lamps_found": MetricKind("1", "at_least", "share"),
     "lamp_px": MetricKind("px", "at_most", "image"),
-    "camera_position_rms": MetricKind("m", "at_most", "length"),
-    "camera_angle_rms": MetricKind("rad", "at_most", "angle"),
-    "length_rms": MetricKind("m", "at_most", "length"),
+    "camera_position_rms": MetricKind("m", "at_most", "length", "root_mean"),
+    "camera_angle_rms": MetricKind("rad", "at_most", "angle", "root_mean"),
+    "length_rms": MetricKind("m", "at_most", "length", "root_mean"),
     "length_max": MetricKind("m", "at_most", "length"),
-    "rigidity_rms": MetricKind("m", "at_most", "length"),
-    "static_noise": MetricKind("m", "at_most", "length"),
-    "latency_p99": MetricKind("s", "at_most", "time"),
-    "frame_rate": MetricKind("1/s", "at_least", "rate"),
+    "rigidity_rms": MetricKind("m", "at_most", "length", "root_mean"),
+    "static_noise": MetricKind("m", "at_most", "length", "root_mean"),
+    "latency_p99": MetricKind("s", "at_most", "time", speed=True),
+    "frame_rate": MetricKind("1/s", "at_least", "rate", speed=True),
 }
-"""Metrics that a scenario can limit."""
+"""Metrics that a scenario can limit. Their blocks hold, as (sums, weights) of each block:
+
+position_rms (sum of squared 3D errors [m^2], samples); relative_accuracy (the same sums, samples times the
+working space squared [m^2]); other root mean squares (sum of squares, items); position_p95 (the block's own p95 times
+samples, samples); position_max (the block's largest, 1); completeness (matched, seen); ghosts_per_frame (ghosts,
+frames); identity_switches (switches, 1 / number of blocks); nees (sum of NEES, samples); coverage95 (samples inside,
+samples); hota and efficiency (the block's own figure times samples, samples); latency_p99 and frame_rate (the block's
+own figure times frames, frames). A block without samples has weight 0."""
 
 
 def kind_of(name: str) -> MetricKind | None:

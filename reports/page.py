@@ -47,7 +47,16 @@ def write_page(path: Path, record: RunRecord, evidence: Evidence) -> None:
         premises=[_premise_row(name, value) for name, value in record.premises.items()],
         pictures=pictures(record, evidence),
         counts=[(_words(name), _plain(value)) for name, value in {**record.counts, **record.source_account}.items()],
-        cameras=[_camera_row(name, one, record.counts.get("expected_sets")) for name, one in record.cameras.items()],
+        cameras=[
+            _camera_row(name, one, record.counts.get("expected_sets"))
+            for name, one in record.cameras.items()
+            if "residual_px" in one
+        ],
+        free_cameras=[
+            (name, f"{one['arrived']} of {one['expected']}", str(one["unusable"]), f"{one['span_s']:.2f} s")
+            for name, one in record.cameras.items()
+            if "arrived" in one
+        ],
         timings=[(_words(name), duration(float(value))) for name, value in record.timings.items()],
         provenance=json.dumps(record.provenance, indent=2, default=str, ensure_ascii=False),
     )

@@ -78,9 +78,10 @@ class RunRecord:
     counts: Mapping[str, Any] = field(default_factory=dict)
     """Frames, sets, drops and the like."""
     source_account: Mapping[str, Any] = field(default_factory=dict)
-    """What devices and trigger report of the take; empty for other sources."""
+    """What devices and trigger report of the take, or a recording states of itself; else empty."""
     cameras: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-    """Name -> residual, error besides detection noise, shares connected and missing, clock offset."""
+    """Name -> residual, error besides detection noise, shares connected and missing, clock offset, counts of
+    frames; of a continuous run the counts alone."""
     timings: Mapping[str, float] = field(default_factory=dict)
     """Seconds, the only part that differs between two runs of the same seed and code."""
     provenance: Mapping[str, Any] = field(default_factory=dict)

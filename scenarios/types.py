@@ -68,6 +68,27 @@ class TruthSource(FrameSource, Protocol):
         ...
 
 
+@dataclass(frozen=True)
+class CameraFrames:
+    """Frames of one camera of a continuous run."""
+
+    expected: int
+    """By the scenario's duration and the camera's rate, or by the take itself where it is longer."""
+    arrived: int
+    """With a usable image."""
+    unusable: int
+    """Without one."""
+    span_s: float
+    """From the first usable frame to the last, by the camera's own clock [s]."""
+    least: float
+    """Share that must arrive: limit, or what the losses that the scenario states leave."""
+
+    @property
+    def share(self) -> float:
+        """Share of the expected frames that arrived, at most 1."""
+        return min(1.0, self.arrived / self.expected)
+
+
 @dataclass(frozen=True, eq=False)
 class Collected:
     """What is kept of a run of the pipeline."""
@@ -85,6 +106,8 @@ class Collected:
     cameras: tuple[CameraHealth, ...] = ()
     account: Mapping[str, Any] = field(default_factory=dict)
     """The source's own account of what it received."""
+    frames: Mapping[str, CameraFrames] = field(default_factory=dict)
+    """Camera -> its frames, of a continuous run; empty for frame sets."""
 
 
 @dataclass(frozen=True, eq=False)

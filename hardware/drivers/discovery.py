@@ -7,18 +7,16 @@ import ipaddress
 import logging
 import selectors
 import socket
-import struct
 import time
 from collections.abc import Sequence
 
 from hardware.driver import Device
 from hardware.drivers.opened import described
+from hardware.gvcp import ACK_HEADER, GVCP_KEY, GVCP_PORT, HEADER, Command
 
 log = logging.getLogger("mosca.hardware.drivers")
-GVCP_PORT = 3956
-_COMMAND, _ACKNOWLEDGE, _REQUEST = 0x0002, 0x0003, 0x5A5A
-_QUESTION = struct.pack(">BBHHH", 0x42, 0x01, _COMMAND, 0, _REQUEST)
-_HEAD = struct.Struct(">HHHH")
+_REQUEST = 0x5A5A
+_QUESTION = HEADER.pack(GVCP_KEY, 0x01, Command.DISCOVERY, 0, _REQUEST)
 CONTENT_BYTES = 248
 """The bootstrap registers from 0 on; the address and the serial number stand at 36 and 216."""
 _ADDRESS, _SERIAL = slice(36, 40), slice(216, 232)
@@ -85,8 +83,9 @@ def _refusal(device: Device, asking: socket.socket) -> str:
         data = asking.recv(2048)
     except OSError as error:
         return f"nothing takes questions at that address ({error.strerror})"
-    content = data[_HEAD.size :]
-    if len(content) != CONTENT_BYTES or _HEAD.unpack_from(data) != (0, _ACKNOWLEDGE, CONTENT_BYTES, _REQUEST):
+    content = data[ACK_HEADER.size :]
+    head = (0, Command.DISCOVERY + 1, CONTENT_BYTES, _REQUEST)
+    if len(content) != CONTENT_BYTES or ACK_HEADER.unpack_from(data) != head:
         return "its answer is not one of GigE Vision"
     address, serial = socket.inet_ntoa(content[_ADDRESS]), content[_SERIAL].split(b"\0")[0].decode(errors="replace")
     if (address, serial) != (device.address, device.serial):

@@ -23,11 +23,12 @@ from hardware.drivers.aravis_library import load as load_library
 from hardware.drivers.blocks import BlockIds
 from hardware.drivers.camera_control import HEARTBEAT_REGISTER, PORT_REGISTER, wait_for_control
 from hardware.drivers.configure import COUNTER_CHUNKS, capabilities_of, counter_chunk
-from hardware.drivers.discovery import GVCP_PORT, confirmed
+from hardware.drivers.discovery import confirmed
 from hardware.drivers.features import text
 from hardware.drivers.opened import GenICamCamera, chosen, claim, described, not_found, release
 from hardware.drivers.peer_socket import Address, PeerSocket, merged, tied, udp_sockets
 from hardware.drivers.pixels import whole_image
+from hardware.gvcp import GVCP_PORT
 from hardware.settings import CameraHardware
 
 log = logging.getLogger("mosca.hardware.drivers")

@@ -17,18 +17,11 @@ from threading import Event, Thread
 from hardware.emulate import gige_vision
 from hardware.emulate.camera import EmulatedCamera
 from hardware.emulate.features import BOOTSTRAP
-from hardware.emulate.gige_vision import (
-    ACKNOWLEDGE,
-    EXTENDED_ID,
-    GVCP_PORT,
-    LARGEST_GVCP_PAYLOAD,
-    Command,
-    Refused,
-    Status,
-)
+from hardware.emulate.gige_vision import ACKNOWLEDGE, EXTENDED_ID, LARGEST_GVCP_PAYLOAD, Refused, Status
 from hardware.emulate.identity import Identity
 from hardware.emulate.registers import Client
 from hardware.emulate.stream import Stream
+from hardware.gvcp import GVCP_PORT, Command
 from mosca.errors import InputError
 
 TICK_S = 0.05
@@ -219,7 +212,7 @@ class Control:
 
 
 def control_sockets(identity: Identity) -> tuple[socket.socket, ...]:
-    """Return the socket for what is sent to the device on port 3956, then those for what is sent to everyone.
+    """Return the socket for what is sent to the device's control port, then those for what is sent to everyone.
 
     Raises InputError where its address is not to be had, or serves another device.
     """

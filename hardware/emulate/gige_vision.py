@@ -4,8 +4,8 @@ import struct
 from dataclasses import dataclass
 from enum import IntEnum
 
-GVCP_PORT = 3956
-GVCP_KEY = 0x42
+from hardware.gvcp import ACK_HEADER, GVCP_KEY, HEADER, SCHEDULED
+
 LARGEST_GVCP_PAYLOAD = 540
 IP_UDP_BYTES = 28
 GVSP_HEADER_BYTES = 8
@@ -14,19 +14,6 @@ PACKET_OVERHEAD = IP_UDP_BYTES + GVSP_HEADER_BYTES
 VERSION_2_0 = 0x00020000
 MAXIMUM_BLOCK_ID = 65535
 TICKS_PER_SECOND = 1_000_000_000
-
-
-class Command(IntEnum):
-    """Control commands; an acknowledgement has the command's number plus 1."""
-
-    DISCOVERY = 0x0002
-    FORCEIP = 0x0004
-    PACKETRESEND = 0x0040
-    READREG = 0x0080
-    WRITEREG = 0x0082
-    READMEM = 0x0084
-    WRITEMEM = 0x0086
-    ACTION = 0x0100
 
 
 class Status(IntEnum):
@@ -50,8 +37,6 @@ ACKNOWLEDGE = 0x01
 """Flag of every command: an answer is wanted."""
 EXTENDED_ID = 0x10
 """Flag of PACKETRESEND: 64 bit block numbers, which this device does not use."""
-SCHEDULED = 0x80
-"""Flag of ACTION: a time follows."""
 
 EXCLUSIVE_ACCESS = 0x1
 CONTROL_ACCESS = 0x2
@@ -80,8 +65,6 @@ class Refused(Exception):
         self.status = status
 
 
-HEADER = struct.Struct(">BBHHH")
-ACK_HEADER = struct.Struct(">HHHH")
 PAIR = struct.Struct(">II")
 RANGE = struct.Struct(">IHH")
 

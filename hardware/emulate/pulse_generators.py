@@ -45,14 +45,8 @@ class TriggerLine:
         self._lock = Lock()
         self._stop = Event()
         self._thread: Thread | None = None
-        self._emitted = 0
         self._until_ns = 0
         self.first_ns = 0
-
-    @property
-    def emitted(self) -> int:
-        """Pulses that were made since the last ``start``, by whichever way."""
-        return self._emitted
 
     @property
     def running(self) -> bool:
@@ -63,7 +57,6 @@ class TriggerLine:
         """Trigger every camera with pulse ``number`` at the monotonic time ``time_ns``; for other generators too."""
         for camera in self._cameras:
             camera.pulse(number, time_ns)
-        self._emitted = number + 1
 
     def start(self, rate_hz: float) -> None:
         """Begin with pulse 0; InputError for a rate that cannot be."""
@@ -72,7 +65,6 @@ class TriggerLine:
         with self._lock:
             self._halt()
             self._stop.clear()
-            self._emitted = 0
             self.first_ns = time.monotonic_ns() + FIRST_PULSE_AFTER_NS
             self._thread = Thread(target=self._run, args=(rate_hz,), name="trigger line", daemon=True)
             self._thread.start()

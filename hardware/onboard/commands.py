@@ -12,6 +12,7 @@ A program file (TOML) lists commands with their times, and the sources of events
     name = "imu"
     kind = "udp"                    # datagrams received at address; "tcp": lines from that server
     address = "192.168.7.1:7001"     # of the interface that they come to
+    sender = "192.168.7.30"         # whose datagrams are taken; without it everyone's, and the notes say so
 
     [[program]]
     at_s = 1.0                      # from the first pulse on
@@ -31,6 +32,7 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from ipaddress import IPv4Address
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
@@ -64,6 +66,23 @@ class EventTable(Table):
     name: str = Field(min_length=1)
     kind: Literal["udp", "tcp"] = "udp"
     address: str = Field(min_length=1, description="udp: host:port to listen at; tcp: host:port to connect to")
+    sender: str | None = Field(None, description="udp: the address whose datagrams are taken; without it everyone's")
+
+    @model_validator(mode="after")
+    def _one_sender(self) -> "EventTable":
+        if self.sender is None:
+            return self
+        if self.kind != "udp":
+            raise ValueError(
+                f"sender '{self.sender}' given with kind = \"tcp\", which connects to address; leave it out"
+            )
+        try:
+            found = IPv4Address(self.sender)
+        except ValueError:
+            found = IPv4Address(0)
+        if found.is_unspecified or found.is_multicast:
+            raise ValueError(f"sender '{self.sender}' given; the sender's address is wanted, e.g. 192.168.7.30")
+        return self
 
 
 class CommandTable(Table):
@@ -156,14 +175,29 @@ class EventSource:
     """A source of events; ``take`` waits for the next line."""
 
     def __init__(self, table: EventTable) -> None:
-        where = f"event '{table.name}'"
+        self._where = f"event '{table.name}'"
         self.table = table
-        self._lines: Lines = UdpLines(where, table.address) if table.kind == "udp" else TcpLines(where, table.address)
+        self._udp = UdpLines(self._where, table.address, table.sender) if table.kind == "udp" else None
+        self._lines: Lines = self._udp or TcpLines(self._where, table.address)
 
     def take(self, timeout_s: float) -> tuple[int, str] | None:
         """Return (host time [ns], line), or None when none came in time; DeviceError where the line is cut."""
         line = self._lines.read(timeout_s)
         return None if line is None else (line.came_ns, line.text)
+
+    def notes(self) -> list[str]:
+        """Return whose datagrams were refused, or that everyone's were taken from a network."""
+        if self._udp is None:
+            return []
+        if self.table.sender is None and not self._udp.on_loopback:
+            return [
+                f"{self._where}: took every program's datagrams at {self.table.address}; name the sender "
+                '(sender = "192.168.7.30")'
+            ]
+        if strangers := self._udp.strangers:
+            others = ", ".join(f"{host} ({count})" for host, count in strangers.most_common())
+            return [f"{self._where}: refused datagrams that are not of sender {self.table.sender}: of {others}"]
+        return []
 
     def close(self) -> None:
         """Stop listening; may be called twice."""
@@ -214,7 +248,9 @@ class ProgramRun:
         for target in self._targets:
             target.close()
         for source in self._sources:
+            self.notes += source.notes()
             source.close()
+        self._sources.clear()
         self._record(None)
         if self._early:
             self.notes.append(f"{len(self._early)} messages came before the first frames and are not recorded")

@@ -4,8 +4,9 @@ import os
 import select
 import socket
 import time
-from collections import deque
+from collections import Counter, deque
 from dataclasses import dataclass
+from ipaddress import IPv4Address
 from typing import Protocol
 
 from hardware.driver import DeviceError
@@ -13,6 +14,8 @@ from hardware.driver import DeviceError
 CONNECT_S = 3.0
 LONGEST_LINE = 1 << 16
 MOST_BYTES = 1 << 16
+MOST_STRANGERS = 8
+"""Addresses whose refused datagrams are counted apart; they may be forged, any number of them."""
 
 
 @dataclass(frozen=True)
@@ -104,10 +107,15 @@ class TcpLines:
 
 
 class UdpLines:
-    """Lines that come in datagrams to ``address`` (host:port) of this machine."""
+    """Lines that come in datagrams to ``address`` (host:port) of this machine.
 
-    def __init__(self, where: str, address: str) -> None:
-        self._where = f"{where} at {address}"
+    ``sender``: the numerical address whose datagrams are taken, None for all. ``strangers``: datagrams of others, by
+    address, which were refused.
+    """
+
+    def __init__(self, where: str, address: str, sender: str | None = None) -> None:
+        self._where, self._sender = f"{where} at {address}", sender
+        self.strangers: Counter[str] = Counter()
         self._lines: deque[Line] = deque()
         host, port = _host_port(where, address)
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -119,7 +127,8 @@ class UdpLines:
                 f"{self._where}: cannot listen ({error.strerror or error}); choose another address"
             ) from None
 
-        self.port: int = self._socket.getsockname()[1]
+        bound, self.port = self._socket.getsockname()
+        self.on_loopback = IPv4Address(bound).is_loopback
 
     def write(self, text: str) -> None:
         """Refuse: no program is at the other end."""
@@ -128,9 +137,13 @@ class UdpLines:
     def read(self, timeout_s: float) -> Line | None:
         """Return the next line or None; a datagram ends its last line."""
         if not self._lines and select.select([self._socket], [], [], timeout_s)[0]:
-            data = self._socket.recv(MOST_BYTES)
+            data, (host, _) = self._socket.recvfrom(MOST_BYTES)
             now = time.monotonic_ns()
-            self._lines += [_line(one, now) for one in data.split(b"\n") if one.strip()]
+            if self._sender in (None, host):
+                self._lines += [_line(one, now) for one in data.split(b"\n") if one.strip()]
+            else:
+                known = host in self.strangers or len(self.strangers) < MOST_STRANGERS
+                self.strangers[host if known else "others"] += 1
         return self._lines.popleft() if self._lines else None
 
     def close(self) -> None:

@@ -28,10 +28,6 @@ MOST_QUIET_NS = 50_000_000
 """Largest silence that one check adds to a station: a longer interval means that this process was stalled, and it
 cannot judge silence then."""
 
-ECHO_NS = 300_000_000
-"""A message so soon after a token was withdrawn was under way: the station is not back."""
-
-
 TWO_VOICES = "speaks with two voices: do two stations have this name?"
 
 
@@ -87,7 +83,7 @@ class Listener:
         return sets
 
     def take(self, kind: str, station: str, what: object, received_ns: int) -> None:
-        """Take a "message", "health", "clock" (answer, asked, answered), "rig" or "token" (declared or not)."""
+        """Take a "message", "health", "clock" (answer, asked, answered) or "rig"."""
         self._now_ns = received_ns
         state = self.states.get(station)
         if state is None:
@@ -106,8 +102,6 @@ class Listener:
                     self._take_clock(state, answer, asked_ns, answered_ns)
                 case "rig", bytes():
                     self.rigs[station] = what.decode()
-                case "token", bool():
-                    self._take_token(state, what)
         except (MessageError, UnicodeDecodeError) as error:
             state.statistics.spoilt += 1
             self._note_once(station, "error", f"sends what cannot be read: {error}")
@@ -129,7 +123,7 @@ class Listener:
         quiet = received_ns - state.confirmed_ns > self.settings.silence_s * 1e9
         if epoch in state.earlier and not (answer and quiet):
             state.statistics.stale += 1
-            if received_ns - (state.heard_ns or 0) < self.settings.silence_s * 1e9 and state.has_token:
+            if received_ns - (state.heard_ns or 0) < self.settings.silence_s * 1e9:
                 self._note_once(state.name, "error", TWO_VOICES)
             return False
         if not answer and epoch != state.epoch:
@@ -141,13 +135,11 @@ class Listener:
                 self.pulses.restarted(state.name)
             self.merger.restarted([name for name, owner in self._owner.items() if owner == state.name])
             self._note(state.name, "appeared" if first else "back", "is here" if first else "has started again")
-        elif state.silent and received_ns - state.gone_ns < ECHO_NS:
-            return True  # sent before it ended
         elif state.silent and received_ns > (state.heard_ns or 0):
             self._note(
                 state.name, "back", f"is heard again after {(received_ns - (state.heard_ns or 0)) / 1e9:.2f} s"
             )
-        state.silent = False
+        state.silent, state.heard = False, True
         state.heard_ns = received_ns
         return True
 
@@ -275,27 +267,22 @@ class Listener:
         state.clock.take(asked_ns, remote_ns, answered_ns)
         state.statistics.clock_error_ns, state.statistics.clock_skew = state.clock.error_ns, state.clock.skew
 
-    def _take_token(self, state: StationState, declared: bool) -> None:
-        if state.has_token and not declared and not state.ended:
-            state.statistics.gone += 1
-            state.silent, state.gone_ns = True, self._now_ns
-            self._note(state.name, "gone", "is gone: its program ended, or its network")
-        state.has_token = declared
-
-    def check(self, now_ns: int, heard_ns: Mapping[str, int]) -> None:
-        """Note silent stations, allow the start, and release what is pending; ``heard_ns``: last message of each."""
+    def check(self, now_ns: int) -> None:
+        """Note silent stations, allow the start, and release what is pending."""
         self._now_ns = now_ns
-        passed_ns, checked_ns, self._checked_ns = now_ns - self._checked_ns, self._checked_ns, now_ns
+        passed_ns, self._checked_ns = now_ns - self._checked_ns, now_ns
         for state in self.states.values():
             if state.heard_ns is None or state.silent or state.ended:
                 state.quiet_ns = 0
                 continue
-            heard = max(state.heard_ns, heard_ns.get(state.name, 0)) >= checked_ns
-            state.quiet_ns = 0 if heard else state.quiet_ns + min(passed_ns, MOST_QUIET_NS)
+            # what was taken since the last check, not when it arrived: this thread may be behind
+            state.quiet_ns = 0 if state.heard else state.quiet_ns + min(passed_ns, MOST_QUIET_NS)
+            state.heard = False
             if state.quiet_ns > self.settings.silence_s * 1e9:
                 state.silent = True
                 state.statistics.silent += 1
-                self._note(state.name, "silent", f"is silent for {self.settings.silence_s:g} s; it is not waited for")
+                why = "its program or its network ended; it is not waited for"
+                self._note(state.name, "silent", f"is silent for {self.settings.silence_s:g} s: {why}")
         waited = now_ns - self._opened_ns > self.settings.start_wait_s * 1e9
         if self.start_ns is None and (waited or all(state.settled for state in self.states.values())):
             for state in self.states.values():

@@ -18,7 +18,6 @@ from hardware.transport.messages import NOT_YET, YES, MessageError, pack_clock, 
 from hardware.transport.signed import SignedTransport
 from hardware.transport.station_state import Event, ReceiverSettings, ReceiverStatistics
 from hardware.transport.transport import (
-    EVERY_TOKEN,
     EVERYTHING,
     HEARD,
     Transport,
@@ -59,7 +58,6 @@ class Receiver:
         self.settings = settings or ReceiverSettings()
         self._transport = transport
         self._listener = Listener(stations, cameras, rate_hz, self.settings, time.monotonic_ns(), on_event)
-        self._heard_ns = dict.fromkeys(stations, 0)
         self.statistics = ReceiverStatistics(
             MappingProxyType({name: state.statistics for name, state in self._listener.states.items()}),
             self._listener.merger.statistics,
@@ -73,9 +71,7 @@ class Receiver:
             transport.on_refused = lambda station, why: self._post("refused", station, why)
         transport.declare_queryable(key_of(check_station(name), "rig"), lambda _: rig.encode())
         transport.declare_queryable(HEARD, self._received_to_end)
-        transport.declare_token(key_of(name, "alive"))
         transport.subscribe(EVERYTHING, self._published)
-        transport.watch_tokens(EVERY_TOKEN, lambda key, declared: self._post("token", station_of(key), declared))
         self._threads = [threading.Thread(target=self._work, name="merge", daemon=True)]
         self._threads += [
             threading.Thread(target=self._attend, args=(n,), name=f"clock of {n}", daemon=True) for n in stations
@@ -101,7 +97,7 @@ class Receiver:
     def rigs(self, timeout_s: float) -> dict[str, str]:
         """Wait for the rig files (text) of all stations; return those received."""
         until = time.monotonic() + timeout_s
-        while len(self._listener.rigs) < len(self._heard_ns) and time.monotonic() < until:
+        while len(self._listener.rigs) < len(self._listener.states) and time.monotonic() < until:
             time.sleep(0.02)
         return dict(self._listener.rigs)
 
@@ -149,10 +145,7 @@ class Receiver:
         if self._inbox.qsize() > INBOX and kind == "message":
             self.statistics.overrun += 1
             return
-        now_ns = time.monotonic_ns()
-        if kind not in ("token", "refused") and station in self._heard_ns:
-            self._heard_ns[station] = now_ns
-        self._inbox.put((kind, station, what, now_ns))
+        self._inbox.put((kind, station, what, time.monotonic_ns()))
 
     def _received_to_end(self, question: bytes) -> bytes:
         if self._over or self._stop.is_set():  # the consumer has ended
@@ -217,7 +210,7 @@ class Receiver:
             if now_ns - looked_ns < LOOK_NS:
                 continue
             looked_ns = now_ns
-            listener.check(now_ns, self._heard_ns)
+            listener.check(now_ns)
             self._count_refused()
             if not listener.all_ended:
                 ended_ns = None

@@ -72,7 +72,6 @@ class Sender:
         transport.declare_queryable(key_of(station, "health"), lambda _: pack_health(self.health()))
         transport.declare_queryable(key_of(station, "rig"), lambda _: rig.encode())
         transport.declare_queryable(key_of(station, "start"), self._start)
-        transport.declare_token(key_of(station, "alive"))
         self._beat = threading.Thread(target=self._run, name=f"station {station}", daemon=True)
         self._beat.start()
 

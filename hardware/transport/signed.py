@@ -119,14 +119,6 @@ class SignedTransport:
             return None
         return said
 
-    def declare_token(self, key: str) -> None:
-        """See ``Transport``; tokens are not signed."""
-        self._inner.declare_token(key)
-
-    def watch_tokens(self, pattern: str, take: Callable[[str, bool], None]) -> None:
-        """See ``Transport``."""
-        self._inner.watch_tokens(pattern, take)
-
     def close(self) -> None:
         """Leave; may be called twice."""
         self._inner.close()

@@ -36,7 +36,7 @@ class Event:
     time_ns: int
     station: str
     kind: str
-    """One of appeared, back, silent, gone, ended, place, error, note."""
+    """One of appeared, back, silent, ended, place, error, note."""
     text: str
 
 
@@ -63,8 +63,6 @@ class StationStatistics:
     """Frames that it did not process, by its own count."""
     silent: int = 0
     """Number of its silences."""
-    gone: int = 0
-    """How often its token was withdrawn."""
     starts: int = 0
     clock_error_ns: float = float("nan")
     """Uncertainty of its clock against this one [ns]."""
@@ -95,15 +93,15 @@ class StationState:
     health: HealthMessage | None = None
     epoch: int | None = None
     earlier: set[int] = field(default_factory=set)
-    has_token: bool = False
     silent: bool = False
+    heard: bool = False
+    """Whether anything of its start was taken since the last check."""
     heard_ns: int | None = None
     confirmed_ns: int = 0
     """When its clock was last asked and answered under this epoch."""
     held: deque[tuple[DetectionMessage, int]] = field(default_factory=deque)
     """Messages under an epoch that its clock has not told yet."""
     quiet_ns: int = 0
-    gone_ns: int = 0
     aligned_ns: int = 0
     pending: deque[tuple[DetectionMessage, int]] = field(default_factory=deque)
     voted: int = 0
@@ -111,7 +109,7 @@ class StationState:
 
     @property
     def away(self) -> bool:
-        """True where nothing can be expected of it: its token fell, it is silent, it has ended or was never here."""
+        """True where nothing can be expected of it: it is silent, it has ended or was never here."""
         return self.epoch is None or self.silent or self.ended
 
     @property

@@ -7,10 +7,10 @@
 | ``mosca/STATION/clock`` | queried: the station's clock |
 | ``mosca/STATION/rig`` | queried: its rig file, calibrated or not |
 | ``mosca/STATION/start`` | query: start the session at this time of the station's clock |
-| ``mosca/STATION/alive`` | a liveliness token of the station's process |
 | ``mosca/heard`` | query: whether a station's last message was received (``hardware.transport.messages``) |
 
-The reconstructing station is one of the names: it answers ``rig`` and declares its token.
+The reconstructing station is one of the names: it answers ``rig``. A station is present as long as its messages and
+answers are heard: what the engine itself says about who is there is not signed.
 """
 
 import re
@@ -22,7 +22,6 @@ from mosca.errors import InputError, MoscaError
 ROOT = "mosca"
 EVERYTHING = f"{ROOT}/**"
 """All that is published, by one subscription: so a station's last words come after its last detections."""
-EVERY_TOKEN = f"{ROOT}/*/alive"
 HEARD = f"{ROOT}/heard"
 JAM_S = 0.25
 """A message that cannot be sent for so long is too old: the merger drops it (``hardware.transport.merger``)."""
@@ -49,14 +48,6 @@ class Transport(Protocol):
 
     def query(self, key: str, payload: bytes, timeout_s: float) -> bytes | None:
         """Return the answer to ``payload``, None without one within ``timeout_s``."""
-        ...
-
-    def declare_token(self, key: str) -> None:
-        """Declare a token until ``close``, or until this process or its network is lost."""
-        ...
-
-    def watch_tokens(self, pattern: str, take: Callable[[str, bool], None]) -> None:
-        """Call ``take(key, declared)`` for present tokens, and for each that is declared or withdrawn."""
         ...
 
     def close(self) -> None:

@@ -11,7 +11,7 @@ import zenoh
 from hardware.transport.transport import JAM_S, TransportError, check_endpoint
 
 LEASE_MS = 4000
-"""A peer that sends nothing for so long is lost: its token is withdrawn, and it is connected again."""
+"""A peer that sends nothing for so long is lost: it is connected again."""
 
 
 QUEUED_BATCHES = 16
@@ -110,18 +110,6 @@ class ZenohTransport:
         except zenoh.ZError:
             return None
         return None
-
-    def declare_token(self, key: str) -> None:
-        """Set up a liveliness token."""
-        self._keep(self._session.liveliness().declare_token(key))
-
-    def watch_tokens(self, pattern: str, take: Callable[[str, bool], None]) -> None:
-        """Watch liveliness tokens."""
-        self._keep(
-            self._session.liveliness().declare_subscriber(
-                pattern, lambda sample: take(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT), history=True
-            )
-        )
 
     def close(self) -> None:
         """Leave the session; may be called twice."""

@@ -12,13 +12,11 @@ import threading
 import time
 
 from hardware.driver import DeviceError
+from hardware.gvcp import GVCP_KEY, GVCP_PORT, HEADER, SCHEDULED, Command
 from hardware.pulse_grid import HostClock, PulseGrid, SentPulse
 from hardware.settings import TriggerTable
 from hardware.trigger import External
 
-GVCP_PORT = 3956
-ACTION_CMD = 0x0100
-SCHEDULED = 0x80
 log = logging.getLogger("mosca.hardware.triggers")
 
 
@@ -100,7 +98,7 @@ class ActionTrigger(External):
                 ">Q", time.time_ns() + round(self._table.lead_ms * 1e6 + self._table.ptp_ahead_s * 1e9)
             )
         flags = SCHEDULED if self._table.lead_ms else 0
-        command = struct.pack(">BBHHH", 0x42, flags, ACTION_CMD, len(keys), request) + keys
+        command = HEADER.pack(GVCP_KEY, flags, Command.ACTION, len(keys), request) + keys
         try:
             # else the socket would receive from all interfaces
             self._socket.connect((self._table.broadcast, GVCP_PORT))

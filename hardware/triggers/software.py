@@ -158,12 +158,6 @@ class SoftwareTrigger:
             if camera in self._awaited:
                 self._stop_waiting(camera)
 
-    @property
-    def waiting_since_ns(self) -> int | None:
-        """Host time of the last pulse while its frames are awaited [ns], None before it was made."""
-        with self._changed:
-            return self._fired_ns
-
     def _stop_waiting(self, camera: str) -> None:
         self._awaited.discard(camera)
         self._missed[camera] += 1

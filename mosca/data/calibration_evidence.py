@@ -58,7 +58,7 @@ class CalibrationEvidence:
     ``covered`` (c, rows, columns) bool: cells of each image that the target's points cover; ``links`` (c, c) number
     of points that connect each pair of cameras; ``groups`` (c,) connected component of each camera; ``missing`` (k,
     2) cameras between which a link would connect two groups; ``accuracy``, ``lengths``: None where not computed;
-    ``comparison``: lines of text of a comparison with another rig; ``made_from``: session and command, in a line.
+    ``made_from``: session and command, in a line.
     """
 
     covered: Array
@@ -67,11 +67,9 @@ class CalibrationEvidence:
     missing: Array
     accuracy: AccuracyGrid | None = None
     lengths: HeldOutLengths | None = None
-    comparison: tuple[str, ...] = ()
     made_from: str = ""
 
     def __post_init__(self) -> None:
         count = len(np.asarray(self.covered))
         set_read_only(self, np.bool_, covered=(count, None, None))
         set_read_only(self, np.int64, links=(count, count), groups=(count,), missing=(None, 2))
-        object.__setattr__(self, "comparison", tuple(self.comparison))

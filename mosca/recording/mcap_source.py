@@ -18,6 +18,7 @@ from mosca.data.detections import Detections
 from mosca.data.frames import CameraInfo, Frame, FrameSet
 from mosca.errors import InputError
 from mosca.recording import mcap_format as layout
+from mosca.recording.account import TOML_NAME, recorded_account
 from mosca.recording.crash_buffer import NO_TOKEN, Kept, read_tail, rescued
 from mosca.recording.pulses import RecordedPulse, recorded_pulses
 
@@ -159,6 +160,10 @@ class McapRecording:
     def pulses(self) -> tuple[RecordedPulse, ...]:
         """Return the pulses of a capture by number, with their times and how each frame's was found; none without."""
         return recorded_pulses(self.channel("clock"), self._all_cameras[0].frame_rate_hz, str(self.path))
+
+    def account(self) -> dict[str, Any]:
+        """Return what the recording should hold, by its own account (``recorded_account``), and its notes."""
+        return recorded_account(self.path.with_name(TOML_NAME), self.pulses()) | {"notes": list(self.notes)}
 
     def close(self) -> None:
         """Free the file of every iteration that is under way; may be called twice."""

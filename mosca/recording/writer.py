@@ -21,11 +21,11 @@ from mosca.data.files.whole_file import write_text
 from mosca.data.frames import CameraInfo, Frame, FrameSet
 from mosca.errors import InputError
 from mosca.recording import mcap_format as layout
+from mosca.recording.account import TOML_NAME
 from mosca.recording.crash_buffer import TAIL_NAME, Tail
 
 MCAP_NAME = "recording.mcap"
 PART_NAME = "recording.mcap.part"
-TOML_NAME = "recording.toml"
 CHUNK_BYTES = 1 << 20
 """A killed writer loses at most the chunk that it was filling, or what came since the last ``flush``."""
 

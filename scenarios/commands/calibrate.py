@@ -12,6 +12,8 @@ from mosca.calibration.session import EstimateSettings, Shown, calibrate_session
 from mosca.calibration.single_camera.adjust import AdjustmentSettings
 from mosca.calibration.single_camera.from_points import calibrate_from_points, summary
 from mosca.calibration.single_camera.interior_orientation import LensChoice
+from mosca.calibration.targets.read_session import check_shown
+from mosca.calibration.targets.reader import reader_of
 from mosca.camera.projection import lens_directions
 from mosca.data.calibration import Calibration
 from mosca.data.files.rig_file import read_rig, write_rig
@@ -72,6 +74,11 @@ def calibrate(request: CalibrateOptions, progress: Callable[[int, int | None], N
         raise InputError("--exterior-only keeps the lenses of an earlier rig; give it with --known RIG.toml")
     page = out.with_suffix(".html")
     LOG.info("%s: target %s, reading images and adjusting", request.recording, request.target)
+    with open_recording(request.recording, known, request.fps) as source:
+        check_shown(
+            source, lambda: reader_of(target, settings.detection), source.n_frames, settings.every,
+            lambda n: progress(n, None),
+        )  # fmt: skip
     calibration, evidence = calibrate_session(
         Shown(target, lambda rig: open_recording(request.recording, rig, request.fps)),
         settings,

@@ -19,6 +19,7 @@ from mosca.data.files.whole_file import check_folder
 from mosca.data.rig import Rig
 from mosca.errors import InputError
 from mosca.recording import RecordingWriter
+from reports.viewer_program import viewer_program
 from scenarios.lab.intake import Intake
 from scenarios.lab.priority import before_others, prompt
 from scenarios.lab.recorder import WAITING_BYTES, Recorder
@@ -121,6 +122,8 @@ def _captured(
     hardware = read_hardware(request.rig)
     program = None if request.program is None else read_program(request.program)
     settings = _settings(request)
+    if request.view and request.view_log is None:
+        viewer_program("--view")  # a missing one is told before cameras are opened
     pulses = pulses_of(request, hardware)
     with ExitStack() as stack:
         stack.enter_context(before_others())

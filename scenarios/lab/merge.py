@@ -116,7 +116,6 @@ def summary_lines(statistics: ReceiverStatistics) -> list[str]:
                 "not signed or sent again": s.forged,
                 "unreadable": s.spoilt,
                 "times silent": s.silent,
-                "times gone": s.gone,
                 "times started again": max(s.starts - 1, 0),
             }
         )

@@ -52,21 +52,21 @@ def detect_on_station(
     names = tuple(table.name for table in read_rig_file(rig).camera)
     text = rig.read_text(encoding="utf-8")
     devices: RigOfStation | None = None
-    if recording is None:
-        devices = RigOfStation(read_hardware(rig))
-        source: RigOfStation | PacedRecording = devices
-        backgrounds = Backgrounds(spec.background, on_made=report)
-    else:
-        cameras = read_rig(rig)
-        backgrounds = Backgrounds(ready=recorded_backgrounds(recording, cameras, fps, spec.background))
-        source = PacedRecording(SelectedCameras(open_recording(recording, cameras, fps), names))
-    with before_others():  # the engine's threads too
-        try:
-            transport = open_transport(connect, trust=trust)
-            sender = Sender(transport, name, source.cameras, text)
-        except BaseException:
-            source.close()
-            raise
+    with before_others(), ExitStack() as failing:  # the engine's threads too
+        # first: an endpoint that cannot be used is told before cameras are opened or a background is made
+        transport = open_transport(connect, trust=trust)
+        failing.callback(transport.close)
+        if recording is None:
+            devices = RigOfStation(read_hardware(rig))
+            source: RigOfStation | PacedRecording = devices
+            backgrounds = Backgrounds(spec.background, on_made=report)
+        else:
+            cameras = read_rig(rig)
+            backgrounds = Backgrounds(ready=recorded_backgrounds(recording, cameras, fps, spec.background))
+            source = PacedRecording(SelectedCameras(open_recording(recording, cameras, fps), names))
+        failing.callback(source.close)
+        sender = Sender(transport, name, source.cameras, text)
+        failing.pop_all()
         source.gate.sender = sender
         report(f"station {name}: {', '.join(names)}; sends to {', '.join(connect)}")
         until = None if seconds is None else time.monotonic() + seconds

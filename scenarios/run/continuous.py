@@ -94,7 +94,7 @@ def record_clocks(found: Reconstructed) -> dict[str, Any]:
 def lamp_notes(worn: Worn) -> dict[str, str]:
     """Return in words how cameras and lamps were found."""
     found = worn.reconstructed
-    known = np.isfinite(worn.placed.centres).all(axis=2).mean(axis=0)
+    known = np.isfinite(worn.lamp_poses.centres).all(axis=2).mean(axis=0)
     shares = ", ".join(
         f"{name} {100 * share:.0f} %" for name, share in zip(found.rig.names, known, strict=True) if share < 1.0
     )

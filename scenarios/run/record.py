@@ -16,7 +16,7 @@ from reports.metrics import METRICS
 from reports.record import Metric, MetricBlocks, RunRecord
 from scenarios.build.cameras import Calibrated, deliveries
 from scenarios.run.provenance import provenance
-from scenarios.score.delivery import expected_share, losses
+from scenarios.score.delivery import expected_sets, expected_share, frame_losses, losses, weakest
 from scenarios.score.limits import loose_limits
 from scenarios.score.tracks import limits_met
 from scenarios.spec.scenario import Scenario
@@ -39,9 +39,9 @@ def record_of(
     notes = " ".join(collected.assembly.notes.values())
     unnoticed = [phrase for phrase in spec.told if phrase not in notes]
     passed, verdict = _verdict(spec, broken, not_judged)
-    if "sets_complete" in broken and "sets_complete" not in spec.fails_on:
-        missing = losses(collected.assembly, spec.capture.pulses, spec.capture.frame_rate_hz)
-        passed, verdict = False, f"{verdict}; {missing}"
+    incomplete = [name for name in ("sets_complete", "frames_complete") if name in broken]
+    if incomplete and incomplete[0] not in spec.fails_on:
+        passed, verdict = False, f"{verdict}; {_missing(spec, collected)}"
     verdict = "; ".join((verdict, *loose_limits(rows, spec.loose_limit)))
     if unnoticed and not not_judged:
         passed, verdict = False, f"{verdict}; not noticed: {'; '.join(unnoticed)}"
@@ -56,7 +56,7 @@ def record_of(
         verdict=verdict,
         metrics=rows,
         premises=worth.premises,
-        counts=_counts(collected, spec.capture.pulses),
+        counts=_counts(spec, collected),
         cameras=_cameras(collected),
         source_account=collected.account,
         timings={key: float(value) for key, value in timings.items()},
@@ -71,11 +71,26 @@ def record_of(
 
 
 def _limits(spec: Scenario, worth: Scored) -> dict[str, float]:
-    """Return the scenario's limits; all frame sets must be complete but for the losses that it states."""
+    """Return the scenario's limits; all frame sets, or frames, must have come but for the losses that it states."""
+    if "frames_complete" in worth.scores:
+        return {"frames_complete": weakest(worth.collected.frames).least} | spec.limits
     if "sets_complete" not in worth.scores:
         return dict(spec.limits)
     stated = deliveries(spec, worth.collected.assembly.cameras)
-    return {"sets_complete": expected_share(stated, spec.capture.pulses, spec.capture.duration_s)} | spec.limits
+    pulses = _pulses(spec, worth.collected)
+    return {"sets_complete": expected_share(stated, pulses, pulses / spec.capture.frame_rate_hz)} | spec.limits
+
+
+def _pulses(spec: Scenario, collected: Collected) -> int:
+    """Return of how many pulses there must be frame sets."""
+    return expected_sets(collected.assembly, spec.capture.pulses, collected.account)
+
+
+def _missing(spec: Scenario, collected: Collected) -> str:
+    """Return in words which frames are missing."""
+    if collected.frames:
+        return frame_losses(collected.frames)
+    return losses(collected.assembly, _pulses(spec, collected), spec.capture.frame_rate_hz)
 
 
 def _metric(name: str, score: Score, limit: float | None, met: Mapping[str, bool]) -> Metric:
@@ -101,11 +116,20 @@ def _verdict(spec: Scenario, broken: list[str], not_judged: tuple[str, ...]) -> 
     return True, f"fails as it must: {', '.join(spec.fails_on)} broken"
 
 
-def _counts(collected: Collected, pulses: int) -> dict[str, Any]:
+def _counts(spec: Scenario, collected: Collected) -> dict[str, Any]:
     assembly = collected.assembly
     tracks = collected.tracks
+    samples = {"tracks": len(np.unique(tracks.track)), "samples": len(tracks)}
+    if collected.frames:
+        return {
+            "expected_frames": sum(one.expected for one in collected.frames.values()),
+            "frames": assembly.frames,
+            "corrupt": sum(one.unusable for one in collected.frames.values()),
+            **samples,
+            "notes": dict(assembly.notes),
+        }
     return {
-        "expected_sets": pulses,
+        "expected_sets": _pulses(spec, collected),
         "frames": assembly.frames,
         "frame_sets": assembly.sets,
         "complete_sets": assembly.complete_sets,
@@ -113,15 +137,16 @@ def _counts(collected: Collected, pulses: int) -> dict[str, Any]:
         "dropped": sum(c.dropped for c in assembly.cameras.values()),
         "corrupt": sum(c.corrupt for c in assembly.cameras.values()),
         "late": sum(c.late for c in assembly.cameras.values()),
-        "tracks": len(np.unique(tracks.track)),
-        "samples": len(tracks),
+        **samples,
         "skipped_sets": assembly.skipped_sets,
         "notes": dict(assembly.notes),
     }
 
 
 def _cameras(collected: Collected) -> dict[str, dict[str, Any]]:
-    """Return each camera's health, and what became of its frames."""
+    """Return each camera's health, and what became of its frames; of a continuous run these alone."""
+    if collected.frames:
+        return {name: asdict(one) | {"complete": one.share} for name, one in collected.frames.items()}
     counts = collected.assembly.cameras
     return {
         one.name: health_record(one) | (asdict(counts[one.name]) if one.name in counts else {})

@@ -34,7 +34,7 @@ from scenarios.run.precompile import compile_side_by_side
 from scenarios.run.record import evidence_of, record_of
 from scenarios.score.bodies import rigid_bodies
 from scenarios.score.continuous import as_worn
-from scenarios.score.delivery import sets_complete
+from scenarios.score.delivery import camera_frames, expected_sets, frames_complete, sets_complete
 from scenarios.score.reference import requested_truth
 from scenarios.score.score_run import scored
 from scenarios.score.without_truth import self_checks
@@ -111,6 +111,11 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
         with _timed(timings, "frames_to_tracks"):
             collected, continuous = _tracked(opened, believed, spec, options, stack)
             collected = replace(collected, account=account(opened.source))
+        if continuous is not None:
+            gathered = (continuous.reconstructed if isinstance(continuous, Worn) else continuous).gathered
+            nominal = opened.twin is not None
+            frames = camera_frames(spec, gathered, built.cameras, nominal, collected.account)
+            collected = replace(collected, frames=frames)
         if options.source.startswith("hardware:"):
             collected.assembly.notes.update(device_notes(opened.source))
         # the scenario defines where its markers are on a body, whatever the source of the frames
@@ -220,7 +225,11 @@ def _all_scores(
     without_truth, notes = self_checks(spec, collected.tracks, poses, seconds, collected.assembly.sets)
     for k, line in enumerate(notes):
         collected.assembly.notes[f"length {k + 1}"] = line
-    complete = {} if spec.continuous else {"sets_complete": sets_complete(collected.assembly, spec.capture.pulses)}
+    if collected.frames:
+        complete = {"frames_complete": frames_complete(collected.frames)}
+    else:
+        expected = expected_sets(collected.assembly, spec.capture.pulses, collected.account)
+        complete = {"sets_complete": sets_complete(collected.assembly, expected)}
     # with a truth, ray residuals are of the points that exist, not of ghosts: the later mapping wins
     return {**complete, **without_truth, **worth.scores, **({} if own is None else own.scores())}
 

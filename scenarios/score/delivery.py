@@ -1,22 +1,115 @@
-"""Whether a run measured what it claims: complete frame sets among the pulses that the scenario has."""
+"""Whether a run measured what it claims: complete frame sets of its pulses, or all frames of free-running cameras."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from typing import Any
 
+from mosca.continuous.association.associate import Associated
 from mosca.synchronisation import Assembly, CameraCount
-from scenarios.types import Score
+from scenarios.build.cameras import deliveries
+from scenarios.spec.scenario import Scenario
+from scenarios.types import CameraFrames, Score
 from twin.cameras.delivery import Delivery
+from twin.cameras.exposure.shutter import Timing, numbers_in
+from twin.cameras.virtual_camera import VirtualCamera
 
 LOSS_SIGMAS = 4.0
 """Random losses that a scenario states may exceed their expectation by so many standard deviations: once in 30,000
 runs. At half one run in 44 would fail by chance; at double twice as large an excess over the stated losses passes."""
+LONGER = 1
+"""Frames by which a take may be longer than its scenario without being held to its own length: a free-running camera
+begins and ends between pulses."""
+CLOCK_ERROR = 1e-4
+"""Largest error of a camera's oscillator (data sheets state 20 to 100 ppm), by which a take of one that runs free may
+hold fewer frames than its nominal rate gives, or seem longer than it was."""
 
 
-def sets_complete(assembly: Assembly, pulses: int) -> Score:
-    """Return the share of the ``pulses`` that the scenario has whose frame set was complete."""
-    return Score(assembly.complete_sets / pulses, pulses)
+def expected_sets(assembly: Assembly, pulses: int, account: Mapping[str, Any]) -> int:
+    """Return of how many pulses a take must have frame sets: the scenario's, or the take's own where those are more.
+
+    Parameters
+    ----------
+    assembly
+        Counts of the take; its sets are as many pulses as the frames' stamps span.
+    pulses
+        Of the scenario.
+    account
+        The source's own; its ``pulses`` are those that were triggered.
+    """
+    triggered = account.get("pulses")
+    if triggered is None:
+        triggered = assembly.sets if assembly.sets > pulses + LONGER else pulses
+    return max(pulses, int(triggered))
 
 
-def expected_share(deliveries: Mapping[str, Delivery], pulses: int, duration_s: float) -> float:
+def sets_complete(assembly: Assembly, expected: int) -> Score:
+    """Return the share of the ``expected`` frame sets that were complete."""
+    return Score(assembly.complete_sets / expected, expected)
+
+
+def camera_frames(
+    spec: Scenario,
+    gathered: Associated,
+    cameras: Iterable[VirtualCamera],
+    nominal_clocks: bool,
+    account: Mapping[str, Any],
+) -> dict[str, CameraFrames]:
+    """Return what each camera of a continuous run should have delivered, and what arrived.
+
+    Parameters
+    ----------
+    spec, cameras
+        The scenario, and its cameras.
+    gathered
+        The frames that were seen.
+    nominal_clocks
+        Whether they open exactly when the scenario says, as the twin's do; real ones that run free begin when they
+        like, at a rate that is nominal.
+    account
+        The source's own; its ``frames`` are how many of each camera it states that it holds.
+    """
+    capture, timing = spec.capture, {v.camera.name: v.timing for v in cameras}
+    span_s = {one.info.name: float(one.frame_ns[-1] - one.frame_ns[0]) * 1e-9 for one in gathered.seen}
+    slowest_s = max(one.period_s for one in gathered.seen)
+    longest_s = max(span_s[one.info.name] + timing[one.info.name].offset_s + one.period_s for one in gathered.seen)
+    pulses = capture.pulses
+    if longest_s > (1.0 + CLOCK_ERROR) * capture.duration_s + (1 + LONGER) * slowest_s:
+        pulses = round(longest_s * capture.frame_rate_hz)
+    stated = account.get("frames", {})
+    found = {}
+    for name, delivery in deliveries(spec, timing).items():
+        if name not in span_s:
+            continue
+        own, count = timing[name], gathered.count
+        expected = max(frames_of(own, pulses, capture.frame_rate_hz), int(stated.get(name, 0)), 1)
+        if "frames_complete" in spec.limits:
+            least = spec.limits["frames_complete"]
+        else:
+            begin_s = own.offset_s if own.rate_hz is not None else 0.0
+            least = expected_share({name: delivery}, expected, pulses / capture.frame_rate_hz, begin_s)
+            if own.rate_hz is not None and not nominal_clocks:
+                least = max(0.0, least - LONGER / expected - CLOCK_ERROR)
+        usable = count.frames.get(name, 0) - count.unusable.get(name, 0)
+        found[name] = CameraFrames(expected, usable, count.unusable.get(name, 0), span_s[name], least)
+    return found
+
+
+def frames_of(timing: Timing, pulses: int, frame_rate_hz: float) -> int:
+    """Return how many frames a camera takes from the first of so many pulses until one period after the last."""
+    first, end = (numbers_in(timing, pulse, frame_rate_hz).start for pulse in (0, pulses))
+    return end - first
+
+
+def weakest(frames: Mapping[str, CameraFrames]) -> CameraFrames:
+    """Return the camera with the least share, of those below what they should have delivered where there are such."""
+    return min(frames.values(), key=lambda one: (one.share >= one.least, one.share))
+
+
+def frames_complete(frames: Mapping[str, CameraFrames]) -> Score:
+    """Return the share of the weakest camera's frames that arrived, usable."""
+    return Score(weakest(frames).share, sum(one.expected for one in frames.values()))
+
+
+def expected_share(deliveries: Mapping[str, Delivery], pulses: int, duration_s: float, begin_s: float = 0.0) -> float:
     """Return the least share of complete sets that the losses which a scenario states leave; 1 where it states none.
 
     Parameters
@@ -25,6 +118,8 @@ def expected_share(deliveries: Mapping[str, Delivery], pulses: int, duration_s: 
         Of each camera of the rig.
     pulses, duration_s
         Length of the take.
+    begin_s
+        When the first frame opens: a free-running camera begins later than the take.
     """
     share, burst = 1.0, 1
     for one in deliveries.values():
@@ -38,8 +133,9 @@ def expected_share(deliveries: Mapping[str, Delivery], pulses: int, duration_s: 
     alive = 1.0
     for one in deliveries.values():
         if one.dies_s is not None and one.dies_s < duration_s:
+            since = max(one.dies_s, begin_s)
             until = duration_s if one.returns_s is None else min(one.returns_s, duration_s)
-            alive *= 1.0 - max(0.0, until - one.dies_s) / duration_s
+            alive *= 1.0 - max(0.0, until - since) / (duration_s - begin_s)
     if share == alive == 1.0:
         return 1.0
     # at the ends of an interval one set each is lost or not, by rounding
@@ -58,6 +154,17 @@ def losses(assembly: Assembly, pulses: int, rate_hz: float) -> str:
             last = f"the last at {count.last_pulse / rate_hz:.2f} s" if count.delivered else "none came"
             lines.append(f"camera {name}: {missing} frames missing{_kinds(count)}, {last}")
     return "; ".join(lines)
+
+
+def frame_losses(frames: Mapping[str, CameraFrames]) -> str:
+    """Return in words what free-running cameras lack that fall short of what they should have delivered."""
+    return "; ".join(
+        f"camera {name}: {one.expected - one.arrived} of {one.expected} frames missing"
+        + (f" ({one.unusable} corrupt)" if one.unusable else "")
+        + f", the last {one.span_s:.2f} s after the first"
+        for name, one in frames.items()
+        if one.share < one.least
+    )
 
 
 def _kinds(count: CameraCount) -> str:

@@ -12,10 +12,12 @@ import cv2
 import numpy as np
 from fuzz.reader import Reader
 from fuzz.tables import whole
+from fuzz.toml_files import document, toml_seed
 
 from mosca.data.detections import Detections
 from mosca.data.frames import CameraInfo, Frame, FrameSet
 from mosca.recording import McapRecording, RecordingWriter, open_recording
+from mosca.recording.account import recorded_account
 from mosca.recording.crash_buffer import TAIL_NAME, Tail, read_tail, rescued
 from mosca.recording.folder import read_image
 from mosca.recording.stamps import read_stamps
@@ -222,7 +224,32 @@ def _video_expected(folder: Path) -> Any:
                     )
 
 
+ACCOUNT = """format = "mosca.recording"
+[[camera]]
+name = "a"
+frames = { ok = 97, dropped = 2, corrupt = 1 }
+[[camera]]
+name = "b"
+frames = { ok = 100, dropped = 0, corrupt = 0 }
+[capture]
+pulses = 100
+stopped_by_hand = false
+"""
+
+
+def _account(folder: Path) -> Any:
+    return recorded_account(folder / "a.toml", ())
+
+
+def _account_expected(folder: Path) -> Any:
+    told = document(folder / "a.toml")
+    counts = {str(one.get("name")): sum(one.get("frames", {}).values()) for one in told.get("camera", [])}
+    pulses = {"pulses": told["capture"]["pulses"]} if "pulses" in told.get("capture", {}) else {}
+    return pulses | ({"frames": counts} if counts else {})
+
+
 READERS = (
+    Reader("recording account", (toml_seed(ACCOUNT),), ("a.toml",), _account, _account_expected),
     Reader("recording mcap", (_mcap_seed,), (f"r/{MCAP}",), _mcap),
     Reader("recording detections", (_found_seed,), (f"r/{MCAP}",), _found),
     Reader("recording tail", (_tail_seed,), (TAIL_NAME,), _tail),

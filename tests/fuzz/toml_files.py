@@ -339,6 +339,7 @@ reply_s = 1.5
 name = "imu"
 kind = "udp"
 address = "127.0.0.1:7001"
+sender = "192.168.7.30"
 [[program]]
 at_s = 1.0
 target = "robot"

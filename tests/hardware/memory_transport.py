@@ -22,7 +22,7 @@ class MemoryTransport:
 
     def __init__(self, exchange):
         self._exchange, self.cut, self.closed = exchange, False, False
-        self._subscribers, self._answers, self._tokens, self._watchers = [], {}, set(), []
+        self._subscribers, self._answers = [], {}
 
     def publish(self, key, payload):
         if self.cut or self.closed:
@@ -47,30 +47,11 @@ class MemoryTransport:
                 return end._answers[key](payload)
         return None
 
-    def declare_token(self, key):
-        self._tokens.add(key)
-        self._note(key, True)
-
-    def watch_tokens(self, pattern, take):
-        self._watchers.append((pattern, take))
-        for end in list(self._exchange.ends):
-            for key in end._tokens:
-                if fnmatch.fnmatchcase(key, pattern):
-                    take(key, True)
-
     def close(self):
         if self.closed:
             return
         self.closed = True
         with self._exchange.guard:
             self._exchange.ends.remove(self)
-        for key in self._tokens:
-            self._note(key, False)
 
     die = close
-
-    def _note(self, key, stands):
-        for end in list(self._exchange.ends):
-            for pattern, take in end._watchers:
-                if fnmatch.fnmatchcase(key, pattern):
-                    take(key, stands)

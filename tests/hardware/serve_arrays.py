@@ -27,13 +27,14 @@ def main() -> None:
         sys.stdin.readline()
         up.start(100.0)
         began, used = time.monotonic(), time.process_time()
-        while up.line.emitted < pulses:
+        last = up.devices[-1]
+        while last.counts().get("pulses", 0) < pulses:
             time.sleep(0.001)
         up.line.stop()
         cores = (time.process_time() - used) / (time.monotonic() - began)
         sys.stdin.readline()
         counts = [dict(device.counts()) for device in up.devices]
-        print(json.dumps({"cores": cores, "pulses": up.line.emitted, "counts": counts}), flush=True)
+        print(json.dumps({"cores": cores, "pulses": last.counts()["pulses"], "counts": counts}), flush=True)
 
 
 if __name__ == "__main__":

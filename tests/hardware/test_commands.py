@@ -240,6 +240,70 @@ def test_events_come_by_udp_and_tcp_and_wait_for_the_clock():
     assert run.events == 16
 
 
+def sent_from(address, port, *lines):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        sender.bind((address, 0))
+        for line in lines:
+            sender.sendto(line.encode(), ("127.0.0.1", port))
+
+
+def heard_at(address, **table):
+    """A run that listens to datagrams at ``address``, and the port."""
+    session = Session().begins()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    given = EventTable(name="imu", kind="udp", address=f"{address}:{port}", **table)
+    run = ProgramRun(Program(event=[given]), session.session_ns, session.write)
+    run.start()
+    return run, session, port
+
+
+def test_datagrams_of_strangers_are_refused_and_counted():
+    run, session, port = heard_at("127.0.0.1", sender="127.0.9.2")
+    sent_from("127.0.9.3", port, "forged 0")
+    sent_from("127.0.9.2", port, "mine 0")
+    for number in range(40):
+        sent_from(f"127.0.8.{number + 1}", port, "forged 1")
+    sent_from("127.0.9.2", port, "mine 1")
+    until(lambda: run.events >= 2)
+    run.close()
+    run.close()
+    assert [data["line"] for _, data in session.of("events")] == ["mine 0", "mine 1"]
+    (note,) = run.notes
+    assert note.startswith(
+        "event 'imu': refused datagrams that are not of sender 127.0.9.2: of others (33), 127.0.9.3"
+    )
+    assert note.count("127.0.8.") == 7  # who is told by name is limited
+
+
+@pytest.mark.parametrize(("address", "told"), [("127.0.0.1", False), ("0.0.0.0", True)])
+def test_without_a_sender_everyone_is_taken_and_told_where_a_network_reaches_it(address, told):
+    run, session, port = heard_at(address)
+    sent_from("127.0.9.3", port, "anyone")
+    until(lambda: run.events == 1)
+    run.close()
+    assert [data["line"] for _, data in session.of("events")] == ["anyone"]
+    assert ["name the sender" in note for note in run.notes] == [True] * told
+
+
+@pytest.mark.parametrize(
+    ("given", "text"),
+    [
+        ({"sender": "imu"}, "sender 'imu' given; the sender's address is wanted, e.g. 192.168.7.30"),
+        ({"sender": "0.0.0.0"}, "the sender's address is wanted"),
+        ({"sender": "10.0.0.3", "kind": "tcp"}, 'with kind = "tcp", which connects to address; leave it out'),
+    ],
+)
+def test_a_sender_that_cannot_be_is_told(tmp_path, given, text):
+    path = tmp_path / "program.toml"
+    lines = [f'{key} = "{value}"' for key, value in {"name": "imu", "address": "10.0.0.1:7001", **given}.items()]
+    path.write_text("\n".join(["[[event]]", *lines]))
+    with pytest.raises(InputError, match=text) as error:
+        read_program(path)
+    assert "\n" not in str(error.value)
+
+
 def test_a_target_that_hangs_up_is_told_and_its_commands_are_counted():
     session = Session().begins()
     server = socket.create_server(("127.0.0.1", 0))

@@ -110,7 +110,7 @@ def fired(trigger, camera, count):
     """Wait until pulse ``count`` was sent to the camera and its frame is awaited; return a time after that."""
     camera.wait_for(count)
     until = time.monotonic() + 60
-    while (since_ns := trigger.waiting_since_ns) is None:
+    while (since_ns := trigger._fired_ns) is None:
         assert time.monotonic() < until
         time.sleep(0.001)
     return since_ns + 1

@@ -13,7 +13,8 @@ from test_transport_engines import free_endpoint
 from test_transport_stations import LONG, PATIENT, SIZES, Station, read, soon, texts, whole
 
 from hardware.transport import Trust, open_transport
-from hardware.transport.messages import pack_detections, pack_health, unpack_detections
+from hardware.transport.listener import Listener
+from hardware.transport.messages import DetectionMessage, pack_clock, pack_detections, pack_health, unpack_detections
 from hardware.transport.receiver import Receiver
 from hardware.transport.sender import Sender
 from hardware.transport.signed import FORGED, REPLAYED, SignedTransport, read_key, write_key
@@ -163,6 +164,25 @@ def test_a_recorded_session_is_no_station():
     assert here.statistics.stations["A"].unconfirmed > 0
 
 
+def test_messages_of_another_start_do_not_make_a_dead_station_look_present():
+    """It is present as long as its confirmed start is heard; 25 messages/s recorded earlier change nothing."""
+    dead_ns, events = 10**9, []
+    listener = Listener(("A",), {"a1": SIZES["a1"]}, 100.0, replace(PATIENT, silence_s=0.5), 0, events.append)
+    for now_ns in range(0, 4 * 10**9, 20_000_000):
+        if now_ns < dead_ns:
+            listener.take("clock", "A", (pack_clock(7, now_ns), now_ns, now_ns), now_ns)
+        if now_ns % 40_000_000 == 0:
+            recorded = DetectionMessage(
+                "A", 5, 0, now_ns // 40_000_000, 0, 0, now_ns, now_ns, "detected", Detections.none("a1")
+            )
+            listener.take("message", "A", pack_detections(recorded), now_ns)
+        listener.check(now_ns)
+    assert [(event.kind, event.time_ns) for event in events if event.kind in ("appeared", "silent", "back")] == [
+        ("appeared", 0),
+        ("silent", dead_ns + 500_000_000),  # the check at 0.98 s was the last that had heard it
+    ]
+
+
 def test_a_flood_of_forged_messages_costs_no_set():
     exchange = SignedExchange()
     forger, over = exchange.stranger(), threading.Event()
@@ -246,6 +266,29 @@ def test_over_the_network_too_a_stranger_changes_nothing():
     assert whole(sets)
     assert receiver.statistics.stations["A"].forged > 400
     assert {f"a message in its name {why}; refused" for why in (FORGED, REPLAYED)} <= set(texts(receiver, "A"))
+
+
+def test_what_the_engine_itself_says_of_who_is_there_changes_nothing():
+    """A stranger announces a station's presence to Zenoh and withdraws it: nobody asks for that."""
+    needs_module("zenoh", "stations")
+    endpoint = free_endpoint()
+    here = open_transport(listen=[endpoint], trust=Trust(KEY))
+    forger = open_transport(connect=[endpoint])
+    watched = []
+    with Receiver(here, ("A", "B"), SIZES, None, PATIENT) as receiver:
+        here._inner._session.liveliness().declare_subscriber("mosca/**", watched.append)
+        with Sender(open_transport(connect=[endpoint], trust=Trust(KEY)), "A", infos(("a1",), 100.0)):
+            until(lambda: texts(receiver, "A") == ["is here"])
+            for number in range(3):
+                token = forger._session.liveliness().declare_token("mosca/A/alive")
+                until(lambda seen=2 * number: len(watched) > seen)
+                token.undeclare()
+                until(lambda seen=2 * number + 1: len(watched) > seen)
+            time.sleep(0.2)  # the receiver looks at its stations each 20 ms
+            assert texts(receiver, "A") == ["is here"]
+            assert receiver.statistics.stations["A"].silent == 0
+        receiver.stop()
+        forger.close()
 
 
 def test_keys_are_made_once_and_read_or_refused(tmp_path):

@@ -22,9 +22,10 @@ from hardware.driver import REFUSED, CameraDriver, Device, DeviceError, Grabbed
 from hardware.drivers import gige, open_camera
 from hardware.drivers.gige import STREAM_SOURCE_REGISTER, GigeCamera
 from hardware.drivers.peer_socket import MOST_NAMED, udp_sockets
-from hardware.emulate.gige_vision import MAXIMUM_BLOCK_ID, Command
+from hardware.emulate.gige_vision import MAXIMUM_BLOCK_ID
 from hardware.emulate.serve import served
 from hardware.emulate.stream import ImageLayout, image_packets
+from hardware.gvcp import Command
 from hardware.settings import CameraHardware
 
 ADDRESS = "127.0.7.1"

@@ -9,7 +9,7 @@ from memory_transport import Exchange
 from needs import needs_module
 
 from hardware.transport import open_transport
-from hardware.transport.transport import EVERY_TOKEN, EVERYTHING, TransportError
+from hardware.transport.transport import EVERYTHING, TransportError
 
 
 def free_endpoint():
@@ -51,18 +51,6 @@ def test_questions_are_answered_or_not(ends):
     a.declare_queryable("mosca/A/clock", lambda asked: asked + b"!")
     until(lambda: b.query("mosca/A/clock", b"12", 1.0) == b"12!")
     assert b.query("mosca/B/clock", b"", 0.3) is None
-
-
-def test_tokens_are_seen_whether_they_stood_before_or_come_later_and_fall(ends):
-    a, b = ends
-    seen = {}
-    a.declare_token("mosca/A/alive")
-    b.watch_tokens(EVERY_TOKEN, lambda key, stands: seen.__setitem__(key, stands))
-    until(lambda: seen.get("mosca/A/alive") is True)
-    a.declare_token("mosca/C/alive")
-    until(lambda: seen.get("mosca/C/alive") is True)
-    a.close()
-    until(lambda: seen == {"mosca/A/alive": False, "mosca/C/alive": False})
 
 
 def test_nothing_is_taken_after_the_end(ends):

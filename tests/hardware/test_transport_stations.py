@@ -134,12 +134,12 @@ def test_a_station_that_starts_one_pulse_off_is_found_out_and_counted_right():
 
 def test_a_killed_station_is_told_and_survived_and_its_return_too():
     exchange, start = Exchange(), soon()
-    with receiver(exchange) as here:
+    with receiver(exchange, settings=NOTICING) as here:
         a, b = Station(exchange, "A", start, LONG), Station(exchange, "B", start, LONG, offset_s=9)
         out, stream = [], iter(here)
         read(stream, out, lambda: len(out) == 100)
         b.die()
-        read(stream, out, lambda: any(text.startswith("is gone") for text in texts(here, "B")))
+        read(stream, out, lambda: any(text.startswith("is silent") for text in texts(here, "B")))
         # another start, another clock, another count
         first = round((time.monotonic_ns() - start) * 1e-9 * RATE) + 20
         b = Station(exchange, "B", start, LONG, first=first, offset_s=-4)
@@ -155,10 +155,14 @@ def test_a_killed_station_is_told_and_survived_and_its_return_too():
         assert {"a1", "a2"} <= set(merged.detections)
     assert whole(out[:100])
     assert any({"b1", "b2"} == set(s.missing) for s in out)
-    assert texts(here, "B")[:2] == ["is here", "is gone: its program ended, or its network"]
+    assert texts(here, "B")[:3] == [
+        "is here",
+        "is silent for 1 s: its program or its network ended; it is not waited for",
+        "has started again",
+    ]
     count = here.statistics.merge.cameras["b1"]
     assert count.away + count.lost == sum("b1" in s.missing for s in out)
-    assert (here.statistics.stations["B"].gone, here.statistics.stations["B"].starts) == (1, 2)
+    assert (here.statistics.stations["B"].silent, here.statistics.stations["B"].starts) == (1, 2)
 
 
 def test_a_cut_cable_is_told_and_what_it_cost_is_counted():

@@ -136,7 +136,7 @@ class LineOf(External):
     close = stop
 
     def report(self):
-        return {"pulses": self._devices.line.emitted}
+        return {"pulses": self._devices.device("cam1").counts()["pulses"]}
 
 
 def test_withheld_pulses_are_told_from_those_that_the_camera_ignored(tmp_path, monkeypatch):

@@ -5,6 +5,7 @@ from functools import cache
 import cv2
 import numpy as np
 import pytest
+from scene_poses import body_pose
 from scipy.special import erf
 
 from mosca.camera.projection import project
@@ -18,7 +19,7 @@ from twin.cameras.exposure.shutter import Timing
 from twin.cameras.optics.blur_parameters import Optics
 from twin.cameras.sensor.sensor import Sensor
 from twin.cameras.virtual_camera import VirtualCamera
-from twin.scenes.target_boards import build_board, corners_at
+from twin.scenes.target_boards import build_board
 from twin.source import TwinSource
 
 CHECKERS = Board(9, 6, 0.04, 0.04)
@@ -43,11 +44,11 @@ def rendered(name: str, read_noise_e: float = 10.0) -> tuple[tuple[Array, Array]
         eye, Optics(gap_px=0.0), Timing(jitter_s=0.0), Mount(body_px=0.0), Sensor(read_noise_e=read_noise_e)
     )
     source = TwinSource(scene, (steady,), frame_rate_hz=0.25, exposure_s=1e-3, pulses=FRAMES, seed=2)
-    sampler = scene.sampler()
     views = []
     for frame in source:
         assert frame.image is not None
-        true = project(eye, corners_at(sampler, board, frame.time_ns * 1e-9 + 0.5e-3))
+        position, rotation = body_pose(scene, frame.time_ns * 1e-9 + 0.5e-3)
+        true = project(eye, position + board.corners() @ rotation.T)
         views.append((frame.image, true))
     return tuple(views)
 

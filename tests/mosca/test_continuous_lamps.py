@@ -15,7 +15,7 @@ from mosca.continuous.association.frame_detections import CameraDetections
 from mosca.continuous.estimator.estimate import ContinuousSettings
 from mosca.continuous.model.rig_at_time import MovingRig, images_at
 from mosca.continuous.moving_cameras.body_worn import Lamps, solve_worn
-from mosca.continuous.moving_cameras.mutual_pose import LampRays, lamp_rays, placed_by_lamps
+from mosca.continuous.moving_cameras.mutual_pose import LampRays, lamp_rays, poses_from_lamps
 from mosca.correspondence.match import MatchSettings
 from mosca.data.frames import CameraInfo
 from mosca.data.lamp_codes import lamp_bits
@@ -134,7 +134,7 @@ KNOWN = np.array([True, True, False])
 
 def test_sightings_of_lamps_alone_place_a_camera_exactly():
     times = np.linspace(0.0, 1.0, 7)
-    placed = placed_by_lamps(exact_sights(times), rig(known_pose=False), KNOWN, LAMP_M)
+    placed = poses_from_lamps(exact_sights(times), rig(known_pose=False), KNOWN, LAMP_M)
     for i, t in enumerate(times):
         true = pose_of(2, t)
         np.testing.assert_allclose(placed.centres[i, 2], true.translation, atol=1e-6)
@@ -146,7 +146,7 @@ def test_a_camera_that_sees_one_lamp_alone_is_not_placed():
     """Its position is determined by two others, but its rotation about the one ray is free."""
     sights = exact_sights(np.linspace(0.0, 1.0, 5))
     sights.rays[2, 2, 1] = np.nan
-    placed = placed_by_lamps(sights, rig(known_pose=False), KNOWN, LAMP_M)
+    placed = poses_from_lamps(sights, rig(known_pose=False), KNOWN, LAMP_M)
     np.testing.assert_array_equal(np.isfinite(placed.centres[:, 2, 0]), [True, True, False, True, True])
 
 

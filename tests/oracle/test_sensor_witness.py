@@ -241,7 +241,7 @@ def test_each_level_of_uneven_light_follows_its_own_law(bits):
     numbers = np.unique(ambient.index)
     assert len(numbers) > 100
     p = [
-        chi_square_p(counts[ambient.index == k], *law(sensor, float(ambient.levels_e[k])))
+        chi_square_p(counts[ambient.index == k], *law(sensor, float(ambient.bank.levels_e[k])))
         for k in numbers[numbers > numbers[len(numbers) // 3]][::4]  # below, 8 bits give one count only
     ]
     assert min(p) > LEAST_P / len(p)

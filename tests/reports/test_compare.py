@@ -136,8 +136,22 @@ def test_which_way_is_worse(name: str, before: float, after: float, worse: bool)
 
 
 def test_unknown_metrics_follow_their_sense() -> None:
-    assert reading(Metric("calibrated_cameras", 4, "1", 4, sense="at_least")).better == "more"
+    assert reading(Metric("calibrated_cameras", 4, "1", 4, sense="at_least")).sense == "at_least"
     assert reading(Metric("ray_angle_rms", 4, "rad", 4)).made_by == "root_mean"
+
+
+def test_noise_of_still_markers_is_compared_as_the_root_mean_square_that_it_is() -> None:
+    # squares [m^2] of 10 blocks, all 21 % larger: 10 % in the root, without scatter
+    def noise(scale: float) -> Metric:
+        squares = [scale * (1 + 0.1 * (k % 3)) * 1e-8 for k in range(10)]
+        blocks = MetricBlocks(tuple(squares), (1.0,) * 10)
+        return Metric("static_noise", float(np.sqrt(np.mean(squares))), "m", 10, blocks=blocks)
+
+    (worse,) = regressions(run_with(noise(1.21)), run_with(noise(1.0)))
+    assert worse.share == pytest.approx(0.1)
+    # by hand: leaving a block of 1.2 out instead of one of 1.0 changes the root by 1 % in both, so their difference
+    # by about 1 % of itself: its jackknife interval is a part of it, not of the square metres
+    assert 1e-3 < worse.half_width / worse.worse_by < 0.1
 
 
 def test_speed_is_judged_on_one_platform_with_intervals_only() -> None:

@@ -15,10 +15,11 @@ from scipy.spatial.transform import Rotation
 from target_files import field_toml
 
 from mosca.calibration.quality.compare_rigs import compare_rigs
+from mosca.calibration.targets.reader import FieldReader
 from mosca.data.files.rig_file import read_rig, write_rig
 from mosca.data.rig import OpenCVLens, Pose, Rig
 from mosca.data.targets import CodedTarget, TestField
-from mosca.recording import RecordingWriter
+from mosca.recording import RecordingWriter, open_recording
 from scenarios.build.cameras import true_rig, virtual_cameras
 from scenarios.session.scenes import Session, axes_session, bar_session, target_session
 from scenarios.spec.scenario import Scenario
@@ -262,6 +263,24 @@ def other_numbers(field: TestField) -> TestField:
             for n, one in zip(free, field.targets, strict=False)
         )
     )
+
+
+def test_a_wrong_field_is_told_long_before_the_recordings_end(lab, tmp_path, monkeypatch):
+    """300 frame sets of one camera that show the lab's field; 60 of them tell that another one was given."""
+    looked = []
+    monkeypatch.setattr(FieldReader, "read", lambda *given, read=FieldReader.read: looked.append(1) or read(*given))
+    with open_recording(lab / "field") as source:
+        camera = source.cameras[0]
+        frame = next(one for one in source if one.camera == camera.name)
+    with RecordingWriter(tmp_path / "long", (camera,)) as writer:
+        for k in range(300):
+            time_ns = round(k * 1e9 / camera.frame_rate_hz)
+            writer.write(replace(frame, index=k, time_ns=time_ns))
+    (tmp_path / "other.toml").write_text(field_toml(other_numbers(read_field(lab / "field.toml"))))
+    given = ("calibrate", tmp_path / "long", "--target", tmp_path / "other.toml", "--out", tmp_path / "rig.toml")
+    assert "0 of 60 frame sets spread over 300 of cam1 show the target; its numbers are " in refused(*given)
+    assert len(looked) == 60
+    assert list(tmp_path.glob("rig*")) == []
 
 
 def test_bad_input_is_one_line(lab, tmp_path):

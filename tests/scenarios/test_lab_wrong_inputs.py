@@ -16,7 +16,9 @@ from loopback import free_address
 from needs import needs_aravis, needs_module
 
 from hardware.emulate.store import FrameStore
+from reports import viewer_program
 from scenarios.lab import capture as capture_module
+from scenarios.lab import station_verbs
 
 FIRST = 'driver = "gige"\nserial = "nobody-a1"'
 TWIN = "[twin]\nrecording = 'take'\n"
@@ -266,6 +268,29 @@ def test_serving_where_somebody_serves_already(refused):
         other.bind((address, 3956))
         told = refused("twin serve take --seconds 0.1 --address", address)
     assert f"camera 'a1': address {address} already serves a camera (port 3956 is taken)" in told
+
+
+def test_what_stations_and_viewers_need_is_told_before_cameras_are_opened(refused, monkeypatch):
+    """Cameras are opened by both verbs through ``read_hardware``'s table: none is."""
+    opened = []
+    for module, name in ((station_verbs, "RigOfStation"), (capture_module, "HardwareSource")):
+        monkeypatch.setattr(module, name, lambda *given, **more: opened.append(given))
+    line = refused("station detect --rig rig.toml --name A --connect tcp/10.0.0.1:7447")
+    assert "endpoint 'tcp/10.0.0.1:7447': is open to the network, and no key is given" in line
+    monkeypatch.setattr(viewer_program.shutil, "which", lambda name: None)
+    monkeypatch.setattr(viewer_program.sys, "executable", "/none/python")
+    assert "--view: the Rerun viewer is not installed" in refused(
+        "capture --rig rig.toml --out new --frames 1 --view"
+    )
+    assert opened == []
+
+
+def test_a_taken_address_of_the_stations_is_told_before_they_are_waited_for(refused):
+    needs_module("zenoh", "stations")
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        port = other.getsockname()[1]
+        line = refused(f"station reconstruct --rig rig.toml --stations A --listen tcp/127.0.0.1:{port} --out new.csv")
+    assert f"tcp/127.0.0.1:{port}: cannot be used (another program listens there; choose another port" in line
 
 
 def test_a_taken_address_is_told_before_a_frame_is_rendered(refused, monkeypatch):

@@ -1,5 +1,7 @@
 """A run that measured less than it claims has not passed: frames that end, cameras that die, pulses withheld."""
 
+import json
+import shutil
 from dataclasses import replace
 
 import pytest
@@ -101,3 +103,40 @@ def test_losses_that_a_scenario_states_are_not_expected():
     # bursts of 25 are 25 times fewer events
     burst = Delivery(burst_share=0.1, burst_frames=25)
     assert expected_share({"a": burst}, 10_000, 100.0) == pytest.approx(0.9 - 4 * 0.015, abs=1e-4)
+
+
+def test_a_recording_longer_than_the_scenario_is_held_to_its_own_length(tiny, monkeypatch):
+    take = tiny.parent / "take"
+    options = RunOptions(source="recording:take", truth=take / "truth.npz")
+    spec = load_scenario(tiny, ("capture.duration_s=0.2",))
+    verdicts = []
+    for arrives in (lambda _: True, lambda f: f.camera != "cam2" or f.index < 25):
+        source = Lossy(open_recording(take), arrives)
+        monkeypatch.setattr(runner, "opened_source", lambda *_, source=source: source)
+        record = runner.run_scenario(spec, "tiny", tiny.parent, options).record
+        assert record.counts["expected_sets"] == PULSES
+        verdicts.append((record.passed, record.verdict))
+    assert verdicts[0][0]
+    assert not verdicts[1][0]
+    assert "25 of 30 pulses gave a complete set" in verdicts[1][1]
+
+
+def test_a_recording_is_held_to_the_pulses_that_its_capture_triggered(tiny, tmp_path):
+    whole = shutil.copytree(tiny.parent / "take", tmp_path / "take")
+    shutil.copy(tiny, tmp_path)
+    words = ("run", tiny.name, "--source", "recording:take", "--truth", "take/truth.npz")
+    told = whole / "recording.toml"
+    text = told.read_text()
+    for pulses, code in ((PULSES, 0), (PULSES + 2, 1)):
+        told.write_text(f"{text}\n[capture]\npulses = {pulses}\n")
+        done = mosca(*words, "--out", f"of{pulses}", cwd=tmp_path)
+        assert done.returncode == code, done.stdout
+    assert "30 of 32 pulses gave a complete set; frames ended after 30 pulses" in done.stdout
+    record = json.loads((tmp_path / "of32" / "record.json").read_text())
+    assert record["source_account"]["pulses"] == PULSES + 2
+    assert record["source_account"]["frames"] == {f"cam{k}": PULSES for k in (1, 2, 3, 4)}
+    told.write_text(f"{text}\n[capture]\npulses = true\n")
+    done = mosca(*words, "--out", "bad", cwd=tmp_path)
+    assert done.returncode == 2
+    assert "recording.toml: capture.pulses = True: a count from 0 is wanted" in done.stderr
+    assert not (tmp_path / "bad").exists()

@@ -79,7 +79,7 @@ def build_cloud(
     speed = 0.2 * edge if speed_mps is None else speed_mps
     positive({"duration_s": duration_s, "marker_diameter_m": diameter, "speed_mps": speed, "n": n})
     counts, cell = _lattice(box, n, diameter)
-    closest = (1 - LEEWAY) * float(cell.min())
+    closest = closest_approach_m(box.size, n, diameter)
     if not closest > 1.2 * diameter:
         raise InputError(
             f"n = {n}, marker_diameter_m = {diameter:g}: in a box of {' x '.join(f'{e:g}' for e in box.size)} m "

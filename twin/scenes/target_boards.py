@@ -13,7 +13,7 @@ from mosca.data.targets import face_axes
 from mosca.errors import InputError
 from twin.scenes.emission import Glow
 from twin.scenes.figure import Figure, figure, outlines, polygon
-from twin.scenes.scene import Scene, SceneSampler
+from twin.scenes.scene import Scene
 from twin.scenes.target_motion import carried_body, carried_by_hand, carried_scene, room_around
 from twin.scenes.target_plate import PAPER, add_plate, black_of, rectangle
 from twin.scenes.world import Box, new_stage, positive
@@ -108,10 +108,3 @@ def marker_cells(dictionary: str, number: int) -> Array:
     pixels = cv2.aruco.generateImageMarker(markers, number, bits + 2, borderBits=1)
     result: Array = np.asarray(pixels) == 0
     return result
-
-
-def corners_at(sampler: SceneSampler, board: Board, time_s: float) -> Array:
-    """Return the true inner corners (k, 3) of a board's scene at ``time_s``, world frame [m]."""
-    state = sampler.at(time_s)
-    geom = sampler.scene.marker_geoms[sampler.scene.marker_names.index(BOARD)]
-    return np.asarray(board.corners() @ state.geom_rotation[geom].T + state.geom_xyz[geom])

@@ -70,11 +70,6 @@ class CarriedPath:
         return qpos
 
     @property
-    def rms_speed_mps(self) -> float:
-        """Root mean square speed of the body's origin over all time [m/s]."""
-        return float(np.sqrt(np.square(self.swing * self.rates).sum() / 2))
-
-    @property
     def highest_hz(self) -> float:
         """Highest frequency of position and rotation vector [Hz]."""
         rates = np.concatenate([self.rates, self.sway_rates]) * (np.concatenate([self.swing, self.sway]) != 0)

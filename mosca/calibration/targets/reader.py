@@ -98,6 +98,10 @@ class FieldReader:
         own += " and more" if len(self.mark_of) > MOST_TOLD else ""
         return f"; its numbers are {own}; seen are {seen or 'none'}{more}"
 
+    def sees_others(self) -> bool:
+        """Return whether numbers of another target were seen."""
+        return bool(self._others)
+
     def _part(self, found: CodedDetections) -> Part:
         mark = np.array([self.mark_of[int(number)] for number in found.number], dtype=np.int64)
         return Part(0, 0, mark, found.xy_px, found.covariance_px2, 2 * found.semi_axes_px[:, 0])
@@ -108,19 +112,23 @@ class BoardReader:
 
     def __init__(self, board: Board) -> None:
         self._board = board
-        self.refusals: dict[str, int] = {}
+        self._refusals: dict[str, int] = {}
         """Why boards were not found, and in how many images."""
 
     def read(self, image: Array, camera: str, bit_depth: int) -> Part:
         """Return the board's corners in an image (H, W)."""
         found = find_board(image, self._board, camera)
         if found.refused:
-            self.refusals[found.refused] = self.refusals.get(found.refused, 0) + 1
+            self._refusals[found.refused] = self._refusals.get(found.refused, 0) + 1
         return Part(0, 0, found.corner, found.xy_px, found.covariance_px2, np.full(len(found), np.nan))
 
     def seen_instead(self) -> str:
         """Return why the images show no board."""
-        return "".join(f"; in {count} images: {why}" for why, count in self.refusals.items())
+        return "".join(f"; in {count} images: {why}" for why, count in self._refusals.items())
+
+    def sees_others(self) -> bool:
+        """Return False: a board that is not found may be out of sight."""
+        return False
 
 
 class _WandReader:
@@ -140,3 +148,7 @@ class _WandReader:
     def seen_instead(self) -> str:
         """Return nothing: balls cannot be told apart."""
         return ""
+
+    def sees_others(self) -> bool:
+        """Return False: balls cannot be told apart."""
+        return False

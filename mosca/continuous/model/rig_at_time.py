@@ -79,7 +79,7 @@ def centres_at(camera: Camera, c: int, paths: CameraPaths | None, time_s: Array)
     return np.asarray(paths.at(time_s)[1][:, c])
 
 
-def lamp_places(lamp_m: Array, paths: CameraPaths, time_s: Array) -> Array:
+def lamp_positions_at(lamp_m: Array, paths: CameraPaths, time_s: Array) -> Array:
     """Return where each camera's lamp ``lamp_m`` (c, 3), its own frame, is at ``time_s``: (t, c, 3) [m]."""
     rotations, centres = paths.at(time_s)
     return np.asarray(centres + np.einsum("tcij,cj->tci", rotations, lamp_m))

@@ -24,8 +24,8 @@ from mosca.continuous.estimator.estimate import ContinuousSettings, estimate
 from mosca.continuous.findings import association_findings
 from mosca.continuous.model.camera_paths import PosedCameras
 from mosca.continuous.model.observations import CameraPaths, Curves, TimedObservations
-from mosca.continuous.model.rig_at_time import MovingRig, images_at, lamp_places
-from mosca.continuous.moving_cameras.mutual_pose import MutualPoses, lamp_rays, placed_by_lamps
+from mosca.continuous.model.rig_at_time import MovingRig, images_at, lamp_positions_at
+from mosca.continuous.moving_cameras.mutual_pose import MutualPoses, lamp_rays, poses_from_lamps
 from mosca.continuous.reconstruct import BETTER_PX, EstimatedClock, Reconstructed
 from mosca.data.arrays import Array
 from mosca.data.detections import MERGED
@@ -61,13 +61,13 @@ class Lamps:
 
 @dataclass(frozen=True, eq=False)
 class Worn:
-    """Result from body-worn cameras. ``reconstructed``: with the cameras' paths; ``placed``: poses from lamps alone;
+    """Result from body-worn cameras. ``reconstructed``: with the cameras' paths; ``lamp_poses``: from lamps alone;
     ``lamp`` of each camera's image points (n,) the camera whose lamp it is, or -1; ``by_code`` those of them that the
     code identified; ``lamp_rms_px``: rms residual of lamps' images at the estimated poses.
     """
 
     reconstructed: Reconstructed
-    placed: MutualPoses
+    lamp_poses: MutualPoses
     lamp: tuple[Array, ...]
     by_code: tuple[Array, ...]
     lamp_rms_px: float
@@ -118,9 +118,9 @@ def solve_worn(
     by_code = tuple(_carriers(one, lamps) for one in seen)
     instants = common_instants(seen, ties)
     sights = lamp_rays(seen, times, by_code, rig, instants, lamps.bit_s)
-    placed = placed_by_lamps(sights, rig, fixed, lamps.at_m)
+    lamp_poses = poses_from_lamps(sights, rig, fixed, lamps.at_m)
     period = max(one.period_s for one in seen)
-    moving = _moving(rig, placed, VALID_PERIODS * period)
+    moving = _moving(rig, lamp_poses, VALID_PERIODS * period)
     lamp = tuple(
         _lamps_near(one, c, t, own, rig, moving, lamps)
         for c, (one, t, own) in enumerate(zip(seen, times, by_code, strict=True))
@@ -151,7 +151,7 @@ def solve_worn(
     clocks = tuple(EstimatedClock(one.info.name, origin_ns=ties[0].origin_ns) for one in seen)
     return Worn(
         Reconstructed(gathered, estimated, found, clocks, findings, rig, estimated.paths),
-        placed,
+        lamp_poses,
         lamp,
         by_code,
         _lamp_rms_px(seen, times, lamp, rig, estimated.paths, lamps),
@@ -183,16 +183,16 @@ def _carriers(one: CameraDetections, lamps: Lamps) -> Array:
     return np.array([of_number.get(k, -1) for k in found.tolist()], int)
 
 
-def _moving(rig: Rig, placed: MutualPoses, valid_s: float) -> MovingRig:
-    good = np.asarray(np.isfinite(placed.centres).all(axis=2))
+def _moving(rig: Rig, lamp_poses: MutualPoses, valid_s: float) -> MovingRig:
+    good = np.asarray(np.isfinite(lamp_poses.centres).all(axis=2))
     for c, name in enumerate(rig.names):
         if good[:, c].sum() < 3:
             raise InputError(
                 f"camera '{name}': lamps tell at {good[:, c].sum()} instants where it is, 3 are needed; let two "
                 "cameras see its lamp and it two of theirs, and check their numbers and the time of a bit"
             )
-    paths = PosedCameras(rig.names, placed.time_s, placed.rotations, placed.centres)
-    return MovingRig(rig, paths, tuple(placed.time_s[good[:, c]] for c in range(len(rig.names))), valid_s)
+    paths = PosedCameras(rig.names, lamp_poses.time_s, lamp_poses.rotations, lamp_poses.centres)
+    return MovingRig(rig, paths, tuple(lamp_poses.time_s[good[:, c]] for c in range(len(rig.names))), valid_s)
 
 
 def _lamps_near(
@@ -206,7 +206,7 @@ def _lamps_near(
     some = np.flatnonzero(np.isfinite(instants))
     there = moving.there(instants[some])
     image = images_at(
-        rig.cameras[c], c, moving.paths, instants[some], lamp_places(lamps.at_m, moving.paths, instants[some])
+        rig.cameras[c], c, moving.paths, instants[some], lamp_positions_at(lamps.at_m, moving.paths, instants[some])
     )
     image[~there] = np.nan
     image[~there[:, c]] = np.nan
@@ -269,6 +269,6 @@ def _lamp_rms_px(
         if not len(rows):
             continue
         t = times_s[c][rows]
-        image = images_at(camera, c, paths, t, lamp_places(lamps.at_m, paths, t))
+        image = images_at(camera, c, paths, t, lamp_positions_at(lamps.at_m, paths, t))
         squares.append(((seen[c].xy_px[rows] - image[np.arange(len(rows)), lamp[c][rows]]) ** 2).ravel())
     return float(np.sqrt(np.nanmean(np.concatenate(squares)))) if squares else float("nan")

@@ -87,7 +87,7 @@ def lamp_rays(
     return LampRays(np.asarray(instants_s, dtype=float), rays)
 
 
-def placed_by_lamps(sights: LampRays, rig: Rig, known: Array, lamp_m: Array) -> MutualPoses:
+def poses_from_lamps(sights: LampRays, rig: Rig, known: Array, lamp_m: Array) -> MutualPoses:
     """Return the cameras' poses at each instant.
 
     ``known`` (c,): which of the rig's poses are right and stay. ``lamp_m`` (c, 3): each camera's lamp, its own frame.

@@ -28,7 +28,7 @@ class Ambient:
     mean_e: Array
     """(H, W) or (1, 1) float32: the light before levels and without extra [electrons]."""
     index: Array
-    """(H, W) uint16: each pixel's level among ``levels_e``; (1, 1) where one holds for all."""
+    """(H, W) uint16: each pixel's level among ``bank.levels_e``; (1, 1) where one holds for all."""
     flat: Array | None
     """(H, W) float32: factor on all light that comes through the lens (vignetting, dust, PRNU; 0: a dead pixel);
     None: 1."""
@@ -59,16 +59,6 @@ class Ambient:
         index = np.full((1, 1), bank.anchor, dtype=np.uint16) if even else bank.number(given)
         bank.make(index)
         return Ambient(bank, _fixed(given), _fixed(index), None if flat is None else _fixed(flat), shape)
-
-    @property
-    def levels_e(self) -> Array:
-        """Mean electrons of the levels, (n,) ascending."""
-        return self.bank.levels_e
-
-    @property
-    def light_e(self) -> Array:
-        """The light that the pixels really get, (H, W) or (1, 1) [electrons]."""
-        return np.asarray(self.levels_e[self.index])
 
     def with_extra(self, extra_e: Array | float) -> "Ambient":
         """Return this light and ``extra_e`` more [electrons, through the lens: times ``flat``], as of one frame.
