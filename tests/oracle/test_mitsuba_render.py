@@ -112,6 +112,13 @@ def test_light_of_a_moving_ball_lies_at_its_mean_place(tmp_path: Path) -> None:
     assert not rendered(replace(scene, seed=9), tmp_path)[1]
 
 
+def test_too_much_motion_is_refused() -> None:
+    motion = Swing(amplitude_m=(1.0, 0.0, 0.0), frequency_hz=(9.0, 0.0, 0.0))
+    scene = _scene(MarkerBall("ball", (0.0, 0.0, 0.0), 0.04), motion=motion, exposure_s=0.02)
+    with pytest.raises(ValueError, match=r"moves by .* px during the exposure"):
+        Film(scene).render()
+
+
 def test_rendering_adds_little_noise() -> None:
     balls = [MarkerBall(f"b{k}", (0.3 * (k % 4) - 0.45, 0.3 * (k // 4) - 0.3, 0.0), 0.03) for k in range(12)]
     shares = []

@@ -194,6 +194,17 @@ def test_scenes_of_the_family_are_read(path: Path) -> None:
     assert len(scene.cameras) == 4
 
 
+def test_stands_do_not_move_within_an_exposure() -> None:
+    scene = read_scene(SCENES / "coded_field.toml")
+    places = []
+    for frame in range(scene.frames):
+        t = scene.mid_exposure_s(frame)
+        ends = [scene.bodies[0].motion.pose(t + s * scene.exposure_s)[1] for s in (-0.5, 0.0, 0.5)]
+        assert np.array_equal(ends[0], ends[2])
+        places.append(tuple(ends[1]))
+    assert [places.count(place) for place in dict.fromkeys(places)] == [5] * 6
+
+
 def test_a_wrong_scene_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "scene.toml"
     file.write_text("frames = 2\nrate_hz = 50.0\nexposure_s = 0.001\n[cloud]\ncoutn = 4\n", encoding="utf-8")

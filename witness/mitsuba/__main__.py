@@ -43,7 +43,11 @@ def main(arguments: list[str] | None = None) -> int:
         if given.frames:
             scene = replace(scene, frames=min(scene.frames, given.frames))
         begun = time.monotonic()
-        render, kept = rendered(scene, given.cache or cache_folder())
+        try:
+            render, kept = rendered(scene, given.cache or cache_folder())
+        except (ImportError, ValueError) as error:
+            print(f"error: {path}: {error}", file=sys.stderr)
+            return 2
         spent = time.monotonic() - begun
         values = write_recording(scene, render, given.out / scene.name, given.draw)
         print(f"{scene.name}: {'kept' if kept else 'rendered'} in {spent:.1f} s; {_figures(values)}")

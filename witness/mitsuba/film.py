@@ -19,6 +19,8 @@ from witness.mitsuba.surfaces import load_mitsuba, mitsuba_scene
 from witness.mitsuba.textures import PLATE_RADII
 from witness.mitsuba.transport import SUB, PixelLight, PixelRenderer, Pixels
 
+MOST_SLICES = 128
+"""Instants of an exposure: each holds its scene in memory, some 20 MB with textures."""
 MARGIN_PX = 2.5
 """Dark pixels around a target's image in its window."""
 SLICE_PX = 0.4
@@ -213,12 +215,19 @@ class Film:
 
     def slices(self, frame: int) -> int:
         """Return of how many instants an exposure is made up: a power of two."""
+        scene = self.scene
         farthest = 0.0
         ends = np.concatenate([path[[0, 2]] for _, path in self._paths(frame)], axis=1)
-        for camera in self.scene.cameras:
+        for camera in scene.cameras:
             first, last = project(camera, ends)
             farthest = max(farthest, float(np.nan_to_num(np.abs(last - first)).max()))
-        return 1 << max(0, int(np.ceil(np.log2(max(farthest / SLICE_PX, 1e-9)))))
+        count = 1 << max(0, int(np.ceil(np.log2(max(farthest / SLICE_PX, 1e-9)))))
+        if count > MOST_SLICES:
+            raise ValueError(
+                f"scene {scene.name}, frame {frame}: something moves by {farthest:.0f} px during the exposure; "
+                f"at most {MOST_SLICES * SLICE_PX:.0f} px can be rendered: shorten exposure_s or slow it down"
+            )
+        return count
 
     def _exposed(
         self, frame: int, windows: list[tuple[int, ...]], samples: int, behind: Array

@@ -16,6 +16,12 @@ Array = NDArray[Any]
 Triple = tuple[float, float, float]
 
 
+FIRST_MID_S = 0.1
+"""Middle of the first exposure."""
+HOLD_FROM_S = 0.05
+"""Stands begin this much after multiples of their length: never within an exposure whose middle is a multiple."""
+
+
 @dataclass(frozen=True)
 class LensCamera:
     """OpenCV's lens (``distortion`` k1, k2, p1, p2, k3) behind a thin lens; ``aperture_m``: diameter, 0: pinhole."""
@@ -59,7 +65,7 @@ class Swing:
     def pose(self, t: float) -> tuple[Array, Array]:
         """Return world_from_body (3, 3) and the position (3) at ``t``."""
         if self.hold_s > 0:
-            t = np.floor(t / self.hold_s) * self.hold_s
+            t = np.floor((t - HOLD_FROM_S) / self.hold_s) * self.hold_s
         swing = np.sin(2 * np.pi * np.array(self.frequency_hz) * t + self.phase_rad)
         if not any(self.turn_rad):
             return rotation_matrix(self.base_wxyz), np.array(self.centre_m) + np.array(self.amplitude_m) * swing
@@ -233,7 +239,7 @@ class WitnessScene:
 
     def mid_exposure_s(self, frame: int) -> float:
         """Middle of the exposure, from the session's start."""
-        return 0.1 + frame / self.rate_hz
+        return FIRST_MID_S + frame / self.rate_hz
 
     def render_key(self) -> str:
         """Return the digest of what the noise-free images depend on: scene without sensor, and the code."""
