@@ -15,10 +15,13 @@ MARGIN_S = 0.05
 
 
 class EndOfTake:
-    """Ends a take after ``pulses`` pulses at ``rate_hz``; None never does."""
+    """Ends a take after ``pulses`` pulses at ``rate_hz``; None never does.
 
-    def __init__(self, pulses: int | None, rate_hz: float) -> None:
-        self._pulses, self._rate_hz = pulses, rate_hz
+    ``wait_s``: a take of ``pulses`` ends when so long nothing has come from which pulses could be counted.
+    """
+
+    def __init__(self, pulses: int | None, rate_hz: float, wait_s: float) -> None:
+        self._pulses, self._rate_hz, self._wait_s = pulses, rate_hz, wait_s
 
     @property
     def pulses(self) -> int | None:
@@ -28,6 +31,12 @@ class EndOfTake:
     def is_past(self, pulse: int) -> bool:
         """Return whether a pulse lies beyond those wanted."""
         return self._pulses is not None and pulse >= self._pulses
+
+    def none_came(self, trigger: Trigger, numbers: PulseNumbers, now_ns: int, silent_s: float) -> bool:
+        """Return whether no more pulses are waited for: no frame has come for so long, and none was numbered yet."""
+        if self._pulses is None or silent_s <= self._wait_s:
+            return False
+        return trigger.pulse_at(now_ns) is None and numbers.pulse_at(now_ns) is None
 
     def pulses_over(self, trigger: Trigger, numbers: PulseNumbers, now_ns: int) -> bool:
         """Return whether all pulses wanted were made; a trigger that counts them may lag behind the clock."""

@@ -61,6 +61,11 @@ class PulseGrid:
         self._skipped = []
         return self.begin_ns
 
+    @property
+    def last_due(self) -> int | None:
+        """The last pulse that was sent or skipped; None before the first."""
+        return self._next - 1 if self._next else None
+
     def nominal_ns(self, number: int) -> int:
         """Return the time of a pulse on the grid, from pulse 0 on [ns]."""
         return round(number * self.period_ns)

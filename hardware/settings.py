@@ -116,6 +116,15 @@ class HardwareTable(Table):
 
     rate_hz: Positive = Field(100.0, description="rate of the pulses, or of the free-running cameras [1/s]")
     trigger: TriggerTable = TriggerTable()
+    wait_s: Positive = Field(
+        60.0, description="a take of stated length ends where no pulse comes in so long from its beginning [s]"
+    )
+    time_error_ms: Positive = Field(
+        1.0, description="a frame whose time may be off by more is in doubt, and its frame set is not complete [ms]"
+    )
+    accept_unproven: bool = Field(
+        False, description="true: frames whose pulses only arrival times tell complete their frame sets, too"
+    )
     silence_s: Positive = Field(2.0, description="a camera that is silent for so long is noted")
 
 

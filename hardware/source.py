@@ -20,7 +20,7 @@ from hardware.drivers import open_camera
 from hardware.end_of_take import EndOfTake, drained
 from hardware.frame_maker import FrameMaker
 from hardware.pulse_grid import SentPulse
-from hardware.pulse_numbers.camera_state import NumberedBuffer
+from hardware.pulse_numbers.camera_state import Found, NumberedBuffer
 from hardware.pulse_numbers.clock_poller import ClockPoller
 from hardware.pulse_numbers.numbering import PulseNumbers
 from hardware.reorder_buffer import ReorderBuffer
@@ -81,9 +81,10 @@ class HardwareSource:
         # a reading wakes the iteration, which waits for buffers
         self._clocks = ClockPoller(self._drivers, self._readers.wake)
         self._buffer = ReorderBuffer(tuple(rig.cameras), QUEUED_BYTES // 2)
-        self._end = EndOfTake(pulses, rig.shared.rate_hz)
+        self._end = EndOfTake(pulses, rig.shared.rate_hz, rig.shared.wait_s)
         self._past_end: set[str] = set()
-        self._frames = FrameMaker(rig.shared.rate_hz, {name: self._event(name) for name in rig.cameras}, self.reports)
+        events = {name: self._event(name) for name in rig.cameras}
+        self._frames = FrameMaker(rig.shared, events, self.reports)
 
     @property
     def on_image(self) -> Callable[[Array], object] | None:
@@ -222,7 +223,7 @@ class HardwareSource:
         self._readers.join()
 
     def _disarm(self) -> None:
-        self._trigger.stop()
+        self._stop_trigger()
         self._note_skipped()
         for note in self._trigger.notes(self._end.pulses):
             self.statistics.note(note)
@@ -241,6 +242,14 @@ class HardwareSource:
             except DeviceError as error:
                 self.statistics.note(str(error))
         self.statistics.log_summary()
+
+    def _stop_trigger(self) -> None:
+        """Stop the pulses; a trigger that is gone makes none, and what came before is kept."""
+        try:
+            self._trigger.stop()
+        except DeviceError as error:
+            if str(error) not in self.statistics.notes:
+                self.statistics.note(str(error))
 
     def _active(self) -> list[str]:
         """Return the cameras that the others' frames wait for."""
@@ -263,8 +272,8 @@ class HardwareSource:
             yield None if buffer is None else (name, buffer)
             self._note_silent(noted)
             self._note_skipped()
-            if readers.end_ns is None and self._end.pulses_over(self._trigger, numbers, time.monotonic_ns()):
-                self._trigger.stop()
+            if readers.end_ns is None and self._pulses_over(numbers):
+                self._stop_trigger()
                 readers.end_ns = time.monotonic_ns()
                 log.info("the last pulse wanted is over")
             end_ns = readers.end_ns
@@ -272,6 +281,20 @@ class HardwareSource:
                 done = self._past_end | readers.lost
                 if drained(end_ns, readers.polling, done):
                     return
+
+    def _pulses_over(self, numbers: PulseNumbers) -> bool:
+        """Return whether no more pulses are waited for; note where none came."""
+        now_ns = time.monotonic_ns()
+        if self._end.pulses_over(self._trigger, numbers, now_ns):
+            return True
+        silent_s = min(polled.idle_s for polled in self._readers.polling.values())
+        if not self._end.none_came(self._trigger, numbers, now_ns, silent_s):
+            return False
+        self.statistics.note(
+            f"trigger '{self.rig.shared.trigger.source}': no pulse came in {self.rig.shared.wait_s:g} s; check "
+            "that the pulses run, and their line to the cameras; wait_s in [hardware] is how long they are waited for"
+        )
+        return True
 
     def _note_silent(self, noted: set[str]) -> None:
         """Note once that a camera is silent, by the polling time of its own thread."""
@@ -300,9 +323,10 @@ class HardwareSource:
         if isinstance(buffer, ClockReading):
             yield from numbers.read(name, buffer)
             return
-        certain = self._trigger.pulse_of(name, buffer)
+        certain = self._trigger.pulse_of(name, buffer, numbers.host_time(name, buffer))
         if certain is not None:
-            yield NumberedBuffer(name, certain.pulse, certain.residual_ns, buffer, "trigger")
+            found: Found = "trigger" if certain.certain else "arrival"
+            yield NumberedBuffer(name, certain.pulse, certain.residual_ns, buffer, found, certain.error_ns)
         else:
             yield from numbers.take(name, buffer)
 
@@ -313,11 +337,13 @@ class HardwareSource:
             camera.whole += one.buffer.image is not None
             camera.failed += one.buffer.image is None
             camera.unproven += one.found == "arrival"
+            frame = self._frames.frame(one)
+            camera.untimed += bool(frame.doubt) and one.found != "arrival"
             self._buffer.advance(one.camera, one.pulse)
             if self._end.is_past(one.pulse):
                 self._past_end.add(one.camera)
             else:
-                self._buffer.push(one.pulse, self._frames.frame(one), one)
+                self._buffer.push(one.pulse, frame, one)
         self._clocks.ask(numbers)
         if numbers.notes:  # each clock that was aligned again left one
             for name, relocks in numbers.relocks.items():

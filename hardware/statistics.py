@@ -22,6 +22,8 @@ class BufferCounts:
     """How often its device clock jumped and was aligned again."""
     unproven: int = 0
     """Frames whose pulses only arrival times tell, which is not certain (``hardware.pulse_numbers.counting``)."""
+    untimed: int = 0
+    """Frames whose times are known less well than ``time_error_ms`` of the rig file allows."""
     unreached: int = 0
     """Pulses that did not reach the camera, by its trigger counter (``hardware.pulse_numbers.trigger_counter``)."""
     ignored: int = 0

@@ -5,7 +5,7 @@ from typing import Protocol
 
 from hardware.driver import Grabbed
 from hardware.pulse_grid import SentPulse
-from hardware.pulse_numbers.clock_model import StampPulse
+from hardware.pulse_numbers.clock_model import ExposureStart, StampPulse
 
 
 class Trigger(Protocol):
@@ -23,8 +23,11 @@ class Trigger(Protocol):
         """Return the last pulse before ``host_ns`` where each pulse waits for its frames, else None."""
         ...
 
-    def pulse_of(self, camera: str, buffer: Grabbed) -> StampPulse | None:
-        """Return the pulse of a frame of ``camera``, and how far from it its exposure began, where it waits."""
+    def pulse_of(self, camera: str, buffer: Grabbed, read: ExposureStart | None = None) -> StampPulse | None:
+        """Return the pulse of a frame of ``camera``, and how far from it its exposure began, where it waits.
+
+        ``read``: when its exposure began by its camera's clock, where that is known.
+        """
         ...
 
     def session_ns(self, host_ns: int) -> int | None:
@@ -81,7 +84,7 @@ class External:
         """Return None: nothing is known of the pulses."""
         return None
 
-    def pulse_of(self, camera: str, buffer: Grabbed) -> StampPulse | None:
+    def pulse_of(self, camera: str, buffer: Grabbed, read: ExposureStart | None = None) -> StampPulse | None:
         """Return None: nothing is known of the pulses."""
         return None
 

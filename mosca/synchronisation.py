@@ -65,6 +65,8 @@ class CameraCount:
     """Second frames of a pulse, ignored."""
     reordered: int = 0
     """After a newer one, but in time."""
+    unproven: int = 0
+    """Of those delivered: frames whose pulse or time is not certain; their sets are not complete."""
     stray: int = 0
     """Implausible time stamp."""
     counter_jumps: int = 0
@@ -80,6 +82,7 @@ class Assembly:
     frames: int = 0
     sets: int = 0
     complete_sets: int = 0
+    """Sets with a usable frame of each camera, whose pulses and times are certain."""
     empty_sets: int = 0
     skipped_sets: int = 0
     """Whole sets that a live run skipped to bound its latency (``mosca.live``)."""
@@ -266,11 +269,12 @@ class _Window:
                 self._counts.note("corrupt", frame, frame.note or "corrupt")
             else:
                 count.delivered += 1
+                count.unproven += bool(frame.doubt)
                 count.last_pulse = number
                 usable[name] = frame
                 times.append(time_ns)
         self._counts.sets += 1
-        self._counts.complete_sets += len(usable) == len(self._names)
+        self._counts.complete_sets += len(usable) == len(self._names) and not any(f.doubt for f in usable.values())
         self._counts.empty_sets += not usable
         self._closed[pulse] = set(answers)
         if len(self._closed) > REMEMBERED_SETS:

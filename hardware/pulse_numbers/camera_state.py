@@ -4,6 +4,7 @@ A buffer whose pulse is not known yet is *pending*. Pending buffers together giv
 them had it been as quick as the quickest, and whether the device clock jumped between them.
 """
 
+import statistics
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -17,6 +18,8 @@ from hardware.pulse_numbers.trigger_counter import TriggerCounter
 BACKWARD_STEP, OFF_GRID_STEP = -0.2, 0.25
 """Shares of a period: a stamp that lies farther behind the last one, or farther off whole periods from it, is of a
 clock that jumped."""
+FEWEST_STAMPS = 3
+"""Of two stamps that are off whole periods neither is known to be the late one."""
 
 
 Found = Literal["trigger", "clock", "stamp", "count", "arrival", "neighbours", "free", "played"]
@@ -38,6 +41,8 @@ class NumberedBuffer:
     buffer: Grabbed
     found: Found
     """How the number was found."""
+    error_ns: float = 0.0
+    """How far off the time may be, where it was measured by commands or readings of clocks [ns]."""
 
 
 @dataclass
@@ -93,6 +98,15 @@ def earliest_arrival_ns(pending: Sequence[Grabbed], period_ns: float) -> float:
     return min(
         b.host_ns - b.exposure_ns - round((s - first) / period_ns) * period_ns for b, s in stamps if s is not None
     )
+
+
+def behind_others_ns(pending: Sequence[Grabbed], period_ns: float) -> float:
+    """Return how far the first stamp of ``pending`` is behind the line of the others [ns]; 0 for fewer than three."""
+    stamps = [b.device_ns for b in pending if b.device_ns is not None]
+    if len(stamps) < FEWEST_STAMPS:
+        return 0.0
+    since = [stamp - stamps[0] for stamp in stamps[1:]]
+    return -statistics.median(one - round(one / period_ns) * period_ns for one in since)
 
 
 def index_after_jump(pending: Sequence[Grabbed], period_ns: float) -> int:

@@ -7,6 +7,7 @@ began anew.
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 PHASE_GAIN = 0.05
 PERIOD_GAIN = 0.0005
@@ -32,6 +33,22 @@ class StampPulse:
     pulse: int
     residual_ns: float
     """Deviation of the stamp from the line of pulses [ns]."""
+    error_ns: float = 0.0
+    """How far off the time may be, where it was measured by commands or readings of clocks [ns]."""
+    certain: bool = True
+    """Whether it is certainly this pulse."""
+
+
+class ExposureStart(NamedTuple):
+    """When an exposure began, by a reading of its camera's clock; host time (monotonic) [ns]."""
+
+    at_ns: float
+    error_ns: float
+    """Largest error [ns]."""
+
+    def within(self, earliest_ns: float, latest_ns: float) -> bool:
+        """Return whether it may have been between two host times."""
+        return earliest_ns - self.error_ns <= self.at_ns <= latest_ns + self.error_ns
 
 
 class DeviceClock:
@@ -48,30 +65,38 @@ class DeviceClock:
         self._stamp_ns = 0
         self._offset_ns = 0.0
 
-    def lock(self, pulse: int, stamp_ns: int) -> None:
-        """Begin anew: ``stamp_ns`` is of ``pulse``; what was learned of the clock's rate is kept."""
+    def lock(self, pulse: int, stamp_ns: int, residual_ns: float = 0.0) -> None:
+        """Begin anew: ``stamp_ns`` is of ``pulse``, and so much behind its line; the learned rate is kept."""
         self.locked = True
-        self._pulse, self._stamp_ns, self._offset_ns = pulse, stamp_ns, 0.0
+        self._pulse, self._stamp_ns, self._offset_ns = pulse, stamp_ns, -residual_ns
 
     def pulse_of(self, stamp_ns: int) -> StampPulse | None:
         """Return the pulse of a stamp not older than the last, or None for a clock that jumped.
 
         The same stamp again is the same pulse again.
         """
-        since_ns = stamp_ns - self._stamp_ns - self._offset_ns
-        steps = round(since_ns / self.period_ns)
-        residual = since_ns - steps * self.period_ns
-        reach = min(LARGEST_RESIDUAL + RESIDUAL_PER_STEP * abs(steps), RESIDUAL_AT_MOST) * self.period_ns
-        if steps < 0 or steps > LONGEST_GAP or abs(residual) > reach:
+        nearest = self.nearest(stamp_ns)
+        steps, residual = nearest.pulse - self._pulse, nearest.residual_ns
+        if steps < 0 or not self._fits(steps, residual):
             return None
         if steps == 0:
-            return StampPulse(self._pulse, residual)
+            return nearest
         self._pulse += steps
         self._stamp_ns = stamp_ns
         # the line moves a little towards the stamp: the rest of the residual stays as the offset of the next one
         self._offset_ns = -(1 - PHASE_GAIN) * residual
         self.period_ns = _limited_drift(self.period_ns + PERIOD_GAIN * residual / steps, self.nominal_ns)
-        return StampPulse(self._pulse, residual)
+        return nearest
+
+    def nearest(self, stamp_ns: int) -> StampPulse:
+        """Return the pulse that is nearest to a stamp, however far from it the stamp is; changes nothing."""
+        since_ns = stamp_ns - self._stamp_ns - self._offset_ns
+        steps = round(since_ns / self.period_ns)
+        return StampPulse(self._pulse + steps, since_ns - steps * self.period_ns)
+
+    def _fits(self, steps: int, residual_ns: float) -> bool:
+        reach = min(LARGEST_RESIDUAL + RESIDUAL_PER_STEP * abs(steps), RESIDUAL_AT_MOST) * self.period_ns
+        return abs(steps) <= LONGEST_GAP and abs(residual_ns) <= reach
 
 
 class HostPulseTimes:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from hardware.driver import ClockReading, Grabbed
-from hardware.pulse_numbers.clock_model import HostPulseTimes
+from hardware.pulse_numbers.clock_model import ExposureStart, HostPulseTimes, StampPulse
 
 DRIFT = 1e-4
 """Growth of a reading's error with time [s/s]: quartz keeps 1e-4."""
@@ -62,8 +62,8 @@ class ClockReadings:
                 return
         self._segments.append(_Segment(reading, reading.before_ns))
 
-    def at(self, device_ns: int, arrived_ns: int) -> tuple[float, float] | None:
-        """Return the host time [ns] of a frame's stamp, and its error [ns]; None without reading.
+    def at(self, device_ns: int, arrived_ns: int) -> ExposureStart | None:
+        """Return the host time of a frame's stamp; None without reading.
 
         ``arrived_ns``: when the frame arrived; the first reading after that is used, else the last one before.
         """
@@ -71,7 +71,7 @@ class ClockReadings:
             return None
         best = next((s for s in self._segments if s.last_ns >= arrived_ns), self._segments[-1]).best
         since = device_ns - best.device_ns
-        return best.host_ns + since, best.error_ns + DRIFT * abs(since)
+        return ExposureStart(best.host_ns + since, best.error_ns + DRIFT * abs(since))
 
 
 class FirstPulses(NamedTuple):
@@ -106,8 +106,8 @@ class ClockPulses:
         """Return the host time when a device clock was last read."""
         return self._clocks[name].checked_ns
 
-    def host_time(self, name: str, buffer: Grabbed) -> tuple[float, float] | None:
-        """Return the host time of a frame's stamp [ns] and its error; None where it is not known."""
+    def host_time(self, name: str, buffer: Grabbed) -> ExposureStart | None:
+        """Return the host time of a frame's stamp; None where it is not known."""
         if buffer.device_ns is None or name not in self._clocks:
             return None
         found = self._clocks[name].at(buffer.device_ns, buffer.host_ns)
@@ -131,8 +131,11 @@ class ClockPulses:
         times = self._times = HostPulseTimes(round(earliest - skipped * self._period_ns), self._period_ns)
         return FirstPulses(times, {name: times.pulse_of(at_ns) for name, at_ns in known.items()})
 
-    def pulse(self, name: str, buffer: Grabbed) -> int | None:
-        """Return a frame's pulse; None where its device clock was not read since it arrived, or it fits no pulse."""
+    def pulse(self, name: str, buffer: Grabbed) -> StampPulse | None:
+        """Return a frame's pulse; None where its device clock was not read since it arrived, or it fits no pulse.
+
+        Its deviation from the pulse is known as well as the readings and the pulse times are: a few ms.
+        """
         if self._times is None or name not in self._clocks or self.checked_ns(name) < buffer.host_ns:
             return None
         found = self.host_time(name, buffer)
@@ -140,8 +143,11 @@ class ClockPulses:
             self._misfit(name)
             return None
         self._misfits[name] = 0
-        pulse = self._times.pulse_of(found[0])
-        return pulse if abs(found[0] - self._times.at(pulse)) < PULSE_GATE * self._period_ns else None
+        pulse = self._times.pulse_of(found.at_ns)
+        residual_ns = found.at_ns - self._times.at(pulse)
+        if abs(residual_ns) >= PULSE_GATE * self._period_ns:
+            return None
+        return StampPulse(pulse, residual_ns, found.error_ns + SLACK_NS + PRECISE * self._period_ns)
 
     def follow(self, name: str, pulse: int, buffer: Grabbed) -> float | None:
         """Adjust the pulse times by a frame whose pulse is known; return its host time [ns], None where not known."""

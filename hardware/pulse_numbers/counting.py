@@ -4,7 +4,7 @@ A counter alone does not show a pulse that the camera missed, an arrival alone m
 bound a frame's pulse: from below by the count since the last frame, from above because no frame can arrive before its
 pulse. Where both give the same pulse it is known. A frame that is late for its count waits for the next ones: one of
 them on time shows that it was merely late; where all are late by whole periods the camera missed as many pulses, as
-far as arrivals can tell, and a note says so.
+far as arrivals can tell, and a note says so. When it was exposed is known as well as it arrived on time.
 
 At the start the count says that the first frame is of the first pulse, since cameras are armed before the pulses
 begin. Where its arrival says something else the pulse is not known; a note names the camera and what to do.
@@ -134,10 +134,13 @@ class CountedPulses:
             camera.last_pulse, camera.last_block = pulse, buffer.block_id
             camera.last_counts = _counts_after(camera.last_counts, pulse, buffer)
             camera.counter.take(pulse, buffer)
+            late_ns = 0.0
             if not camera.played:
+                # a late arrival may be that of a late exposure
+                late_ns = max(self._excess(camera, pulse, buffer), 0.0) * self._settings.period_ns
                 self._learn(pulse, buffer.host_ns - buffer.exposure_ns - camera.latency_ns)
             found: Found = "played" if camera.played else "count" if camera.proven else "arrival"
-            yield NumberedBuffer(camera.name, pulse, 0.0, buffer, found)
+            yield NumberedBuffer(camera.name, pulse, 0.0, buffer, found, late_ns)
 
     def _learn(self, pulse: int, arrival_ns: float) -> None:
         # a frame that is early was counted too far: it says nothing of the pulse times

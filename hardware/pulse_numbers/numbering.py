@@ -23,7 +23,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 
 from hardware.driver import ClockReading, Grabbed
 from hardware.pulse_numbers.camera_state import CameraState, NumberedBuffer
-from hardware.pulse_numbers.clock_model import DeviceClock
+from hardware.pulse_numbers.clock_model import DeviceClock, ExposureStart
 from hardware.pulse_numbers.clock_sync import ClockPulses
 from hardware.pulse_numbers.free_running import FreeClock
 from hardware.pulse_numbers.running import Running
@@ -102,6 +102,10 @@ class PulseNumbers:
         self._clocks.take(name, reading)
         if isinstance(self._phase, Running):
             yield from self._phase.settle(self._cameras[name])
+
+    def host_time(self, name: str, buffer: Grabbed) -> ExposureStart | None:
+        """Return when a frame's exposure began, by readings of its device clock; None where that is not known."""
+        return self._clocks.host_time(name, buffer)
 
     def wants_reading(self, name: str) -> int | None:
         """Return the host time [ns] since which a reading of a device clock is wanted; None where none is."""

@@ -1,6 +1,6 @@
 """Second phase of the numbering: each camera's device clock is followed, and found again by a vote after a jump."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -9,10 +9,11 @@ from hardware.pulse_numbers.camera_state import (
     CameraState,
     Found,
     NumberedBuffer,
+    behind_others_ns,
     earliest_arrival_ns,
     index_after_jump,
 )
-from hardware.pulse_numbers.clock_model import HostPulseTimes
+from hardware.pulse_numbers.clock_model import LARGEST_RESIDUAL, HostPulseTimes, StampPulse
 from hardware.pulse_numbers.clock_sync import ClockPulses
 from hardware.pulse_numbers.counting import OFF_PULSE, CountedPulses
 from hardware.pulse_numbers.free_running import FreeClock
@@ -52,7 +53,7 @@ class Running:
     def begin_by_clock(self, camera: CameraState, pulse: int) -> list[NumberedBuffer]:
         """Number what is pending; its first buffer is of ``pulse``."""
         camera.latency_ns = self._delay_ns(camera.pending[0], pulse)
-        return list(self._lock(camera, pulse))
+        return list(self._lock(camera, StampPulse(pulse, 0.0)))
 
     def begin_by_arrival(self, camera: CameraState, earliest_ns: float) -> list[NumberedBuffer]:
         """Number what is pending; its first buffer would have arrived at ``earliest_ns`` had it been quick."""
@@ -63,7 +64,7 @@ class Running:
             return list(self._counting.begin(camera, earliest_ns))
         pulse = self.pulse_times.pulse_of(earliest_ns)
         camera.latency_ns = earliest_ns - self.pulse_times.at(pulse)
-        return list(self._lock(camera, pulse))
+        return list(self._lock(camera, StampPulse(pulse, 0.0)))
 
     def take(self, camera: CameraState, buffer: Grabbed) -> Iterator[NumberedBuffer]:
         """Take a buffer; yield those whose pulses are known by now."""
@@ -88,15 +89,15 @@ class Running:
             yield from self._vote(camera, final)
             return
         split = index_after_jump(camera.pending, self._period_ns)
-        pulse = clocks.pulse(camera.name, camera.pending[split])
-        if pulse is not None:
-            yield from self._found(camera, split, pulse)
+        found = clocks.pulse(camera.name, camera.pending[split])
+        if found is not None:
+            yield from self._found(camera, split, found)
         elif len(camera.pending) < self._settings.reading_wait and not final:
             return
         elif camera.suspect_pulse is None or split or self._too_early(camera, camera.suspect_pulse):
             yield from self._vote(camera, final)
         else:
-            yield from self._found(camera, split, camera.suspect_pulse)
+            yield from self._found(camera, split, StampPulse(camera.suspect_pulse, 0.0))
 
     def _too_early(self, camera: CameraState, pulse: int) -> bool:
         """Return whether the pending buffers arrived too early for their first one to be of ``pulse``."""
@@ -113,35 +114,67 @@ class Running:
             return  # it jumped again during the vote: the new clock's frames vote too
         earliest = earliest_arrival_ns(camera.pending[split:], self._period_ns)
         pulse = self.pulse_times.pulse_of(earliest - camera.latency_ns - self._usual_delay_ns(camera))
-        yield from self._found(camera, split, pulse)
+        behind_ns = behind_others_ns(camera.pending[split:], self._period_ns)
+        yield from self._found(camera, split, StampPulse(pulse, behind_ns))
 
-    def _found(self, camera: CameraState, split: int, pulse: int) -> Iterator[NumberedBuffer]:
-        """Number what is pending: buffer ``split``, the first of the clock as it runs now, is of ``pulse``."""
+    def _found(self, camera: CameraState, split: int, first: StampPulse) -> Iterator[NumberedBuffer]:
+        """Number what is pending: buffer ``split``, the first of the clock as it runs now, is of pulse ``first``."""
+        pulse = first.pulse
         before, camera.pending = camera.pending[:split], camera.pending[split:]
+        by_line = self._by_line(camera, first)
         for buffer in before:
-            yield self._by_arrival(camera, buffer)
-        if camera.started and pulse != camera.suspect_pulse:
+            yield self._by_arrival(camera, buffer) if by_line is None else self._late(camera, buffer)
+        if by_line is not None:
+            if abs(by_line.residual_ns) > LARGEST_RESIDUAL * self._period_ns:
+                self._notes.append(f"{camera.name}: its frame of pulse {pulse} was exposed between pulses")
+        elif camera.started and pulse != camera.suspect_pulse:
             camera.relocks += 1
             self._notes.append(f"{camera.name}: its clock jumped or restarted; found again at pulse {pulse}")
         elif not camera.started and pulse > 0:
             self._notes.append(f"{camera.name}: its first frame is of pulse {pulse}")
         camera.suspect_pulse = None
-        yield from self._lock(camera, pulse)
+        if by_line is None:
+            yield from self._lock(camera, _on_grid(first))
+            return
+        pending, camera.pending = camera.pending, []
+        stamp = pending[0].device_ns
+        if stamp is not None:
+            camera.clock.pulse_of(stamp)  # the line follows stamps that fit it
+        yield self._numbered(camera, by_line.pulse, by_line.residual_ns, pending[0])
+        yield from self._follow_all(camera, pending[1:])
 
-    def _lock(self, camera: CameraState, pulse: int) -> Iterator[NumberedBuffer]:
-        """Align the device clock: its first pending stamp is of ``pulse``; number the rest by it."""
+    def _by_line(self, camera: CameraState, first: StampPulse) -> StampPulse | None:
+        """Return the first pending stamp's place by the camera's own line, which is the more precise one.
+
+        None where its clock did not run on: the line is farther from ``first`` than that is uncertain.
+        """
+        stamp = camera.pending[0].device_ns
+        if stamp is None or not camera.clock.locked:
+            return None
+        line = camera.clock.nearest(stamp)
+        apart_ns = (line.pulse - first.pulse) * self._period_ns + line.residual_ns - first.residual_ns
+        if abs(apart_ns) > max(first.error_ns, LARGEST_RESIDUAL * self._period_ns):
+            return None
+        return StampPulse(first.pulse, first.residual_ns + apart_ns)
+
+    def _lock(self, camera: CameraState, first: StampPulse) -> Iterator[NumberedBuffer]:
+        """Align the device clock: its first pending stamp is of pulse ``first``; number the rest by it."""
         pending, camera.pending = camera.pending, []
         camera.started = True
-        locked = False
-        for buffer in pending:
+        while pending and pending[0].device_ns is None:
+            yield self._by_arrival(camera, pending.pop(0))
+        for buffer in pending[:1]:
+            if buffer.device_ns is not None:
+                camera.clock.lock(first.pulse, buffer.device_ns, first.residual_ns)
+            yield self._numbered(camera, first.pulse, first.residual_ns, buffer, error_ns=first.error_ns)
+        yield from self._follow_all(camera, pending[1:])
+
+    def _follow_all(self, camera: CameraState, buffers: Sequence[Grabbed]) -> Iterator[NumberedBuffer]:
+        for buffer in buffers:
             if camera.pending:  # suspected again: what follows waits
                 camera.pending.append(buffer)
-            elif locked or buffer.device_ns is None:
-                yield from self._follow(camera, buffer)
             else:
-                camera.clock.lock(pulse, buffer.device_ns)
-                locked = True
-                yield self._numbered(camera, pulse, 0.0, buffer)
+                yield from self._follow(camera, buffer)
 
     def _nearest(self, camera: CameraState, clock: FreeClock, buffer: Grabbed) -> NumberedBuffer:
         """Number a frame of a free-running camera by its exposure time."""
@@ -181,7 +214,10 @@ class Running:
         # where clock and trigger counter agree, a late arrival only means a busy machine
         if self._clocks is not None and self._clocks.trusted(camera.name):
             gap = pulse - camera.last_pulse > 1 and not camera.counter.confirms(pulse, buffer)
-            return gap and self._clocks.pulse(camera.name, buffer) != pulse
+            if not gap:
+                return False
+            read = self._clocks.pulse(camera.name, buffer)
+            return read is None or read.pulse != pulse
         if pulse - camera.last_pulse > 1 and not camera.counter.confirms(pulse, buffer):
             unusual = delay - self._usual_delay_ns(camera)
             block, last = buffer.block_id, camera.last_block
@@ -207,21 +243,49 @@ class Running:
         others = self._delays_of_others_ns(camera)
         return float(np.median(others)) if others else min(camera.delays, default=0.0)
 
-    def _by_arrival(self, camera: CameraState, buffer: Grabbed) -> NumberedBuffer:
-        """Number a buffer without a stamp: by its block id after the last one, else by its arrival."""
+    def _late(self, camera: CameraState, buffer: Grabbed) -> NumberedBuffer:
+        """Number a buffer that was exposed between pulses: by its stamp if its block id agrees, else by arrival."""
+        if buffer.device_ns is not None:
+            nearest = camera.clock.nearest(buffer.device_ns)
+            if nearest.pulse == self._by_block(camera, buffer):
+                return self._numbered(camera, nearest.pulse, nearest.residual_ns, buffer)
+        return self._by_arrival(camera, buffer)
+
+    def _by_block(self, camera: CameraState, buffer: Grabbed) -> int | None:
+        """Return a buffer's pulse by its block id after the last one; None where there is none, or it is behind."""
         block, last = buffer.block_id, camera.last_block
-        if block is not None and last is not None and block > last:
-            by_block = camera.last_pulse + block - last
+        return None if block is None or last is None or block <= last else camera.last_pulse + block - last
+
+    def _by_arrival(self, camera: CameraState, buffer: Grabbed) -> NumberedBuffer:
+        """Number a buffer whose stamp says nothing: by its block id after the last one, else by its arrival.
+
+        With a stamp that fits no pulse it was exposed at another time than its pulse's.
+        """
+        by_block = self._by_block(camera, buffer)
+        if by_block is not None:
             arrival = self._arrival_ns(camera, buffer)
             if self.pulse_times.at(by_block) < arrival + OFF_PULSE * self._period_ns:
-                return self._numbered(camera, by_block, 0.0, buffer, "neighbours")
+                found: Found = "neighbours" if buffer.device_ns is None else "arrival"
+                return self._numbered(camera, by_block, 0.0, buffer, found)
         pulse = self.pulse_times.pulse_of(self._arrival_ns(camera, buffer))
         return self._numbered(camera, max(pulse, camera.last_pulse + 1), 0.0, buffer, "arrival")
 
     def _numbered(
-        self, camera: CameraState, pulse: int, residual_ns: float, buffer: Grabbed, found: Found | None = None
+        self,
+        camera: CameraState,
+        pulse: int,
+        residual_ns: float,
+        buffer: Grabbed,
+        found: Found | None = None,
+        error_ns: float = 0.0,
     ) -> NumberedBuffer:
         camera.last_block, camera.last_pulse = buffer.block_id, pulse
         camera.counter.take(pulse, buffer)
         by_stamp: Found = "clock" if self.follows_clock(camera.name) else "stamp"
-        return NumberedBuffer(camera.name, pulse, residual_ns, buffer, found or by_stamp)
+        return NumberedBuffer(camera.name, pulse, residual_ns, buffer, found or by_stamp, error_ns)
+
+
+def _on_grid(first: StampPulse) -> StampPulse:
+    """Return a place that a reading gave, on its pulse where the reading does not exclude that."""
+    off_ns = abs(first.residual_ns)
+    return StampPulse(first.pulse, 0.0, off_ns) if off_ns <= first.error_ns else first

@@ -66,13 +66,14 @@ class Receiver:
         self._out: deque[MergedSet] = deque()
         self._changed = threading.Condition()
         self._over = False
+        self._failed: Exception | None = None
         self._stop, self._closed = threading.Event(), False
         if isinstance(transport, SignedTransport):
             transport.on_refused = lambda station, why: self._post("refused", station, why)
         transport.declare_queryable(key_of(check_station(name), "rig"), lambda _: rig.encode())
         transport.declare_queryable(HEARD, self._received_to_end)
         transport.subscribe(EVERYTHING, self._published)
-        self._threads = [threading.Thread(target=self._work, name="merge", daemon=True)]
+        self._threads = [threading.Thread(target=self._merge, name="merge", daemon=True)]
         self._threads += [
             threading.Thread(target=self._attend, args=(n,), name=f"clock of {n}", daemon=True) for n in stations
         ]
@@ -102,14 +103,16 @@ class Receiver:
         return dict(self._listener.rigs)
 
     def __iter__(self) -> Iterator[MergedSet]:
-        """Yield merged sets in order until all stations have ended, or ``stop``."""
+        """Yield merged sets in order until all stations have ended, or ``stop``; raise what ended the merging."""
         while True:
             with self._changed:
                 self._changed.wait_for(lambda: self._out or self._over)
                 if not self._out:
-                    return
+                    break
                 merged = self._out.popleft()
             yield merged
+        if self._failed is not None:
+            raise self._failed
 
     def to_local(self, station: str, remote_ns: int) -> int:
         """Return this machine's time [ns] when a station's clock showed ``remote_ns``."""
@@ -190,6 +193,16 @@ class Receiver:
                 burst = False
             self._stop.wait(BURST_S if burst else self.settings.clock_s)
 
+    def _merge(self) -> None:
+        """Merge to the end; an error is raised where the sets are consumed."""
+        try:
+            self._work()
+        except Exception as error:
+            self._failed = error
+        with self._changed:
+            self._over = True
+            self._changed.notify_all()
+
     def _work(self) -> None:
         """Take what comes, in order; the only thread that the listener is used by."""
         listener = self._listener
@@ -224,9 +237,6 @@ class Receiver:
                 listener.take(kind, station, what, received_ns)
         self._hand_out(listener.rest(time.monotonic_ns()))
         self._count_refused()
-        with self._changed:
-            self._over = True
-            self._changed.notify_all()
 
     def _count_refused(self) -> None:
         if isinstance(self._transport, SignedTransport):

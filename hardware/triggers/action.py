@@ -11,9 +11,10 @@ import struct
 import threading
 import time
 
-from hardware.driver import DeviceError
+from hardware.driver import DeviceError, Grabbed
 from hardware.gvcp import GVCP_KEY, GVCP_PORT, HEADER, SCHEDULED, Command
-from hardware.pulse_grid import HostClock, PulseGrid, SentPulse
+from hardware.pulse_grid import LATEST_TIME, HostClock, PulseGrid, SentPulse
+from hardware.pulse_numbers.clock_model import ExposureStart, StampPulse
 from hardware.settings import TriggerTable
 from hardware.trigger import External
 
@@ -34,6 +35,7 @@ class ActionTrigger(External):
         self._thread: threading.Thread | None = None
         self._pulses = 0
         self.lost = 0
+        self._read: set[str] = set()
         try:
             self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
@@ -55,6 +57,33 @@ class ActionTrigger(External):
         if self._thread is not None:
             self._thread.join()
             self._thread = None
+
+    def pulse_at(self, host_ns: int) -> int | None:
+        """Return the last pulse that was sent or skipped; None before it, and where exposures are scheduled."""
+        return None if self._table.lead_ms else self._grid.last_due
+
+    def session_ns(self, host_ns: int) -> int | None:
+        """Return a host time from pulse 0 on [ns]; None before it, and where exposures are scheduled."""
+        return None if self.pulse_at(host_ns) is None else host_ns - self._grid.begin_ns
+
+    def pulse_of(self, camera: str, buffer: Grabbed, read: ExposureStart | None = None) -> StampPulse | None:
+        """Return the pulse in whose period the exposure began; None where its clock is not read.
+
+        Commands are as late as network and processors make them: stamps do not lie on the line of the pulses, but for
+        scheduled commands (``lead_ms``). A frame without a fitting reading has the pulse of its arrival.
+        """
+        if self.pulse_at(buffer.host_ns) is None or (read is None and camera not in self._read):
+            return None
+        if read is None:
+            arrived_ns = buffer.host_ns - buffer.exposure_ns - self._grid.begin_ns
+            return StampPulse(max(int(arrived_ns // self._grid.period_ns), 0), 0.0, certain=False)
+        self._read.add(camera)
+        pulse = max(int((read.at_ns + read.error_ns - self._grid.begin_ns) // self._grid.period_ns), 0)
+        residual_ns = read.at_ns - self._grid.begin_ns - pulse * self._grid.period_ns
+        limit_ns = LATEST_TIME * self._grid.period_ns
+        if residual_ns > limit_ns:  # of a command that was held up, or of a camera that was
+            return StampPulse(pulse, limit_ns, residual_ns - limit_ns + read.error_ns, certain=False)
+        return StampPulse(pulse, residual_ns, read.error_ns)
 
     def new_pulses(self) -> list[SentPulse]:
         """Return the pulses sent since the last call."""

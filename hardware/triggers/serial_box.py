@@ -4,6 +4,7 @@ Its protocol: ``hardware.triggers.pulse_protocol``.
 """
 
 import logging
+import termios
 import threading
 import time
 from collections import deque
@@ -131,6 +132,8 @@ class SerialTrigger(External):
         if self._port.is_open:
             try:
                 self.stop()
+            except DeviceError as error:  # it is gone, and freed all the same
+                log.debug("%s", error)
             finally:
                 self._port.close()
 
@@ -164,7 +167,7 @@ class SerialTrigger(External):
                     answer += self._port.read_until(b"\n")
                     if answer.endswith(b"\n"):
                         break
-        except OSError as error:  # SerialException is one
+        except (OSError, termios.error) as error:  # SerialException is an OSError
             raise DeviceError(f"{self._where}: is gone ({error}); plug it in and start again") from None
         if not answer.endswith(b"\n"):
             raise DeviceError(f"{self._where}: no answer to '{line}' within {ANSWER_S:g} s; is its firmware loaded?")

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 
 from hardware.driver import CameraDriver, DeviceError, Grabbed
 from hardware.pulse_grid import LATEST_TIME, HostClock, PulseGrid, SentPulse
-from hardware.pulse_numbers.clock_model import StampPulse
+from hardware.pulse_numbers.clock_model import ExposureStart, StampPulse
 from hardware.silence import PollingTime
 
 FRAME_TIMEOUT_S = 5.0
@@ -32,12 +32,14 @@ log = logging.getLogger("mosca.hardware.triggers")
 class _Commands:
     """Commands to one camera: host times and numbers of the pulses, in order.
 
-    ``at_ns``: when each was carried out, by the driver's word; None where that is not known (yet).
+    ``at_ns``: when each was carried out, by the driver's word; None where that is not known (yet). ``error_ns``: how
+    far off that may be.
     """
 
     sent_ns: list[int] = field(default_factory=list)
     numbers: list[int] = field(default_factory=list)
     at_ns: list[int | None] = field(default_factory=list)
+    error_ns: list[int] = field(default_factory=list)
 
 
 class SoftwareTrigger:
@@ -75,6 +77,7 @@ class SoftwareTrigger:
             commands.sent_ns.clear()
             commands.numbers.clear()
             commands.at_ns.clear()
+            commands.error_ns.clear()
         begin_ns = self._grid.begin()
         self._thread = threading.Thread(target=self.run, name="software trigger", daemon=True)
         self._thread.start()
@@ -92,18 +95,26 @@ class SoftwareTrigger:
         index = bisect_right(self._made.sent_ns, host_ns) - 1
         return self._made.numbers[index] if index >= 0 else None
 
-    def pulse_of(self, camera: str, buffer: Grabbed) -> StampPulse | None:
-        """Return the last pulse that was sent to ``camera`` before ``buffer`` arrived, and how late it was."""
+    def pulse_of(self, camera: str, buffer: Grabbed, read: ExposureStart | None = None) -> StampPulse | None:
+        """Return the last pulse that was sent to ``camera`` before ``buffer`` arrived, and how late it was.
+
+        ``read``: when it was exposed by the camera's clock; it counts where it is more precise than the command's.
+        """
         commands = self._commands[camera]
         index = bisect_right(commands.sent_ns, buffer.host_ns) - 1
         if index < 0:
             return None
-        number, at_ns = commands.numbers[index], commands.at_ns[index]
-        if at_ns is None:  # no answer yet: after it was sent, before the exposure ended
-            at_ns = max(buffer.host_ns - buffer.exposure_ns, commands.sent_ns[index])
+        number, sent_ns, done_ns = commands.numbers[index], commands.sent_ns[index], commands.at_ns[index]
+        latest_ns = max(buffer.host_ns - buffer.exposure_ns, sent_ns)
+        if done_ns is None:  # no answer yet: after it was sent, before the exposure ended
+            at_ns, error_ns = (sent_ns + latest_ns) / 2, (latest_ns - sent_ns) / 2
+        else:
+            at_ns, error_ns = float(done_ns), float(commands.error_ns[index])
+        if read is not None and read.error_ns < error_ns and read.within(sent_ns, latest_ns):
+            at_ns, error_ns = read.at_ns, read.error_ns
         late_ns, limit_ns = self._late_ns(number, at_ns), LATEST_TIME * self._grid.period_ns
         self._slow_answers[camera] += late_ns > limit_ns
-        return StampPulse(number, min(late_ns, limit_ns))
+        return StampPulse(number, min(late_ns, limit_ns), error_ns + max(late_ns - limit_ns, 0.0))
 
     def session_ns(self, host_ns: int) -> int | None:
         """Return a host time from pulse 0 on [ns]; None before it."""
@@ -211,9 +222,12 @@ class SoftwareTrigger:
                 self._awaited.add(name)
             commands.numbers.append(number)
             commands.at_ns.append(None)
+            commands.error_ns.append(0)
             commands.sent_ns.append(before_ns)  # last: readers go by it
         try:
-            commands.at_ns[-1] = self._drivers[name].software_trigger()
+            at_ns = self._drivers[name].software_trigger()
+            commands.error_ns[-1] = max(self._clock.now_ns() - at_ns, 0)
+            commands.at_ns[-1] = at_ns  # last: readers go by it
         except DeviceError as error:  # the camera's own thread notes it and opens it again
             log.debug("software trigger: %s", error)
             with self._changed:
@@ -224,7 +238,7 @@ class SoftwareTrigger:
                     self._stop_waiting(name)
         return before_ns, self._clock.now_ns()
 
-    def _late_ns(self, number: int, at_ns: int) -> int:
+    def _late_ns(self, number: int, at_ns: float) -> float:
         return at_ns - self._grid.begin_ns - self._grid.nominal_ns(number)
 
     def _await_frames(self) -> None:

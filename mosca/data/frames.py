@@ -55,7 +55,7 @@ class Frame:
     row_time_ns: int = 0
     """Delay from one row's exposure to the next row's (0 for a global shutter)."""
     note: str = ""
-    """Reason for a dropped or corrupt frame, for people."""
+    """For people: why a frame was dropped or is corrupt; of one that is ok, what is not certain (``doubt``)."""
     rows: int = 0
     """Height of ``image``; without image that known to the source (CameraInfo.height), else 0."""
 
@@ -68,6 +68,11 @@ class Frame:
                 f"frame {self.index} of {self.camera}: status {self.status} with an image of "
                 f"{None if self.image is None else self.image.shape}"
             )
+
+    @property
+    def doubt(self) -> str:
+        """What is not certain about the pulse or the time of a frame that is ok; "" where both are known."""
+        return self.note if self.status == "ok" else ""
 
 
 def mid_exposure_ns(frame: Frame) -> int:

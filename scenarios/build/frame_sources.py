@@ -61,6 +61,9 @@ def device_notes(source: FrameSource) -> dict[str, str]:
     if unproven := {name: one.unproven for name, one in found.cameras.items() if one.unproven}:
         told = ", ".join(f"{n} of camera '{name}'" for name, n in unproven.items())
         notes["unproven"] = f"frames whose pulses are not certain: {told}"
+    if untimed := {name: one.untimed for name, one in found.cameras.items() if one.untimed}:
+        told = ", ".join(f"{n} of camera '{name}'" for name, n in untimed.items())
+        notes["untimed"] = f"frames whose times are not certain: {told}"
     return notes
 
 

@@ -60,7 +60,7 @@ def capture(
 
 def tell(outcome: "CaptureOutcome", out: Path) -> None:
     """Print the counts of each camera, and notes."""
-    columns = ("frames", "failed", "dropped", "unproven", "overrun", "relocked", "reopened")
+    columns = ("frames", "failed", "dropped", "unproven", "untimed", "overrun", "relocked", "reopened")
     shown = table("camera", *columns)
     for name, row in outcome.cameras.items():
         shown.add_row(name, *(str(getattr(row, column)) for column in columns))

@@ -76,6 +76,8 @@ class CameraRow:
     reopened: int = 0
     unproven: int = 0
     """Frames whose pulses are not certain."""
+    untimed: int = 0
+    """Frames whose times are not certain."""
 
 
 @dataclass
@@ -304,6 +306,7 @@ def _outcome(
             kept.relocked,
             kept.reopened,
             kept.unproven,
+            kept.untimed,
         )
     notes = list(source.statistics.notes)
     lost = intake.lost

@@ -153,6 +153,8 @@ def losses(assembly: Assembly, pulses: int, rate_hz: float) -> str:
         if missing > 0:
             last = f"the last at {count.last_pulse / rate_hz:.2f} s" if count.delivered else "none came"
             lines.append(f"camera {name}: {missing} frames missing{_kinds(count)}, {last}")
+        if count.unproven:
+            lines.append(f"camera {name}: {count.unproven} frames whose pulses or times are not certain")
     return "; ".join(lines)
 
 

@@ -138,8 +138,57 @@ def test_software_trigger_pairs_cameras_without_a_clock(tmp_path):
     fakes = {n: Fake(clock=False, software=True) for n in "ab"}
     with source(tmp_path, fakes, software=True, pulses=40) as rig:
         sets = list(assemble(rig, rig.cameras))
-    assert [s.pulse for s in sets] == list(range(40))
-    assert all({pulse_in(f) for f in s.frames.values()} == {s.pulse} for s in sets)
+    # pictures count the commands: those of skipped pulses were not sent
+    sent = {name: commands.numbers for name, commands in rig._trigger._commands.items()}
+    for one in sets:
+        shown = {sent[name][pulse_in(frame)] for name, frame in one.frames.items()}
+        assert shown <= {round(one.time_ns * RATE / 1e9)}
+
+
+class Gone(FakeLine):
+    """A pulse generator that is pulled out after its last pulse."""
+
+    def stop(self):
+        begun = self._thread is not None
+        super().stop()
+        if begun or self.made:
+            raise DeviceError("pulse generator at nowhere: is gone; plug it in and start again")
+
+
+def test_a_pulse_generator_that_is_gone_at_the_end_costs_no_frame(tmp_path):
+    line, fakes = Gone(RATE), {"a": Fake(), "b": Fake()}
+    hardware = read_hardware(rig_file(tmp_path, fakes))
+    opener = lambda name, settings: FakeDriver(name, settings, fakes[name], line)  # noqa: E731
+    rig = HardwareSource(hardware, 30, opener, lambda rig, drivers: line)
+    frames = list(rig)
+    assert {(f.camera, pulse_in(f)) for f in frames} == {(name, k) for name in "ab" for k in range(30)}
+    assert rig.statistics.notes == ["pulse generator at nowhere: is gone; plug it in and start again"]
+
+
+class Still(FakeLine):
+    """Pulses that never begin."""
+
+    def start(self):
+        return None
+
+
+class One(FakeLine):
+    """A single pulse: not enough to count from."""
+
+    def fire(self, number):
+        return number == 0 and super().fire(number)
+
+
+@pytest.mark.parametrize("kind", [Still, One])
+def test_a_take_whose_pulses_do_not_come_ends_and_says_so(tmp_path, kind):
+    line, fakes = kind(RATE), {"a": Fake(), "b": Fake()}
+    path = rig_file(tmp_path, fakes)
+    path.write_text(path.read_text().replace("[hardware]\n", "[hardware]\nwait_s = 0.5\n", 1))
+    opener = lambda name, settings: FakeDriver(name, settings, fakes[name], line)  # noqa: E731
+    with HardwareSource(read_hardware(path), 30, opener, lambda rig, drivers: line) as rig:
+        frames = list(rig)
+    assert len(frames) == (0 if kind is Still else 2)
+    assert any("trigger 'external': no pulse came in 0.5 s; check" in note for note in rig.statistics.notes)
 
 
 def test_a_silent_camera_is_told(tmp_path):

@@ -126,3 +126,15 @@ def test_the_box_answers_anything_with_one_line():
 def test_garbage_in_an_answer_is_one_ping_less_and_no_error(rest):
     assert pulse_protocol.pulses_at_ping(f"P 7 {rest}", 7, 100.0) is None
     assert pulse_protocol.pulses_at_ping("P 7 12 5000", 7, 100.0) == 12.5
+
+
+def test_a_box_that_is_pulled_out_is_told_and_can_be_closed():
+    needs_module("serial", "serial")
+    box = PulseBox()
+    trigger = SerialTrigger(box.port, 115200, 100.0)
+    trigger.start()
+    box.close()
+    with pytest.raises(DeviceError, match="is gone"):
+        trigger.stop()
+    trigger.close()
+    trigger.close()

@@ -279,3 +279,16 @@ def test_names_that_cannot_be_are_refused_in_one_line(names):
         Sender(exchange.open(), "a b", infos(("x",), RATE))
     with pytest.raises(InputError, match="camera name"):
         Sender(exchange.open(), "A", infos(("a/x",), RATE))
+
+
+def test_an_error_of_the_merging_thread_ends_the_run_with_its_traceback(monkeypatch):
+    exchange = Exchange()
+
+    def broken(self, now_ns):
+        raise ZeroDivisionError("planted")
+
+    monkeypatch.setattr("hardware.transport.merger.Merger.ready", broken)
+    with Receiver(exchange.open(), ("A",), SIZES, RATE, PATIENT) as here:
+        with pytest.raises(ZeroDivisionError, match="planted") as caught:
+            list(here)
+        assert any(entry.name == "broken" for entry in caught.traceback)

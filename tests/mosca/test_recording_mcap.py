@@ -41,7 +41,8 @@ def frames(n: int) -> list[Frame]:
         elif k % 5 == 4:
             made.append(Frame("right", k, 10_000_000 * k, 0, None, "corrupt", note="ümlaut"))
         else:
-            made.append(Frame("right", k, 10_000_000 * k, 500, picture(1000 + k, True)))
+            doubt = "its time is known to 1.6 ms" if k % 5 == 2 else ""
+            made.append(Frame("right", k, 10_000_000 * k, 500, picture(1000 + k, True), note=doubt))
     return made
 
 

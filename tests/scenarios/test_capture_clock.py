@@ -113,6 +113,24 @@ def test_how_each_camera_was_numbered_is_there_and_a_take_that_is_not_certain_is
     assert any(note.startswith("camera c: has no time stamps") for note in outcome.notes)
 
 
+class NeverFires(Line):
+    """Pulses from outside that nobody began."""
+
+    def start(self):
+        return None
+
+
+def test_a_capture_whose_pulses_never_come_ends_and_is_not_whole(tmp_path):
+    rig, line = write_rig(tmp_path / "rig.toml", NAMES, SIZE), NeverFires()
+    rig.write_text(rig.read_text().replace("[hardware]\n", "[hardware]\nwait_s = 0.5\n", 1))
+    opener = lambda name, settings: Camera(name, line, IMAGE, SIZE)  # noqa: E731
+    request = CaptureRequest(rig, tmp_path / "take", frames=20)
+    outcome = capture(request, None, opener, lambda rig, drivers: line)
+    assert not outcome.whole
+    assert {name: row.dropped for name, row in outcome.cameras.items()} == dict.fromkeys(NAMES, 20)
+    assert any("no pulse came in 0.5 s" in note for note in outcome.notes)
+
+
 def written(path, *messages):
     with RecordingWriter(path, [CameraInfo("a", *SIZE, 8, 100.0)]) as writer:
         for message in messages:

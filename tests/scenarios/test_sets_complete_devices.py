@@ -1,9 +1,10 @@
 """What did not arrive does not pass: rigs and cameras that die, and pulses that reach no camera."""
 
 import json
+from dataclasses import replace
 
 import pytest
-from capture_rig import Line, openers, write_rig
+from capture_rig import EXPOSURE_NS, Camera, Line, openers, write_rig
 from tiny_scenario import write_tiny
 
 from hardware.settings import read_hardware
@@ -33,10 +34,18 @@ def filmed(tmp_path_factory):
     return images
 
 
-def judged(folder, monkeypatch, filmed, line, limits=MET):
-    """Return the record of a run of simulated devices, and its page."""
-    rig = read_hardware(write_rig(folder / "rig.toml", tuple(filmed), SIZE))
-    fakes = openers(line, filmed, SIZE)
+def judged(folder, monkeypatch, filmed, line, limits=MET, hardware="", kinds=None):
+    """Return the record of a run of simulated devices, and its page; ``hardware``: a key of [hardware]."""
+    path = write_rig(folder / "rig.toml", tuple(filmed), SIZE)
+    path.write_text(path.read_text().replace("[hardware]\n", f"[hardware]\n{hardware}\n", 1))
+    rig = read_hardware(path)
+    opener, trigger = openers(line, filmed, SIZE)
+
+    def opened(name, settings):
+        kind = (kinds or {}).get(name)
+        return opener(name, settings) if kind is None else kind(name, line, filmed[name], SIZE)
+
+    fakes = opened, trigger
     monkeypatch.setattr(work, "opened_source", lambda *given: HardwareSource(rig, PULSES, *fakes))
     spec = load_scenario(write_tiny(folder, duration_s=PULSES / 100, limits=limits))
     result = work.run_scenario(spec, "tiny", folder, RunOptions(source="hardware:rig.toml"))
@@ -67,6 +76,51 @@ def test_a_killed_camera_has_not_passed(tmp_path, monkeypatch, filmed):
     assert not record["passed"]
     words = "25 of 40 pulses gave a complete set; camera cam2: 15 frames missing, the last at 0.24 s"
     assert record["verdict"].startswith(f"broken: sets_complete; {words}")
+
+
+class NeverFires(Line):
+    """Pulses from outside that nobody began."""
+
+    def start(self):
+        return None
+
+
+def test_a_rig_whose_pulses_never_come_has_not_passed(tmp_path, monkeypatch, filmed):
+    record, _ = judged(tmp_path, monkeypatch, filmed, NeverFires(), hardware="wait_s = 0.5")
+    assert not record["passed"]
+    assert record["verdict"].startswith("broken: sets_complete")
+    assert "0 of 40 pulses gave a complete set; frames ended after 0 pulses" in record["verdict"]
+    assert any("no pulse came in 0.5 s" in note for note in record["counts"]["notes"].values())
+
+
+class Stampless(Camera):
+    """Without time stamps, and slower than the others by 0.7 of a period: its pulses are not certain."""
+
+    def clock(self):
+        return None
+
+    def grab(self, timeout_s):
+        buffer = super().grab(timeout_s)
+        if buffer is None:
+            return None
+        # blocks are pulses here
+        return replace(buffer, device_ns=None, host_ns=self.line.due_ns(buffer.block_id) + EXPOSURE_NS + 7_000_000)
+
+
+def test_frames_of_uncertain_pulses_have_not_passed_unless_the_rig_accepts_them(tmp_path, monkeypatch, filmed):
+    kinds = {"cam4": Stampless}
+    record, _ = judged(tmp_path, monkeypatch, filmed, Line(), kinds=kinds)
+    assert not record["passed"]
+    assert "0 of 40 pulses gave a complete set" in record["verdict"]
+    # by its arrivals its first frame is of pulse 1
+    assert "camera cam4: 39 frames whose pulses or times are not certain" in record["verdict"]
+    assert record["cameras"]["cam4"]["delivered"] == record["cameras"]["cam4"]["unproven"] == PULSES - 1
+    limits = f"{MET}\nsets_complete = 0.9"
+    accepts = "accept_unproven = true"
+    record, _ = judged(tmp_path, monkeypatch, filmed, Line(), limits, hardware=accepts, kinds=kinds)
+    assert record["passed"], record["verdict"]
+    assert record["source_account"]["cameras"]["cam4"]["unproven"] >= PULSES - 1
+    assert "of camera 'cam4'" in record["counts"]["notes"]["unproven"]
 
 
 def test_withheld_pulses_have_not_passed_unless_the_scenario_says_so(tmp_path, monkeypatch, filmed):
