@@ -36,6 +36,7 @@ LAW: dict[str, tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]] = {
     "reports.viewer": (("reports", "mosca.data", "mosca.errors"), (), ("numpy", "rerun", "cv2")),
     "reports.fidelity_page": (("reports", "mosca.data", "mosca.errors"), (), ("cv2",)),
     "witness": (("witness",), (), ("numpy", "scipy", "cv2", "mujoco")),
+    "witness.mitsuba": (("witness",), (), ("numpy", "scipy", "cv2", "mitsuba", "drjit")),
     "witness.gl": (("witness",), (), ("numpy", "scipy", "mujoco", "pyrender", "trimesh")),
     "scenarios.fidelity": (ROOMS, (), ("numpy", "scipy", "mujoco", "trimesh")),
     "scenarios": (ROOMS, (), ("numpy", "scipy", "llvmlite", "pydantic", "click", "rich", "junitparser", "pytest")),
