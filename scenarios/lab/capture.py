@@ -95,12 +95,15 @@ class CaptureOutcome:
     shown: int = 0
     cameras: dict[str, CameraRow] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
+    accept_unproven: bool = False
+    """The rig file's: frames whose pulses are not certain count like others."""
 
     @property
     def whole(self) -> bool:
-        """Whether each pulse has a whole frame of each camera, which is certainly of it."""
-        rows = self.cameras.values()
-        return not self.lost and not any(c.failed or c.dropped or c.overrun or c.unproven for c in rows)
+        """Whether each pulse has a whole frame of each camera, which is certainly of it or accepted as such."""
+        lacks = [c.failed or c.dropped or c.overrun for c in self.cameras.values()]
+        doubtful = [c.unproven for c in self.cameras.values() if not self.accept_unproven]
+        return not self.lost and not any(lacks + doubtful)
 
 
 def capture(
@@ -328,6 +331,7 @@ def _outcome(
         shown=0 if view is None else view.shown,
         cameras=rows,
         notes=notes,
+        accept_unproven=source.rig.shared.accept_unproven,
     )
 
 

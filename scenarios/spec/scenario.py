@@ -245,6 +245,12 @@ class Scenario(Table):
         for name in ("linear", "cubic", "neural"):
             if f"rms_{name}" in self.limits and name not in compared:
                 raise ValueError(f"limits.rms_{name} needs continuous.compare = ['{name}']; add it")
+        counted, other = ("frames", "sets") if self.continuous is not None else ("sets", "frames")
+        if f"{other}_complete" in self.limits:
+            where = "with" if self.continuous is not None else "without"
+            raise ValueError(
+                f"limits.{other}_complete is not measured {where} [continuous]; limit {counted}_complete"
+            )
         if "rigidity_rms" in self.limits and not self.pipeline.bodies:
             raise ValueError("limits.rigidity_rms needs rigid bodies; set pipeline.bodies = true")
         missing = [name for name in self.fails_on if name not in self.limits]

@@ -59,9 +59,13 @@ class Slow(Stampless):
     late_ns = 7_000_000
 
 
-def taken(tmp_path, kinds, trigger=None, frames=60):
-    """Capture with cameras of ``kinds`` (name -> class); return line, outcome and the recording's pulses."""
+def taken(tmp_path, kinds, trigger=None, frames=60, told=""):
+    """Capture with cameras of ``kinds`` (name -> class); return line, outcome and the recording's pulses.
+
+    ``told``: a line of the rig file's ``[hardware]``.
+    """
     rig, line = write_rig(tmp_path / "rig.toml", kinds, SIZE), Line()
+    rig.write_text(rig.read_text().replace("[hardware]\n", f"[hardware]\n{told}\n", 1))
     outcome = capture(
         CaptureRequest(rig, tmp_path / "take", frames=frames),
         None,
@@ -111,6 +115,12 @@ def test_how_each_camera_was_numbered_is_there_and_a_take_that_is_not_certain_is
     assert outcome.cameras["c"].unproven > 50
     assert account[-1]["cameras"]["c"]["unproven"] == outcome.cameras["c"].unproven
     assert any(note.startswith("camera c: has no time stamps") for note in outcome.notes)
+
+
+def test_a_take_whose_rig_accepts_what_is_not_certain_is_whole(tmp_path):
+    _, outcome, _, _, _ = taken(tmp_path, {"a": Camera, "c": Slow}, told="accept_unproven = true")
+    assert outcome.cameras["c"].unproven > 50
+    assert outcome.whole == all(c.failed == c.dropped == 0 for c in outcome.cameras.values())
 
 
 class NeverFires(Line):

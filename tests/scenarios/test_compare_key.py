@@ -22,6 +22,7 @@ def test_other_models_are_scored_on_the_same_image_points():
     [
         ({"continuous.compare": ["quintic"]}, "'linear', 'cubic' or 'neural'"),
         ({"limits.rms_cubic": 0.001}, r"limits.rms_cubic needs continuous.compare = \['cubic'\]"),
+        ({"limits.sets_complete": 0.9}, r"not measured with \[continuous\]; limit frames_complete"),
         (
             {"continuous.compare": ["cubic"], "continuous.moving": True, "continuous.worn_on": "torso"},
             "compare and moving = true",
@@ -31,3 +32,8 @@ def test_other_models_are_scored_on_the_same_image_points():
 def test_wrong_keys_are_named(changes, message):
     with pytest.raises(InputError, match=message):
         run_scenario(SHORT, changes)
+
+
+def test_frames_of_triggered_cameras_are_limited_as_sets():
+    with pytest.raises(InputError, match=r"not measured without \[continuous\]; limit sets_complete"):
+        run_scenario("controls/none", {"limits.frames_complete": 0.9})
