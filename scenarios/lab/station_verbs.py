@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hardware.settings import HardwareTable, read_hardware
+from hardware.settings import HardwareTable, RigHardware, read_hardware
 from hardware.transport import Trust, open_transport
 from hardware.transport.merger import MergeSettings
 from hardware.transport.receiver import Receiver
@@ -52,19 +52,20 @@ def detect_on_station(
     detection = reconstruct_settings(spec, settings_path).detection
     names = tuple(table.name for table in read_rig_file(rig).camera)
     text = read_text(rig, "a rig file")
+    given = read_hardware(rig) if recording is None else recording
     devices: RigOfStation | None = None
     with before_others(), ExitStack() as failing:  # the engine's threads too
-        # first: an endpoint that cannot be used is told before cameras are opened or a background is made
+        # an endpoint that cannot be used is told before cameras are opened or a background is made
         transport = open_transport(connect, trust=trust)
         failing.callback(transport.close)
-        if recording is None:
-            devices = RigOfStation(read_hardware(rig))
+        if isinstance(given, RigHardware):
+            devices = RigOfStation(given)
             source: RigOfStation | PacedRecording = devices
             backgrounds = Backgrounds(spec.background, on_made=report)
         else:
             cameras = read_rig(rig)
-            backgrounds = Backgrounds(ready=recorded_backgrounds(recording, cameras, fps, spec.background))
-            source = PacedRecording(SelectedCameras(open_recording(recording, cameras, fps), names))
+            backgrounds = Backgrounds(ready=recorded_backgrounds(given, cameras, fps, spec.background))
+            source = PacedRecording(SelectedCameras(open_recording(given, cameras, fps), names))
         failing.callback(source.close)
         sender = Sender(transport, name, source.cameras, text)
         failing.pop_all()
