@@ -81,23 +81,27 @@ def test_gige_vision_devices(take: tuple[Path, Path], tmp_path: Path) -> None:
         with served(recording, tmp_path / f"rig{attempt}.toml", "Software") as rig:
             if same_or_skipped(twin, tmp_path / f"run{attempt}", rig, recording):
                 return
-    pytest.skip(
-        f"this machine skipped pulses at {RATE_HZ:g} Hz in all {ATTEMPTS} attempts, and each record states it"
-    )
+    pytest.skip(f"this machine was late at {RATE_HZ:g} Hz in all {ATTEMPTS} attempts, and each record states it")
 
 
 def same_or_skipped(twin: Path, out: Path, rig: Path, recording: Path) -> bool:
-    """Run the devices; they give the twin's record, unless a busy machine skipped pulses, which the record states."""
+    """Run the devices; they give the twin's record, unless a busy machine was late, which the record states.
+
+    Late: it skipped pulses, or cannot tell their times to a millisecond.
+    """
     run(out, RunOptions(source=f"hardware:{rig}", truth=recording / "truth.npz"))
     counts = json.loads((out / "record.json").read_text())["counts"]
-    if "skipped pulses" not in counts["notes"]:
+    notes = counts["notes"]
+    if not {"skipped pulses", "untimed"} & set(notes):
         same(twin, out)
         return True
-    assert "they could not be sent in their periods" in " ".join(counts["notes"].values())
+    if "skipped pulses" in notes:
+        assert "they could not be sent in their periods" in " ".join(notes.values())
     assert counts["complete_sets"] < PULSES
     return False
 
 
+@pytest.mark.slow
 def test_gige_vision_devices_on_a_pulse_generator(take: tuple[Path, Path], tmp_path: Path) -> None:
     """Its pulses do not wait: losses of a busy machine are counted."""
     needs_aravis()
@@ -157,9 +161,7 @@ def test_a_vendor_s_own_software(take: tuple[Path, Path], tmp_path: Path) -> Non
     for attempt in range(ATTEMPTS):
         if same_or_skipped(twin, tmp_path / f"run{attempt}", rig, recording):
             return
-    pytest.skip(
-        f"this machine skipped pulses at {RATE_HZ:g} Hz in all {ATTEMPTS} attempts, and each record states it"
-    )
+    pytest.skip(f"this machine was late at {RATE_HZ:g} Hz in all {ATTEMPTS} attempts, and each record states it")
 
 
 def test_a_frame_of_another_pulse_makes_another_record(take: tuple[Path, Path], tmp_path: Path) -> None:

@@ -53,6 +53,7 @@ def test_a_planted_five_per_cent_is_a_regression(with_baseline):
     assert ElementTree.parse(with_baseline / "out/junit.xml").find(".//failure") is not None
 
 
+@pytest.mark.slow
 def test_baselines_state_what_other_processors_change_and_tolerate_twice_of_it(with_baseline):
     record = json.loads((with_baseline / "base/tiny.json").read_text())
     for metric in record["metrics"]:
