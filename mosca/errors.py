@@ -20,8 +20,13 @@ class InputError(MoscaError):
 class CalibrationError(MoscaError):
     """Observations that do not determine a camera, or a camera that cannot be right.
 
-    A text may begin with the code of a finding ("little-depth: ...").
+    A text may begin with the code of a finding ("little-depth: ..."). ``unseen``: the cameras that saw too little,
+    without which the others might be calibrated.
     """
+
+    def __init__(self, text: object = "", unseen: tuple[str, ...] = ()) -> None:
+        super().__init__(text)
+        self.unseen = unseen
 
     @property
     def code(self) -> str:

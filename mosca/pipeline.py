@@ -192,8 +192,8 @@ def check_detections(detections: Mapping[str, Detections], pulse: int) -> None:
         if len(found) > MOST_DETECTIONS:
             raise InputError(
                 f"camera '{name}', pulse {pulse}: {len(found)} detections, {MOST_DETECTIONS} are allowed; noise or "
-                "background is taken for targets: raise detection.contrast_dn and detection.lowest_dn, or give a "
-                "background"
+                "background is taken for targets: lower detection.false_alarms, raise detection.minimum_size_px, or "
+                "give a background"
             )
 
 

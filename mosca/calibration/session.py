@@ -8,9 +8,11 @@ from typing import Generic, TypeGuard, TypeVar
 import numpy as np
 
 from mosca.calibration.quality.checks import check_calibration
+from mosca.calibration.quality.findings import warn
 from mosca.calibration.quality.limits import QualityLimits
 from mosca.calibration.quality.report_data import evidence_of
 from mosca.calibration.quality.scale import LengthErrors, length_errors
+from mosca.calibration.quality.target_shape import target_shape
 from mosca.calibration.rigid_target import RigidSettings, RigidTarget, calibrate_rigid
 from mosca.calibration.single_camera.adjust import check_lens
 from mosca.calibration.single_camera.interior_orientation import LensChoice, plain_lens
@@ -21,7 +23,7 @@ from mosca.calibration.uncalibrated.wand import calibrate_wand
 from mosca.calibration.world_frame.l_frame import in_axes, world_from_l_frame
 from mosca.data.arrays import Array
 from mosca.data.boards import Board
-from mosca.data.calibration import Calibration
+from mosca.data.calibration import Calibration, Finding
 from mosca.data.calibration_evidence import CalibrationEvidence
 from mosca.data.detections import Detections
 from mosca.data.files.target_tables import CalibrationTarget
@@ -49,7 +51,7 @@ class EstimateSettings:
     lens: LensChoice = field(default_factory=LensChoice)
     """Model to estimate."""
     free: tuple[str, ...] | None = None
-    """Its parameters; None for all."""
+    """Its parameters; None: all, or for a wand those that the data determine."""
     exterior_only: bool = False
     """Keep the lenses of the known rig."""
     every: int = 1
@@ -60,6 +62,8 @@ class EstimateSettings:
     """Settings of the detection of wands' and L-frames' balls."""
     volume: tuple[Sequence[float], Sequence[float]] | None = None
     """(low, high) [m, world]: where will be measured."""
+    leave_out_unseen: bool = False
+    """Calibrate the others where cameras saw too little of the target."""
 
 
 @dataclass(frozen=True)
@@ -139,12 +143,14 @@ def calibrate_frames(
     """
     settings = settings or EstimateSettings()
     _check(target, settings)
-    return calibrate_sightings(
-        read_sightings(source, reader_of(target, settings.detection), settings.every, progress),
-        target,
-        settings,
-        known,
-    )
+    reader = reader_of(target, settings.detection)
+    sightings = read_sightings(source, reader, settings.every, progress)
+    try:
+        return calibrate_sightings(sightings, target, settings, known)
+    except CalibrationError as error:
+        if not (advice := reader.advice()):
+            raise
+        raise CalibrationError(f"{error}{advice}", error.unseen) from None
 
 
 def calibrate_sightings(
@@ -152,6 +158,27 @@ def calibrate_sightings(
 ) -> Calibration:
     """Calibrate from what was seen of ``target``; see ``calibrate_frames``."""
     _check(target, settings)
+    left_out: list[Finding] = []
+    while True:
+        try:
+            found = _calibrated(sightings, target, settings, known)
+        except CalibrationError as error:
+            others = set(sightings.cameras) - set(error.unseen)
+            if not error.unseen or not others:
+                raise
+            if not settings.leave_out_unseen:
+                names = ", ".join(error.unseen)
+                text = f"{error}; or calibrate without {names}: --leave-out-unseen"
+                raise CalibrationError(text, error.unseen) from None
+            left_out += [warn("left-out", f"camera '{name}' is left out: {error}", name) for name in error.unseen]
+            sightings = sightings.without(error.unseen)
+        else:
+            return replace(found, findings=(*found.findings, *left_out))
+
+
+def _calibrated(
+    sightings: Sightings, target: CalibrationTarget, settings: EstimateSettings, known: Rig | None
+) -> Calibration:
     if is_rigid(target):
         rigid = RigidSettings(
             settings.lens, settings.free, exterior_only=settings.exterior_only, reference=settings.reference
@@ -162,7 +189,7 @@ def calibrate_sightings(
             plain_lens(settings.lens.of(name), 1.0, (int(w), int(h)))
             for name, (w, h) in zip(sightings.cameras, sightings.sizes, strict=True)
         ]
-        return calibrate_wand(sightings, target, np.random.default_rng(SEED), lenses)
+        return calibrate_wand(sightings, target, np.random.default_rng(SEED), lenses, settings.free)
     raise InputError(f"a {type(target).__name__} does not calibrate cameras; give a test field, a board or a wand")
 
 
@@ -170,11 +197,13 @@ def _check(target: CalibrationTarget, settings: EstimateSettings) -> None:
     if isinstance(target, Wand) and settings.exterior_only:
         raise InputError("a wand does not give exterior orientation alone; show the test field or the board again")
     if settings.free is not None:
-        if isinstance(target, Wand):
-            raise InputError("a wand's cameras have lens parameters of their own choice; leave 'free' out")
         if settings.exterior_only:
             raise InputError("'free' names lens parameters, and exterior orientation alone has none; leave it out")
         check_lens("cameras", settings.lens.model, settings.free)
+        focal = {"c_mm"} if settings.lens.model == "mosca" else {"fx_px", "fy_px"}
+        if isinstance(target, Wand) and not focal <= set(settings.free):
+            wanted = " and ".join(sorted(focal))
+            raise InputError(f"'free' is {', '.join(settings.free)}; of a wand's cameras {wanted} must be estimated")
 
 
 def checked(
@@ -199,7 +228,8 @@ def checked(
         rigid_target=is_rigid(target),
         settings=QualityLimits(size_error=BALL_SIZE_ERROR) if isinstance(target, Wand) else None,
     )
-    return replace(calibration, findings=(*calibration.findings, *found))
+    shape = target_shape(calibration) if isinstance(target, Board) else ()
+    return replace(calibration, findings=(*calibration.findings, *found, *shape))
 
 
 def on_axes(calibration: Calibration, source: FrameSource, frame: LFrame, settings: EstimateSettings) -> Calibration:

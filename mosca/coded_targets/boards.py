@@ -12,10 +12,13 @@ plus ``SYSTEMATIC_PX``.
 """
 
 import math
+from dataclasses import replace
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 
+from mosca.coded_targets.board_view import BoardView, fitted_view
 from mosca.coded_targets.detect import noise_of
 from mosca.data.arrays import Array
 from mosca.data.boards import Board
@@ -24,6 +27,9 @@ from mosca.errors import InputError
 
 LEAST_SHARE = 0.5
 """Share of a ChArUco board's corners that must be seen."""
+LEAST_FITTING = 0.9
+"""Share of a ChArUco board's corners seen that must fit: a few that a marker or a finger displaced are left out; of a
+bent board more do not fit."""
 WINDOW_SHARE, SMALLEST_WINDOW_PX, LARGEST_WINDOW_PX = 0.35, 3, 11
 """Half the window of the refinement: share of the smallest distance of two corners, and its limits."""
 BLUR_PX, BLUR_REACH = 1.0, 4
@@ -31,21 +37,24 @@ BLUR_PX, BLUR_REACH = 1.0, 4
 SYSTEMATIC_PX = 0.01
 """Error that a finite window leaves of edges one or two pixels wide (measured on rendered boards)."""
 FARTHEST_SHARE = 0.15
-"""Largest residual of a corner from its board's homography, in distances between corners."""
+"""Largest distance of a corner from where its board's view has it, in distances between corners."""
 BEYOND_SHARE = 0.3
 """Distance beyond a checkerboard's border at which its continuation is tested, in squares."""
 LEAST_ALTERNATING = 0.95
 """Share of neighbouring squares that must be black and white."""
 NO_ROOM = "a corner is too near to the image's border"
+NO_PLANE = "the corners are not those of a plane before a camera"
+STOP = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 40, 1e-4)
+"""When the refinement ends: steps, and the last one's length [px]."""
 FEWEST_CORNERS = 6
-"""Below that a homography has no redundancy."""
+"""Below that a view has no redundancy."""
 
 
 def find_board(image: Array, board: Board, camera: str = "") -> BoardDetections:
     """Return the inner corners of ``board`` in an image (H, W) of uint8 or uint16, rows of ``Board.corners()``.
 
-    A board that is absent, half occluded or cut off gives none, with the reason in ``refused``. Raises InputError
-    for another kind of image.
+    A board that is absent, half occluded or cut off gives none, with the reason in ``refused``; one that can be seen
+    from behind (``Board.from_behind``) is looked for there, too. Raises InputError for another kind of image.
     """
     if image.ndim != 2 or image.dtype not in (np.uint8, np.uint16) or 0 in image.shape:
         raise InputError(
@@ -53,31 +62,61 @@ def find_board(image: Array, board: Board, camera: str = "") -> BoardDetections:
             "allowed: reduce colour to grey first"
         )
     grey = _eight_bits(image)
+    if board.inverted:
+        grey = 255 - grey
+    found = _found(grey, board, camera)
+    if found.refused and board.from_behind:
+        behind = _found(np.ascontiguousarray(grey[:, ::-1]), board, camera)
+        if not behind.refused:
+            xy = [grey.shape[1] - 1, 0] + behind.xy_px * [-1, 1]
+            return BoardDetections(camera, behind.corner, xy, behind.covariance_px2 * [[1, -1], [-1, 1]])
+    return found
+
+
+def other_looks(image: Array, board: Board) -> dict[str, bool]:
+    """Return the keys, with the values they would need, with which ``board`` is found in an image that refused it.
+
+    Empty where it is not found inverted, mirrored or both either.
+    """
+    for inverted, from_behind in ((True, False), (False, True), (True, True)):
+        if board.dictionary is None and from_behind:
+            continue
+        other = replace(board, inverted=board.inverted != inverted, from_behind=board.from_behind or from_behind)
+        if other != board and len(find_board(image, other)):
+            keys = ("inverted", "from_behind")
+            return {key: getattr(other, key) for key in keys if getattr(other, key) != getattr(board, key)}
+    return {}
+
+
+def _found(grey: Array, board: Board, camera: str) -> BoardDetections:
+    """Return the corners of a board that faces the camera, black on white, in an image of 8 bits."""
     found = _checkerboard(grey, board) if board.dictionary is None else _charuco(grey, board)
     if isinstance(found, str):
         return BoardDetections.none(camera, found)
     corner, xy = found
     if len(xy) < FEWEST_CORNERS:
         return BoardDetections.none(camera, f"{len(xy)} corners seen; {FEWEST_CORNERS} are wanted")
-    plane = board.corners()[corner, :2]
-    spacing = board.square_m * _narrowest(np.asarray(cv2.findHomography(plane, xy)[0]), plane)
-    half = _half_window(board, spacing)
-    if not _has_room(image, xy, half):
+    size = (grey.shape[1], grey.shape[0])
+    rough = _view(board, corner, xy, size)
+    if rough is None:
+        return BoardDetections.none(camera, NO_PLANE)
+    half = _half_window(board, rough.spacing_px)
+    if not _has_room(grey, xy, half):
         return BoardDetections.none(camera, NO_ROOM)
-    stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 40, 1e-4)
-    start = xy.astype(np.float32).reshape(-1, 1, 2)
     soft = _soft(grey.astype(np.float32))
-    refined = cv2.cornerSubPix(soft, start.copy(), (half, half), (-1, -1), stop).reshape(-1, 2)
-    xy = refined.astype(np.float64)
-    homography = np.asarray(cv2.findHomography(plane, xy)[0])
-    off = np.linalg.norm(_mapped(homography, plane) - xy, axis=1) / spacing
-    if not off.max() <= FARTHEST_SHARE:
-        return BoardDetections.none(
-            camera, f"{len(xy)} corners, one of them {off.max():.2f} squares from where the board would have it"
-        )
-    if not _has_room(image, xy, half):
+    start = xy.astype(np.float32).reshape(-1, 1, 2)
+    refined = cv2.cornerSubPix(soft, start.copy(), (half, half), (-1, -1), STOP).reshape(-1, 2).astype(np.float64)
+    if board.marker_m is not None:
+        # a window that reaches a marker's corner is pulled there
+        still = np.linalg.norm(refined - xy, axis=1) <= _gap_px(board, rough.spacing_px) / 2
+        corner, refined = corner[still], refined[still]
+    fitting = _fitting(board, corner, refined, size)
+    if isinstance(fitting, str):
+        return BoardDetections.none(camera, fitting)
+    corner, xy, view = fitting
+    if not _has_room(grey, xy, half):
         return BoardDetections.none(camera, NO_ROOM)
-    other = _other_pattern(grey, board, homography) if board.dictionary is None else ""
+    other = _other_pattern(grey, board, view) if board.dictionary is None else ""
     if other:
         return BoardDetections.none(camera, f"{other}: are columns and rows those of the board?")
     left, top = np.floor(xy.min(axis=0)).astype(int)
@@ -131,25 +170,59 @@ def _has_room(image: Array, xy: Array, half_px: int) -> bool:
     return bool((xy >= room).all() and (xy <= np.array(image.shape[::-1]) - room - 1).all())
 
 
-def _narrowest(homography: Array, points: Array) -> float:
-    """Return by how much the board's squares are magnified across where they are narrowest [px/m].
+class _Fit(NamedTuple):
+    """A view, its narrowest square's width, and how far (n,) the corners are from it [narrowest squares]."""
 
-    The least distance of opposite sides, at any of ``points`` (n, 2): a leaning square is a rhombus, narrower
-    than its sides are long.
+    view: BoardView
+    spacing_px: float
+    off: Array
+
+
+def _view(board: Board, corner: Array, xy: Array, size: tuple[int, int]) -> _Fit | None:
+    """Return how an image of ``size`` shows corners ``corner`` (n,) at ``xy`` (n, 2) [px].
+
+    Straight where that is near enough, else with radial terms where these are nearer; None where neither can be.
     """
-    step = 1e-3 * np.ptp(points, axis=0).max()
-    here = _mapped(homography, points)
-    along, down = (_mapped(homography, points + by) - here for by in ([step, 0.0], [0.0, step]))
-    area = np.abs(along[:, 0] * down[:, 1] - along[:, 1] * down[:, 0])
-    longer = np.maximum(np.linalg.norm(along, axis=1), np.linalg.norm(down, axis=1))
-    return float((area / longer).min() / step)
+    plane = board.corners()[corner, :2]
+    best: _Fit | None = None
+    for bent in (False, True):
+        if (view := fitted_view(plane, xy, size, bent)) is None:
+            continue
+        spacing = board.square_m * view.narrowest(plane)
+        fit = _Fit(view, spacing, np.linalg.norm(view.image(plane) - xy, axis=1) / spacing)
+        if best is None or fit.off.max() < best.off.max():
+            best = fit
+        if fit.off.max() <= FARTHEST_SHARE:
+            break
+    return best
+
+
+def _fitting(board: Board, corner: Array, xy: Array, size: tuple[int, int]) -> tuple[Array, Array, BoardView] | str:
+    """Return the corners (n,) and positions (n, 2) [px] that fit one board, and its view; or the reason for none."""
+    enough = len(xy) if board.dictionary is None else math.ceil(LEAST_FITTING * len(xy))
+    first = math.nan
+    while len(xy) >= max(enough, FEWEST_CORNERS) and (fit := _view(board, corner, xy, size)) is not None:
+        if fit.off.max() <= FARTHEST_SHARE:
+            return corner, xy, fit.view
+        first = fit.off.max() if math.isnan(first) else first
+        others = np.arange(len(xy)) != fit.off.argmax()
+        corner, xy = corner[others], xy[others]
+    if math.isnan(first):
+        return NO_PLANE
+    return f"{len(xy) + 1} corners, one of them {first:.2f} squares from where the board would have it"
+
+
+def _gap_px(board: Board, spacing_px: float) -> float:
+    """Return the distance of a ChArUco board's markers from its lines where these are ``spacing_px`` apart."""
+    assert board.marker_m is not None
+    return 0.5 * (1 - board.marker_m / board.square_m) * spacing_px
 
 
 def _half_window(board: Board, spacing_px: float) -> int:
     """Return half the window's width where lines of the board are this far apart: it must not reach into a marker."""
     half = round(WINDOW_SHARE * spacing_px)
     if board.marker_m is not None:
-        half = min(half, math.floor(0.5 * (1 - board.marker_m / board.square_m) * spacing_px - BLUR_PX))
+        half = min(half, math.floor(_gap_px(board, spacing_px) - BLUR_PX))
     return min(max(half, SMALLEST_WINDOW_PX), LARGEST_WINDOW_PX)
 
 
@@ -208,12 +281,7 @@ def _spacing(xy: Array) -> float:
     return float(apart[~np.eye(len(xy), dtype=bool)].min())
 
 
-def _mapped(homography: Array, points: Array) -> Array:
-    """Return points (n, 2) of the board as a homography (3, 3) maps them into the image."""
-    return np.asarray(cv2.perspectiveTransform(points[None].astype(np.float64), homography)[0])
-
-
-def _other_pattern(image: Array, board: Board, homography: Array) -> str:
+def _other_pattern(image: Array, board: Board, view: BoardView) -> str:
     """Return why the corners found are not those of the whole checkerboard, "" where they are.
 
     OpenCV also finds a part of a larger board, or every second row of it, other ones in each image. Within the board
@@ -225,9 +293,9 @@ def _other_pattern(image: Array, board: Board, homography: Array) -> str:
     middle = np.stack([column, row], axis=-1) + 0.5
     middle = np.clip(middle, -BEYOND_SHARE, size + BEYOND_SHARE)
     plane = (middle - size / 2) * board.square_m * [1, -1]
-    at = np.floor(_mapped(homography, plane.reshape(-1, 2)) + 0.5).astype(int)
-    seen = ((at >= 0) & (at < image.shape[::-1])).all(axis=1)
-    at[~seen] = 0
+    there = view.image(plane.reshape(-1, 2))
+    seen = np.all((there >= 0) & (there <= np.array(image.shape[::-1]) - 1), axis=1)
+    at = np.floor(np.where(np.expand_dims(seen, 1), there, 0.0) + 0.5).astype(int)
     grey = np.where(seen, image[at[:, 1], at[:, 0]].astype(float), np.nan).reshape(column.shape)
     grey *= np.where((column + row) % 2, 1, -1)  # white less black: the sum of two neighbours
     inside = grey[1:-1, 1:-1]

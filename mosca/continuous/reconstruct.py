@@ -11,7 +11,7 @@ from mosca.continuous.association.correspondence import observed
 from mosca.continuous.estimator.estimate import ContinuousEstimate, ContinuousSettings, estimate
 from mosca.continuous.findings import association_findings, late_cameras, on_curves_clock
 from mosca.continuous.model.estimated import Clock
-from mosca.continuous.model.observations import CameraPaths, TimedObservations, UncertainCurves
+from mosca.continuous.model.observations import CameraPaths, Curves, TimedObservations, UncertainCurves
 from mosca.continuous.resample import residuals_px, tracks_on_grid
 from mosca.data.arrays import Array
 from mosca.data.frames import FrameSource
@@ -23,6 +23,12 @@ FEW_TOGETHER = 6
 """Points whose curves are estimated together before clocks are known."""
 BETTER_PX = 0.1
 """Gate for assigning image points again to the estimated curves."""
+ALMOST = 1.2
+"""Image errors are stated well enough when residuals are as large, up to this factor."""
+LEAST_PX = 0.005
+"""Image errors besides the detections', at least (``mosca.diagnostics.camera_health``)."""
+MOST_ROUNDS, SETTLED = 4, 0.005
+"""Image points are assigned again to better curves, so often at most and until their number changes by less."""
 
 
 @dataclass(frozen=True)
@@ -94,18 +100,34 @@ def reconstruct(
 
     ``settings.clocks`` "known" becomes "drift" where clocks had to be searched for. InputError: see ``associate``.
     """
+    return reconstruct_gathered(associate(source, rig, gathering, backgrounds, attend), rig, settings)
+
+
+def reconstruct_gathered(gathered: Associated, rig: Rig, settings: ContinuousSettings | None = None) -> Reconstructed:
+    """As ``reconstruct``, of what is associated already."""
     settings = ContinuousSettings() if settings is None else settings
-    gathered = associate(source, rig, gathering, backgrounds, attend)
     if gathered.searched and settings.clocks == "known":
         settings = replace(settings, clocks="drift")
     # clocks and names need curves, not the correlations between points, which are expensive
     quick = replace(settings, limbs=False, most_together=min(FEW_TOGETHER, settings.most_together))
-    estimated = estimate(gathered.observations, rig, quick, gathered.start)
-    ties = _tied(gathered.ties, estimated)
-    found, _row = observed(gathered.seen, ties, rig, estimated.curves, gathered.sigma_px, BETTER_PX)
-    if not len(found):
-        raise InputError("no image point lies on its curve: the clocks or the rig do not fit the images")
-    estimated = estimate(found, rig, settings, estimated.curves)
+    found, row, ties, sigma_px = gathered.observations, gathered.row, gathered.ties, gathered.sigma_px
+    curves: Curves | None = gathered.start
+    for _round in range(MOST_ROUNDS):
+        estimated = estimate(found, rig, quick, curves)
+        ties, before = _tied(ties, estimated), len(found)
+        sigma_px = _as_residuals(sigma_px, gathered, rig, estimated.sigma0)
+        if gathered.start is None:
+            found = _with_names(gathered, ties, sigma_px)
+        else:
+            # a camera sees a point up to a period before two of them do, and after
+            reach = estimated.curves.reaching(max(one.period_s for one in gathered.seen))
+            found, row = observed(gathered.seen, ties, rig, reach, sigma_px, BETTER_PX, used=(found, row))
+        if not len(found):
+            raise InputError("no image point lies on its curve: the clocks or the rig do not fit the images")
+        curves = estimated.curves
+        if abs(len(found) - before) < SETTLED * before and 1.0 / ALMOST < estimated.sigma0 < ALMOST:
+            break
+    estimated = estimate(found, rig, settings, curves)
     clocks = _clocks(ties, estimated)
     findings = association_findings(gathered, found)
     if settings.clocks == "known":
@@ -113,6 +135,32 @@ def reconstruct(
     return Reconstructed(
         gathered, estimated, on_curves_clock(found, estimated), clocks, (*findings, *estimated.findings), rig
     )
+
+
+def _with_names(gathered: Associated, ties: tuple[ClockTie, ...], sigma_px: Array) -> TimedObservations:
+    """Return the observations, whose names are given, by better clocks and image errors."""
+    found = gathered.observations
+    time_s, covariance = np.empty(len(found)), np.empty((len(found), 2, 2))
+    for c, (one, tie) in enumerate(zip(gathered.seen, ties, strict=True)):
+        own = found.camera == c
+        row = gathered.row[own]
+        time_s[own] = tie.common_s(one.time_s(tie.origin_ns)[row])
+        covariance[own] = one.covariance_px2[row] + sigma_px[c] ** 2 * np.eye(2)
+    return replace(found, time_s=time_s, covariance_px2=covariance)
+
+
+def _as_residuals(sigma_px: Array, gathered: Associated, rig: Rig, sigma0: float) -> Array:
+    """Return the image errors (c,) [px] besides the detections' with which residuals are as large as stated.
+
+    One factor for all cameras: how large they are against each other was learned from points that all see. Curves
+    take up errors that last, so that residuals do not show them: not less than the calibration states of the lenses,
+    nor than what common instants showed without what interpolation may have added there.
+    """
+    covariances = [one.covariance_px2 for one in gathered.seen]
+    detected = np.array([0.5 * np.median(np.trace(one, axis1=1, axis2=2)) for one in covariances])
+    lens = np.array([max(camera.residual_px, LEAST_PX) for camera in rig.cameras])
+    least = np.maximum(lens**2, gathered.sigma_px**2 - gathered.between_px**2)
+    return np.asarray(np.sqrt(np.maximum(sigma0**2 * (sigma_px**2 + detected) - detected, least)))
 
 
 def _tied(ties: tuple[ClockTie, ...], estimated: ContinuousEstimate) -> tuple[ClockTie, ...]:

@@ -28,8 +28,10 @@ class Board:
     """A checkerboard of ``columns`` x ``rows`` squares, the upper left one black, in a white margin.
 
     Its frame's origin is the middle of its face. With ``marker_m`` and ``dictionary`` it is a ChArUco board: each
-    white square holds a marker of that edge, numbered from 0 row by row, as in OpenCV since 4.6. Raises ValueError
-    for a board that cannot be built or is symmetric under rotation.
+    white square holds a marker of that edge, numbered from 0 row by row, as in OpenCV since 4.6. ``inverted``: black
+    and white are exchanged, margin included. ``from_behind``: its mirror image, at the same corners, can be seen on
+    the other side: a transparent sheet, or a second print glued to the back. Raises ValueError for a board that
+    cannot be built or is symmetric under rotation or, from behind, reflection.
     """
 
     columns: int
@@ -39,6 +41,8 @@ class Board:
     marker_m: float | None = None
     dictionary: str | None = None
     sigma_m: float = 0.0
+    inverted: bool = False
+    from_behind: bool = False
 
     def __post_init__(self) -> None:
         above_zero("square_m", self.square_m)
@@ -49,6 +53,8 @@ class Board:
         if (self.marker_m is None) != (self.dictionary is None):
             raise ValueError("marker_m and dictionary go together: both for ChArUco, none for a checkerboard")
         if self.marker_m is None or self.dictionary is None:
+            if self.from_behind:
+                raise ValueError("from_behind = true: a checkerboard's two sides look alike; take a ChArUco board")
             if (self.columns + self.rows) % 2 == 0:
                 raise ValueError(
                     f"columns = {self.columns}, rows = {self.rows}: half a turn changes nothing; "

@@ -13,7 +13,11 @@ from pydantic.dataclasses import dataclass
 from mosca.data.files.toml import SETTINGS, NotNegative, Positive
 from mosca.errors import InputError
 
+PAPER_VALUES = {"contrast_dn": 24.0, "step_dn": 1, "lowest_dn": 16}
+"""Values of the paper's thresholds where none are given."""
 _ALLOWED = {
+    "thresholds": "'noise' or 'paper'",
+    "false_alarms": "more than 0, up to 1",
     "contrast_dn": "more than 0 and less than 255",
     "step_dn": "a whole number from 1",
     "lowest_dn": "0 to below 255 - contrast_dn / 2",
@@ -37,15 +41,20 @@ class DetectionSettings:
     allowed.
     """
 
-    contrast_dn: Annotated[float, Field(gt=0, lt=255)] = 24.0
-    """B: a target's largest grey value exceeds its smallest by more than this. Keep it above five times the
-    noise at a target's brightest, or its noise is split into targets."""
-    step_dn: Annotated[int, Field(ge=1)] = 1
-    """s: from one threshold to the next. 1 parts close targets best and costs nothing."""
-    lowest_dn: Annotated[int | float, Field(ge=0)] = 16
-    """h_min: all thresholds lie above it. Keep it at least four times the noise above the background."""
+    thresholds: Literal["noise", "paper"] = "noise"
+    """How targets are decided on: by the noise and background that each camera's images show, or by grey values as in
+    the Mosca paper (section 3.1), ``contrast_dn``, ``step_dn`` and ``lowest_dn``."""
+    false_alarms: Annotated[float, Field(gt=0, le=1)] = 0.01
+    """Targets that noise alone may make in an image, on average, with thresholds by noise."""
+    contrast_dn: Annotated[float, Field(gt=0, lt=255)] | None = None
+    """B of the paper: a target's largest grey value exceeds its smallest by more than this [24]. Keep it above five
+    times the noise at a target's brightest, or its noise is split into targets."""
+    step_dn: Annotated[int, Field(ge=1)] | None = None
+    """s of the paper: from one threshold to the next [1]."""
+    lowest_dn: Annotated[int | float, Field(ge=0)] | None = None
+    """h_min of the paper: all thresholds lie above it [16]. Keep it four times the noise above the background."""
     minimum_size_px: Annotated[int | float, Field(ge=0)] = 1.0
-    """D_min: both sides of a target's box are longer than this."""
+    """D_min: the longer side of a target's box is longer than this (with the paper's thresholds, both are)."""
     maximum_size_px: int | float = 40.0
     """D_max: both sides of a target's box are shorter than this."""
     centroid: Literal["refined", "background", "paper"] = "refined"
@@ -57,10 +66,10 @@ class DetectionSettings:
     split_pairs: bool = False
     """Targets whose images have grown together or nearly touch are fitted together, which takes 0.1 to 0.5 ms a
     pair; else they keep the uncertain centres of images that touch. With the refined centroid alone."""
-    read_noise_dn: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.13
-    """Dark noise, standard deviation of a pixel without light (10 electrons of 20,000 in 255 DN)."""
-    gain_dn_per_e: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0128
-    """Grey values per electron (EMVA 1288: system gain K; 20,000 electrons in 255 DN)."""
+    read_noise_dn: Annotated[float, Field(ge=0, allow_inf_nan=False)] | None = None
+    """Dark noise, standard deviation of a pixel without light; learned from the images where it is not given."""
+    gain_dn_per_e: Annotated[float, Field(ge=0, allow_inf_nan=False)] | None = None
+    """Grey values per electron (EMVA 1288: system gain K); learned from the images where it is not given."""
 
     @model_validator(mode="wrap")
     @classmethod
@@ -76,12 +85,25 @@ class DetectionSettings:
             raise _out_of_range(key, first["input"], _ALLOWED[key]) from None
 
     def __post_init__(self) -> None:
-        if not self.lowest_dn < math.floor(255 - self.contrast_dn / 2):
-            limit = f"0 to below 255 - contrast_dn / 2 = {math.floor(255 - self.contrast_dn / 2)}"
-            raise _out_of_range("lowest_dn", self.lowest_dn, limit)
+        for name in PAPER_VALUES:
+            if (value := getattr(self, name)) is not None and self.thresholds != "paper":
+                raise InputError(
+                    f"detection.{name} {value:g} given; it is a threshold of the paper's: add thresholds = 'paper'"
+                )
+        contrast, _, lowest = self.paper_thresholds()
+        highest = math.floor(255 - contrast / 2)
+        if not lowest < highest:
+            raise _out_of_range("lowest_dn", lowest, f"0 to below 255 - contrast_dn / 2 = {highest}")
         if not self.minimum_size_px < self.maximum_size_px:
             limit = f"0 to below maximum_size_px = {self.maximum_size_px:g}"
             raise _out_of_range("minimum_size_px", self.minimum_size_px, limit)
+
+    def paper_thresholds(self) -> tuple[float, float, float]:
+        """Return B, s and h_min of the paper, as given or by default [grey values of 8 bits]."""
+        contrast, step, lowest = (
+            value if (given := getattr(self, name)) is None else given for name, value in PAPER_VALUES.items()
+        )
+        return contrast, step, lowest
 
 
 @dataclass(frozen=True, config=ConfigDict(use_attribute_docstrings=True))

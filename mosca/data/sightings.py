@@ -1,6 +1,6 @@
 """Image points of a calibration session, with mark, exposure and camera."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -49,6 +49,13 @@ class Sightings:
         """Return the image points ``keep`` (mask or indices), cameras and frames counted as before."""
         points = ("camera", "frame", "mark", "xy_px", "covariance_px2", "diameter_px")
         return replace(self, **{name: getattr(self, name)[keep] for name in points})
+
+    def without(self, cameras: Collection[str]) -> "Sightings":
+        """Return the image points of all cameras but these, the others counted anew."""
+        kept = np.array([name not in cameras for name in self.cameras])
+        left = self.only(kept[self.camera])
+        names = tuple(name for name in self.cameras if name not in cameras)
+        return replace(left, cameras=names, sizes=self.sizes[kept], camera=(np.cumsum(kept) - 1)[left.camera])
 
     @classmethod
     def joined(cls, cameras: tuple[str, ...], sizes: Array, frames: int, parts: Sequence["Part"]) -> "Sightings":

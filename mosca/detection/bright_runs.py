@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mosca.data.arrays import Array
-from mosca.detection.images import ImageSet, pixels_of
+from mosca.detection.images import ImageSet, limits_of, pixels_of
 from mosca.detection.search import END, END_RUN, FIRST, FIRST_RUN, IMAGE, PLACE, ROW, FoundRegions, box_of
 from mosca.numba_support.decorators import bare_step, step
 from mosca.numba_support.intrinsics import bits_set, bright_mask, copy_16, trailing_zeros
@@ -31,7 +31,7 @@ class SearchBoxes(NamedTuple):
 
 
 class BrightPixels(NamedTuple):
-    """The pixels of a frame set's images above a threshold."""
+    """The pixels of a frame set's images above their limits."""
 
     runs: Array
     """(m, 4) int32 in raster order, columns as in ``mosca.detection.search``."""
@@ -44,32 +44,33 @@ class BrightPixels(NamedTuple):
 
 
 @bare_step
-def mask_of(address: Any, pixels: Array, block: Any, level: int) -> Any:
+def mask_of(pixels: Array, limits: Array, block: Any) -> Any:
     """Return the mask of one block of an image; beyond the last pixel nothing is bright."""
     first = block << SHIFT
     if first + BLOCK <= len(pixels):
-        at = address + np.uint64(first * pixels.itemsize)
-        return bright_mask(at, pixels, np.int64(level))
+        at = np.uint64(first * pixels.itemsize)
+        return bright_mask(np.uint64(pixels.ctypes.data) + at, pixels, np.uint64(limits.ctypes.data) + at)
     mask = np.int64(0)
     for k in range(len(pixels) - first):
-        mask |= np.int64(pixels[first + k] > level) << np.int64(k)
+        mask |= np.int64(pixels[first + k] > limits[first + k]) << np.int64(k)
     return mask
 
 
 @bare_step
-def bright_blocks(address: Any, pixels: Array, level: int, blocks: Array, masks: Array, n: int) -> int:
+def bright_blocks(pixels: Array, limits: Array, blocks: Array, masks: Array, n: int) -> int:
     """Write the blocks with a bright pixel and their masks from index n on; return the index after the last.
 
     Most of a frame is dark: each block is written, and the next one overwrites it unless it is bright.
     """
     whole = len(pixels) >> SHIFT
+    address, limit = np.uint64(pixels.ctypes.data), np.uint64(limits.ctypes.data)
     for block in range(whole):
-        at = address + np.uint64(block * BLOCK * pixels.itemsize)
-        mask: Any = bright_mask(at, pixels, np.int64(level))
+        at = np.uint64(block * BLOCK * pixels.itemsize)
+        mask: Any = bright_mask(address + at, pixels, limit + at)
         blocks[np.uint64(n)], masks[np.uint64(n)] = block, mask
         n += mask != 0
     if len(pixels) % BLOCK:
-        mask = mask_of(address, pixels, whole, level)
+        mask = mask_of(pixels, limits, whole)
         blocks[n], masks[n] = whole, mask
         n += mask != 0
     return n
@@ -77,7 +78,7 @@ def bright_blocks(address: Any, pixels: Array, level: int, blocks: Array, masks:
 
 @step
 def bright_blocks_within(
-    address: Any, pixels: Array, width: int, level: int, boxes: Array, blocks: Array, masks: Array, n: int
+    pixels: Array, limits: Array, width: int, boxes: Array, blocks: Array, masks: Array, n: int
 ) -> int:
     """Do as ``bright_blocks`` for the blocks that reach into boxes (k, 4) x0, y0, x1, y1, ends included.
 
@@ -116,7 +117,7 @@ def bright_blocks_within(
             first, last = max(boxes[active[i], 0], 0), min(boxes[active[i], 2], width - 1)
             for block in range(max((row * width + first) >> SHIFT, done + 1), ((row * width + last) >> SHIFT) + 1):
                 done = block
-                mask = mask_of(address, pixels, block, level)
+                mask = mask_of(pixels, limits, block)
                 blocks[n], masks[n] = block, mask
                 n += mask != 0
         row += 1
@@ -171,8 +172,8 @@ def bright_runs(
 
 
 @step
-def scan_set(images: ImageSet, level: int, search: SearchBoxes) -> BrightPixels:
-    """Return the pixels above ``level`` of all images of a frame set, or those in ``search``'s boxes.
+def scan_set(images: ImageSet, search: SearchBoxes) -> BrightPixels:
+    """Return the pixels above their limits of all images of a frame set, or those in ``search``'s boxes.
 
     All of an image is searched where that is faster than box by box.
     """
@@ -182,7 +183,7 @@ def scan_set(images: ImageSet, level: int, search: SearchBoxes) -> BrightPixels:
     blocks, masks = np.empty(n_images * n_blocks + 1, np.int32), np.empty(n_images * n_blocks + 1, np.int64)
     start = np.zeros(n_images + 1, np.int64)
     for i in range(n_images):
-        pixels, address = pixels_of(images, i), images.addresses[i]
+        pixels, limits = pixels_of(images, i), limits_of(images, i)
         own = boxes[:0]
         rows = 0
         if len(box_start) > 0:
@@ -190,9 +191,9 @@ def scan_set(images: ImageSet, level: int, search: SearchBoxes) -> BrightPixels:
             for k in range(len(own)):
                 rows += own[k, 3] - own[k, 1] + 1
         if len(box_start) == 0 or ROW_COST * rows > n_blocks:
-            start[i + 1] = bright_blocks(address, pixels, level, blocks, masks, start[i])
+            start[i + 1] = bright_blocks(pixels, limits, blocks, masks, start[i])
         else:
-            start[i + 1] = bright_blocks_within(address, pixels, width, level, own, blocks, masks, start[i])
+            start[i + 1] = bright_blocks_within(pixels, limits, width, own, blocks, masks, start[i])
     most_runs, most_values = n_images * images.height, OVER
     for k in range(start[-1]):
         most_runs += bits_set(masks[k] & ~(masks[k] << 1))
@@ -218,4 +219,4 @@ def regions_within(found: FoundRegions, search: SearchBoxes) -> FoundRegions:
             if boxes[k, 1] < top and boxes[k, 3] > bottom and boxes[k, 0] < left and boxes[k, 2] > right:
                 kept[r] = True
                 break
-    return FoundRegions(found.runs, regions[kept], found.lowest)
+    return FoundRegions(found.runs, regions[kept], found.noise[kept])

@@ -11,7 +11,7 @@ import numpy as np
 
 from mosca.data.arrays import Array
 from mosca.detection.images import ImageSet, image_of
-from mosca.detection.search import END_RUN, FIRST_RUN, IMAGE, THRESHOLD, FoundRegions, box_of
+from mosca.detection.search import DARK, END_RUN, FIRST_RUN, FLOOR, GAIN, IMAGE, THRESHOLD, FoundRegions, box_of
 from mosca.numba_support.decorators import bare_step, step
 
 X, Y, XX, XY, YY, DIAMETER, PEAK, ELONGATION = range(8)
@@ -34,7 +34,6 @@ class CentroidRule(NamedTuple):
     """The local background is subtracted and the mask grown; else the region is measured as it is."""
     dilation_px: int
     """How far the mask is grown."""
-    noise: Noise
 
 
 class Background(NamedTuple):
@@ -190,10 +189,10 @@ def central(sums: tuple[Any, ...], x: float, y: float) -> tuple[float, float, fl
 
 @step
 def measure(
-    image: Array, runs: Array, threshold: int, background: Background, rule: CentroidRule, out: Array
+    image: Array, runs: Array, threshold: int, background: Background, rule: CentroidRule, noise: Noise, out: Array
 ) -> None:
     """Write centroid, covariance, diameter and peak of one region to ``out``."""
-    dilation, filled, noise = rule.dilation_px, rule.local, rule.noise
+    dilation, filled = rule.dilation_px, rule.local
     bg_sum, bg_n = background.total, background.n
     first_row, rows = mask_rows(runs, dilation, image.shape[0], image.shape[1])
     left, right = rows[0, 0], rows[0, 1]
@@ -231,11 +230,14 @@ def measure(
 
 
 @bare_step
-def measure_region(image: Array, runs: Array, threshold: int, floor: int, rule: CentroidRule, out: Array) -> bool:
+def measure_region(
+    image: Array, runs: Array, region: tuple[int, int], noise: Noise, rule: CentroidRule, out: Array
+) -> bool:
     """Write the row of one region, unless it touches its image's border: then False. As ``measure_regions``.
 
-    ``threshold``: that of the region; ``floor``: the image's lowest [DN].
+    ``region``: its threshold and its floor [DN].
     """
+    threshold, floor = region
     height, width = image.shape
     (left, right, top, bottom), _ = box_of(runs, 0, len(runs))
     if top == 0 or left == 0 or bottom == height - 1 or right == width - 1:
@@ -250,7 +252,7 @@ def measure_region(image: Array, runs: Array, threshold: int, floor: int, rule: 
             bg_sum, bg_n = ring_of(image, threshold, box)
         if bg_n == 0:
             bg_sum, bg_n = np.int64(threshold), np.int64(1)
-    measure(image, runs, threshold, Background(bg_sum, bg_n), CentroidRule(rule.local, grow, rule.noise), out)
+    measure(image, runs, threshold, Background(bg_sum, bg_n), CentroidRule(rule.local, grow), noise, out)
     size_x, size_y = right - left + 1, bottom - top + 1
     out[ELONGATION] = max(size_x, size_y) / min(size_x, size_y)
     return True
@@ -267,9 +269,11 @@ def measure_regions(images: ImageSet, found: FoundRegions, rule: CentroidRule) -
     region_of = np.empty(len(regions), np.int32)
     n = 0
     for r in range(len(regions)):
-        image, floor = image_of(images, regions[r, IMAGE]), found.lowest[regions[r, IMAGE]]
+        k = regions[r, IMAGE]
         own = found.runs[regions[r, FIRST_RUN] : regions[r, END_RUN]]
-        if measure_region(image, own, regions[r, THRESHOLD], floor, rule, table[n]):
+        noise = Noise(found.noise[r, DARK], found.noise[r, GAIN])
+        limits = (regions[r, THRESHOLD], regions[r, FLOOR])
+        if measure_region(image_of(images, k), own, limits, noise, rule, table[n]):
             region_of[n] = r
             n += 1
     return table[:n], region_of[:n]

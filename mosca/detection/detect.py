@@ -1,9 +1,22 @@
-"""Detection: from an image to sub-pixel targets. Mosca paper, section 3.1.
+"""Detection: from an image to sub-pixel targets.
 
-What a target is. The image is thresholded at falling h, from ``Imax - B/2`` (Imax: the largest value the camera can
-give) in steps of s as long as h is above h_min; a threshold that no pixel has is replaced by the next lower grey
-value that occurs (step 3; the paper prints "until HIST[h] = 0", which must read "while"). The regions of a threshold
-are the 8-connected components of ``I > h``. A region is accepted when (step 6)
+What a target is. Each camera's background, its noise and its gain are learned from its images
+(``mosca.detection.local_background``, ``mosca.detection.pixel_noise``). Pixels more than 4 standard deviations of the
+background above it form 8-connected blobs; of each, pixels below 1/16 of its contrast are left out (the skirts of a
+point spread function join targets that stand apart). A connected part of what is left is a target when
+
+- its brightest pixel is so far above the background that the noise of all pixels of an image exceeds it
+  ``false_alarms`` times on average (for 0.01 in 320,000 pixels 5.4 standard deviations),
+- the longer side of its box is longer than D_min and both are shorter than D_max.
+
+It is parted into several where a dip between two summits exceeds the noise of their difference by the same number of
+standard deviations; the parts are grown as by the paper's rule below with this contrast in the place of B.
+
+``thresholds = "paper"`` is the rule of the Mosca paper, section 3.1. The image is thresholded at falling h, from
+``Imax - B/2`` (Imax: the largest value the camera can give) in steps of s as long as h is above h_min; a threshold
+that no pixel has is replaced by the next lower grey value that occurs (step 3; the paper prints "until HIST[h] = 0",
+which must read "while"). The regions of a threshold are the 8-connected components of ``I > h``. A region is accepted
+when (step 6)
 
 - both sides of its box, in pixels, lie strictly between D_min and D_max,
 - ``Bmax - Bmin > B``, with the largest and smallest grey value inside it,
@@ -24,13 +37,13 @@ pixels not above the lowest threshold on the border of the box around the mask:
 ``x* = sum_m x (I - b) / S``, ``S = sum_m (I - b)``. Pixels above the region's threshold that are not its own
 belong to a neighbour and are left out.
 
-How well. The pixel noise ``var(I) = read^2 + gain (I - b) + 1/12`` (EMVA 1288: dark noise, photon noise,
-quantisation; gain in DN per electron) goes through the centroid at first order:
+How well. The pixel noise ``var(I) = dark + gain (I - b)`` (EMVA 1288: dark noise, quantisation and the background's
+photon noise; photon noise of the target, gain in DN per electron) goes through the centroid at first order:
 ``C = sum_m (p - p*)(p - p*)^T var(I) / S^2 + g g^T var(b) / S^2`` with ``g = sum_m (p - p*)`` and
-``var(b) = (read^2 + 1/12) / ring pixels``. The mask is taken as given: what it cuts off is not in C.
+``var(b) = dark / ring pixels``. The mask is taken as given: what it cuts off is not in C.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from functools import lru_cache
 
 import cv2
@@ -41,7 +54,7 @@ from mosca.data.detections import Detections
 from mosca.detection.background import mean_background, minimum_background
 from mosca.detection.bright_runs import SearchBoxes
 from mosca.detection.disc_fit.camera_statistics import NO_STATISTICS, CameraStatistics
-from mosca.detection.disc_fit.gauss_newton import Model
+from mosca.detection.disc_fit.light_offset import StatisticsSums, no_sums
 from mosca.detection.frame_set_kernel import (
     BACKGROUND,
     PAPER,
@@ -54,7 +67,8 @@ from mosca.detection.frame_set_kernel import (
 )
 from mosca.detection.images import ImageSet, image_set
 from mosca.detection.merged_targets.split import split_pairs
-from mosca.detection.settings import DEFAULTS, DetectionSettings, noise_of, search_of
+from mosca.detection.pixel_noise import gains_changed, measured_backgrounds, noise_of_set
+from mosca.detection.settings import DEFAULTS, DetectionSettings, search_of
 from mosca.errors import InputError
 
 __all__ = [
@@ -134,12 +148,14 @@ def detect_with_statistics(
     backgrounds: Sequence[Array | None] | None = None,
     windows: Sequence[Array | None] | None = None,
     statistics: CameraStatistics = NO_STATISTICS,
+    refresh: Collection[str] = (),
 ) -> tuple[list[Detections], CameraStatistics]:
     """Do as ``detect_set`` and return what these images alone add to the statistics of their cameras too.
 
     Add it, ``statistics.plus(new)``, and pass the sum to a later call: the same images with the same
-    ``statistics`` give the same centres, with any number of threads. Without, each call starts afresh. Only the
-    "refined" centroid uses statistics.
+    ``statistics`` give the same centres, with any number of threads. Without, each call starts afresh, and learns
+    noise and background from the one image. ``refresh``: cameras whose backgrounds are measured again
+    though ``statistics`` know them.
     """
     n = len(images)
     n_backgrounds = n if backgrounds is None else len(backgrounds)
@@ -151,28 +167,54 @@ def detect_with_statistics(
         )
     if not images:
         return [], NO_STATISTICS
-    pixels = [
-        _foreground(image, camera, bit_depth, None if backgrounds is None else backgrounds[i])
-        for i, (image, camera) in enumerate(zip(images, cameras, strict=True))
-    ]
-    first = pixels[0]
-    if any(image.shape != first.shape or image.dtype != first.dtype for image in pixels):
+    first = images[0]
+    if any(image.shape != first.shape or image.dtype != first.dtype for image in images):
         found, added = [], NO_STATISTICS
-        for i, (image, name) in enumerate(zip(pixels, cameras, strict=True)):
-            boxes = None if windows is None else [windows[i]]
-            part, new = detect_with_statistics([image], [name], settings, bit_depth, None, boxes, statistics)
+        for i, (image, name) in enumerate(zip(images, cameras, strict=True)):
+            background, boxes = (None if all_of is None else [all_of[i]] for all_of in (backgrounds, windows))
+            part, new = detect_with_statistics(
+                [image], [name], settings, bit_depth, background, boxes, statistics, refresh
+            )
             found += part
             added = added.plus(new)
         return found, added
-    described = image_set(pixels)
-    priors = statistics.priors(tuple(cameras))
-    task = _task(settings, bit_depth, _METHODS[settings.centroid])
-    found, measured, sums = detect_frame_set(described, _boxes(windows, described), task, priors)
-    if settings.centroid != "refined":
-        return _detections(cameras, measured), NO_STATISTICS
-    if settings.split_pairs:
-        measured = split_pairs(measured, described, found, priors, task.model)
-    return _detections(cameras, measured), CameraStatistics(tuple(cameras), *sums)
+    dark = [None] * n if backgrounds is None else backgrounds
+    pixels = [
+        _foreground(image, camera, bit_depth, background)
+        for image, camera, background in zip(images, cameras, dark, strict=True)
+    ]
+    names, task = tuple(cameras), _task(settings, bit_depth, _METHODS[settings.centroid])
+    measured = measured_backgrounds(images, dark, names, settings, statistics, refresh)
+    known = statistics.plus(CameraStatistics(names, no_sums(n), measured)) if measured else statistics
+    found, sums = _detect_alike(pixels, names, settings, task, windows, known)
+    added = CameraStatistics(names, sums, measured)
+    if again := gains_changed(statistics, added, settings):
+        # a guessed gain parts bright targets, or joins faint ones: once more with what was learned
+        learned, sums = statistics.plus(added), StatisticsSums(*(part.copy() for part in sums))
+        for k in again:
+            boxes = None if windows is None else [windows[k]]
+            (found[k],), own = _detect_alike(pixels[k : k + 1], names[k : k + 1], settings, task, boxes, learned)
+            for total, one in zip(sums, own, strict=True):
+                total[k] = one[0]
+    return found, CameraStatistics(names, sums, measured)
+
+
+def _detect_alike(
+    pixels: Sequence[Array],
+    names: tuple[str, ...],
+    settings: DetectionSettings,
+    task: Task,
+    windows: Sequence[Array | None] | None,
+    statistics: CameraStatistics,
+) -> tuple[list[Detections], StatisticsSums]:
+    """Return the detections of images of one size and type, and their sums for the cameras' statistics."""
+    noise, limits = noise_of_set(statistics, names, settings, pixels[0], task.full_dn)
+    images = image_set(pixels, limits)
+    priors = statistics.priors(names)
+    found, measured, sums = detect_frame_set(images, _boxes(windows, images), task, noise, priors)
+    if settings.centroid == "refined" and settings.split_pairs:
+        measured = split_pairs(measured, images, found, priors, task.full_dn)
+    return _detections(names, measured), sums
 
 
 def target_regions(image: Array, settings: DetectionSettings = DEFAULTS, bit_depth: int = 8) -> Array:
@@ -181,10 +223,16 @@ def target_regions(image: Array, settings: DetectionSettings = DEFAULTS, bit_dep
     Targets that touch the image's border are still in it.
     """
     pixels = _foreground(image, "image", bit_depth, None)
-    priors, task = NO_STATISTICS.priors(("image",)), _task(settings, bit_depth, REGIONS_ONLY)
-    (runs, regions, _), _, _ = detect_frame_set(image_set([pixels]), _EVERYWHERE, task, priors)
+    names, task = ("image",), _task(settings, bit_depth, REGIONS_ONLY)
+    statistics = CameraStatistics(
+        names, no_sums(1), measured_backgrounds([pixels], [None], names, settings, NO_STATISTICS)
+    )
+    noise, limits = noise_of_set(statistics, names, settings, pixels, task.full_dn)
+    (runs, regions, _), _, _ = detect_frame_set(
+        image_set([pixels], limits), _EVERYWHERE, task, noise, statistics.priors(names)
+    )
     labels = np.zeros(image.shape, np.int32)
-    for number, (_, first_run, end_run, _) in enumerate(regions, start=1):
+    for number, (_, first_run, end_run, _, _) in enumerate(regions, start=1):
         for row, first, end in runs[first_run:end_run]:
             labels[row, first:end] = number
     return labels
@@ -224,9 +272,8 @@ def _boxes(windows: Sequence[Array | None] | None, images: ImageSet) -> SearchBo
 @lru_cache
 def _task(settings: DetectionSettings, bit_depth: int, method: int) -> Task:
     """Return what is detected in images of this bit depth."""
-    noise = noise_of(settings, bit_depth)
-    model = Model(noise.dark_dn2, noise.gain_dn, float(2**bit_depth - 1))
-    return Task(search_of(settings, bit_depth), method, settings.dilation_px, noise, model)
+    by_noise = settings.thresholds == "noise"
+    return Task(search_of(settings, bit_depth), by_noise, method, settings.dilation_px, float(2**bit_depth - 1))
 
 
 def _detections(cameras: Sequence[str], measured: Measured) -> list[Detections]:

@@ -28,11 +28,12 @@ from mosca.detection.centroid import (
 )
 from mosca.detection.centroid import N_COLUMNS as N_MEASURED
 from mosca.detection.disc_fit.fit_regions import FLAGS, N_COLUMNS, TOUCHING, Priors, refine_regions
-from mosca.detection.disc_fit.gauss_newton import Model
-from mosca.detection.disc_fit.light_offset import N_TALLIES, N_TERMS, StatisticsSums
+from mosca.detection.disc_fit.light_offset import StatisticsSums, no_sums_compiled
 from mosca.detection.images import ImageSet, image_of
 from mosca.detection.merged_targets.pixels import region_mean, region_moments
-from mosca.detection.search import END_RUN, FIRST_RUN, IMAGE, THRESHOLD, FoundRegions, Search
+from mosca.detection.noise_regions import decide_in_set, set_noise
+from mosca.detection.pixel_noise import PixelNoise
+from mosca.detection.search import DARK, END_RUN, FIRST_RUN, FLOOR, GAIN, IMAGE, THRESHOLD, FoundRegions, Search
 from mosca.detection.threshold_regions import find_regions_in_set
 from mosca.numba_support.decorators import kernel, short_kernel, step
 
@@ -55,35 +56,38 @@ class Task(NamedTuple):
     """What is detected, and how it is measured; see ``DetectionSettings``."""
 
     search: Search
+    by_noise: bool
+    """Targets are decided on by the images' noise, else as in the paper."""
     method: int
     dilation_px: int
-    noise: Noise
-    model: Model
+    full_dn: float
+    """Pixels from here on are saturated."""
 
 
 @kernel
 def detect_frame_set(
-    images: ImageSet, boxes: SearchBoxes, task: Task, priors: Priors
+    images: ImageSet, boxes: SearchBoxes, task: Task, noise: PixelNoise, priors: Priors
 ) -> tuple[FoundRegions, Measured, StatisticsSums]:
     """Find the targets of all images of a frame set and measure them.
 
     Returns the sums for the cameras' statistics too, zeros where nothing was refined.
     """
-    n_images = len(images.addresses)
-    bright = scan_set(images, task.search.lowest + 1, boxes)
-    found = find_regions_in_set(bright, task.search)
+    bright = scan_set(images, boxes)
+    if task.by_noise:
+        found = decide_in_set(images, bright, task.search, noise)
+    else:
+        found = find_regions_in_set(bright, task.search)
+        set_noise(found, noise)
     if len(boxes.start) > 0:
         found = regions_within(found, boxes)
     if task.method == REFINED:
-        table, region_of, sums = refine_regions(images, found, priors, task.model)
-        measure_unrefined(images, found, CentroidRule(True, task.dilation_px, task.noise), table, region_of)
+        table, region_of, sums = refine_regions(images, found, priors, task.full_dn)
+        measure_unrefined(images, found, CentroidRule(True, task.dilation_px), table, region_of)
     else:
-        sums = StatisticsSums(
-            np.zeros((n_images, N_TALLIES)), np.zeros((n_images, N_TERMS, N_TERMS)), np.zeros((n_images, N_TERMS, 2))
-        )
+        sums = no_sums_compiled(len(images.addresses))
         some = found.regions if task.method != REGIONS_ONLY else found.regions[:0]
-        rule = CentroidRule(task.method == BACKGROUND, task.dilation_px, task.noise)
-        measured, region_of = measure_regions(images, FoundRegions(found.runs, some, found.lowest), rule)
+        rule = CentroidRule(task.method == BACKGROUND, task.dilation_px)
+        measured, region_of = measure_regions(images, FoundRegions(found.runs, some, found.noise), rule)
         table = np.zeros((len(measured), N_COLUMNS))
         for n in range(len(measured)):
             for k in range(N_MEASURED):
@@ -110,8 +114,9 @@ def measure_unrefined(
             continue
         region = found.regions[region_of[n]]
         own = found.runs[region[FIRST_RUN] : region[END_RUN]]
-        floor = found.lowest[region[IMAGE]]
-        measure_region(image_of(images, region[IMAGE]), own, region[THRESHOLD], floor, rule, table[n])
+        noise = Noise(found.noise[region_of[n], DARK], found.noise[region_of[n], GAIN])
+        limits = (region[THRESHOLD], region[FLOOR])
+        measure_region(image_of(images, region[IMAGE]), own, limits, noise, rule, table[n])
         drawn = (TOUCHING * table[n, DIAMETER]) ** 2
         if not flags & MERGED:
             xx, xy, yy = region_moments(own, region_mean(own))

@@ -17,6 +17,8 @@ class ImageSet(NamedTuple):
 
     addresses: Array
     """Of each image's first pixel (n,) uint64. The caller keeps the images alive."""
+    limits: Array
+    """Of the first pixel of each image's limits (n,) uint64, alike: pixels above theirs are looked at."""
     like: Array
     """Of the pixels' type (0,): uint8 or uint16."""
     height: int
@@ -25,11 +27,11 @@ class ImageSet(NamedTuple):
     """Columns of each image."""
 
 
-def image_set(images: Sequence[Array]) -> ImageSet:
-    """Describe contiguous images (H, W), at least one, of one size and type (uint8 or uint16)."""
+def image_set(images: Sequence[Array], limits: Sequence[Array]) -> ImageSet:
+    """Describe contiguous images (H, W), at least one, and their limits, of one size and type (uint8 or uint16)."""
     height, width = images[0].shape
-    addresses = np.array([image.ctypes.data for image in images], np.uint64)
-    return ImageSet(addresses, _LIKE[images[0].dtype], height, width)
+    addresses = np.array([[part.ctypes.data for part in parts] for parts in (images, limits)], np.uint64)
+    return ImageSet(addresses[0], addresses[1], _LIKE[images[0].dtype], height, width)
 
 
 @step
@@ -43,4 +45,11 @@ def image_of(images: ImageSet, k: int) -> Array:
 def pixels_of(images: ImageSet, k: int) -> Array:
     """Return all pixels (H * W,) of image k, row by row, as a non-owning view."""
     result: Array = array_at(images.addresses[k], images.like, (images.height * images.width,))
+    return result
+
+
+@step
+def limits_of(images: ImageSet, k: int) -> Array:
+    """Return the limits (H * W,) of image k's pixels, row by row, as a non-owning view."""
+    result: Array = array_at(images.limits[k], images.like, (images.height * images.width,))
     return result

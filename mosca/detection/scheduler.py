@@ -2,7 +2,7 @@
 
 from bisect import bisect_right
 from collections import deque
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, field
@@ -25,8 +25,16 @@ others."""
 EARLY_UPDATES = tuple(accumulate([0] + 8 * [1] + 4 * [2] + 3 * [3] + 3 * [4] + 3 * [6] + [8]))
 """Update schedule: every set at first, then when the data grew by about 12 %; the solve costs more than a set."""
 
+REFRESH_PERIOD = 128
+"""Each camera's background is measured in every so many sets: lamps warm up and daylight moves more slowly."""
+
 Detected = tuple[dict[str, Detections], CameraStatistics, float]
 """Detections by camera, what the set adds to the cameras' statistics, and computing time [s]."""
+
+
+def _phase(camera: str) -> int:
+    """Return a number by which cameras that are counted up are updated at different sets, to spread the cost."""
+    return sum(camera.encode())
 
 
 @dataclass(frozen=True)
@@ -53,8 +61,9 @@ class FrameSetDetector:
         shares = max(1, min(split if helpers is not None else 1, len(names)))
         bounds = [len(names) * k // shares for k in range(shares + 1)]
         own, *others = [{n: images[n] for n in names[i:j]} for i, j in pairwise(bounds)]
-        pending = [helpers.submit(self._some, share, statistics) for share in others] if helpers is not None else []
-        detections, added = self._some(own, statistics)
+        again = [name for name in names if (frame_set.pulse + _phase(name)) % REFRESH_PERIOD == 0]
+        pending = [helpers.submit(self._some, share, statistics, again) for share in others] if helpers else []
+        detections, added = self._some(own, statistics, again)
         for future in pending:
             found, new = future.result()
             detections.update(found)
@@ -62,7 +71,7 @@ class FrameSetDetector:
         return {name: detections[name] for name in names}, added, perf_counter() - start
 
     def _some(
-        self, images: Mapping[str, Array], statistics: CameraStatistics
+        self, images: Mapping[str, Array], statistics: CameraStatistics, refresh: Collection[str]
     ) -> tuple[dict[str, Detections], CameraStatistics]:
         """Return the detections of some cameras' images and what they add to the statistics."""
         detections: dict[str, Detections] = {}
@@ -71,7 +80,7 @@ class FrameSetDetector:
             names = [name for name in images if self.bit_depth[name] == depth]
             backgrounds = [self.backgrounds.get(name) for name in names] if self.backgrounds else None
             found, new = detect_with_statistics(
-                [images[name] for name in names], names, self.settings, depth, backgrounds, None, statistics
+                [images[name] for name in names], names, self.settings, depth, backgrounds, None, statistics, refresh
             )
             detections.update(zip(names, found, strict=True))
             added = added.plus(new)
@@ -155,8 +164,7 @@ class DelayedStatistics:
     """One camera's statistics: those of a set are added after ``DELAY`` sets and used from the next update on."""
 
     def __init__(self, camera: str) -> None:
-        # cameras with consecutive numbers are updated at different sets, to spread the cost
-        self._phase = sum(camera.encode()) % UPDATE_PERIOD
+        self._phase = _phase(camera) % UPDATE_PERIOD
         self._used = self._summed = NO_STATISTICS
         self._pending: deque[tuple[int, CameraStatistics]] = deque()
         self._updated = -1

@@ -15,8 +15,13 @@ ROW, FIRST, END, PLACE = range(4)
 """Columns of a table of runs: row, first column, end column, and index of its first pixel among the ``values``, the
 grey values of all bright pixels of an image in raster order."""
 
-IMAGE, FIRST_RUN, END_RUN, THRESHOLD = range(4)
-"""Columns of a table of regions."""
+IMAGE, FIRST_RUN, END_RUN, THRESHOLD, FLOOR = range(5)
+"""Columns of a table of regions: its pixels are above THRESHOLD, what is not above FLOOR is background [DN]."""
+
+
+DARK, GAIN, SLOPE_X, SLOPE_Y = range(4)
+"""Columns of a region's noise: variance [DN^2] = DARK + GAIN * (grey value - background), slope of the background
+[DN/px]."""
 
 
 class Search(NamedTuple):
@@ -42,9 +47,9 @@ class FoundRegions(NamedTuple):
     runs: Array
     """(m, 3) int32 row, first and end column, sorted by image and region."""
     regions: Array
-    """(r, 4) int32 image, first run, end run, threshold [DN]."""
-    lowest: Array
-    """(images,) int32: each image's lowest threshold [DN]."""
+    """(r, 5) int32, columns above."""
+    noise: Array
+    """(r, 4) noise and background of each region, columns below."""
 
 
 @bare_step

@@ -40,7 +40,10 @@ def threshold_sequence(values: Array, search: Search) -> Array:
 @step
 def runs_above(runs: Array, values: Array, level: int) -> Array:
     """Return the runs of pixels above ``level`` within ``runs`` of a lower level."""
-    above = np.empty((len(values), 4), np.int32)
+    room = 0
+    for i in range(len(runs)):
+        room += (runs[i, END] - runs[i, FIRST] + 1) // 2
+    above = np.empty((room, 4), np.int32)
     n = 0
     for i in range(len(runs)):
         x, end = runs[i, FIRST], runs[i, END]
@@ -89,13 +92,27 @@ def blobs_of(runs: Array) -> tuple[Array, Array]:
         start[blob[i] + 2] += 1
     for k in range(2, n_blobs + 2):
         start[k] += start[k - 1]
-    in_order = np.empty((n, 4), np.int32)
+    in_order = np.empty((n, runs.shape[1]), np.int32)
     for i in range(n):
         at = start[blob[i] + 1]
         start[blob[i] + 1] += 1
-        for c in range(4):
+        for c in range(runs.shape[1]):
             in_order[at, c] = runs[i, c]
     return in_order, start[: n_blobs + 1]
+
+
+@bare_step
+def link_to(runs: Array, i: int, j: int, x: int, values: Array, column: int) -> Any:
+    """Return the least grey value on the way from pixel x of run i through run j to ``column``, -1 without a way."""
+    first, end = runs[j, FIRST], runs[j, END]
+    touches = abs(runs[i, ROW] - runs[j, ROW]) == 1 and runs[i, FIRST] <= end and first <= runs[i, END]
+    if not touches or not first <= column < end:
+        return np.int32(-1)
+    start = min(max(x, first), end - 1)
+    least = np.int32(65535)
+    for k in range(runs[j, PLACE] + min(start, column) - first, runs[j, PLACE] + max(start, column) - first + 1):
+        least = min(least, values[k])
+    return least
 
 
 @bare_step
@@ -107,20 +124,30 @@ def survey(
     ``first_run``, ``end_run``: index of the blob's first run and of the one after its last.
 
     From each pixel a path leads along its run to ``column`` and along that column to every other row; the
-    bound is the deepest dip below both ends of such a path. Where a run does not reach the column, or the
-    column leaves the blob, the path is taken to dip to ``lowest``.
+    bound is the deepest dip below both ends of such a path. Where the first or the last run does not reach the
+    column, the path goes on in the next one. Where another run does not reach it, or the column leaves the blob, the
+    path is taken to dip to ``lowest``.
     """
     darkest, peak, dip = np.int32(65535), np.int32(0), np.int32(0)
     low, last_row = np.int32(65535), runs[first_run, ROW] - 1
     for i in range(first_run, end_run):
         first, end, place = runs[i, FIRST], runs[i, END], runs[i, PLACE]
-        if not first <= column < end:
+        nearest = min(max(column, first), end - 1)
+        passed = np.int32(65535)
+        if nearest != column:
+            if i == first_run < end_run - 1:
+                passed = link_to(runs, i, i + 1, nearest, values, column)
+            elif first_run < i == end_run - 1:
+                passed = link_to(runs, i, i - 1, nearest, values, column)
+            else:
+                passed = np.int32(-1)
+        if passed < 0:
             for k in range(place, place + end - first):
                 darkest = min(darkest, values[k])
                 peak = max(peak, values[k])
                 dip = max(dip, values[k] - lowest)
             continue
-        middle = place + column - first
+        middle = place + nearest - first
         left = right = np.int32(0)
         for k in range(place, middle + 1):
             left = max(left, values[k])
@@ -133,13 +160,14 @@ def survey(
             dip = max(dip, values[k] - valley)
         darkest = min(darkest, valley)
         here = max(left, right)
-        low = min(low, values[middle])
+        passed = min(passed, values[middle])
+        low = min(low, passed)
         if runs[i, ROW] != last_row + 1:
             low = min(low, np.int32(lowest))
         last_row = runs[i, ROW]
         dip = max(dip, min(here, peak) - low)
         if here > peak:
-            peak, low = here, values[middle]
+            peak, low = here, passed
     return darkest, peak, dip
 
 
@@ -219,13 +247,51 @@ def passes_below(runs: Array, values: Array, box: tuple[int, int, int, int], mos
     return False
 
 
+@bare_step
+def write_whole(
+    runs: Array, begin: int, end: int, told: tuple[int, int, int], found: Array, regions: Array, n: int, r: int
+) -> tuple[int, int]:
+    """Write a blob as a target, from run n and region r on; return where both end.
+
+    ``told``: image, threshold, floor.
+    """
+    regions[r, 0], regions[r, 1], regions[r, 2], regions[r, 3], regions[r, 4] = (
+        told[0],
+        n,
+        n + end - begin,
+        told[1],
+        told[2],
+    )
+    for i in range(begin, end):
+        found[n, 0], found[n, 1], found[n, 2] = runs[i, ROW], runs[i, FIRST], runs[i, END]
+        n += 1
+    return n, r + 1
+
+
+@bare_step
+def write_grown(
+    thresholds: Array, runs: Array, told: tuple[int, int], found: Array, regions: Array, n: int, r: int
+) -> tuple[int, int]:
+    """Write the targets that ``grow_regions`` returns, as ``write_whole``. ``told``: image, floor."""
+    i = 0
+    for k in range(len(thresholds)):
+        regions[r, 0], regions[r, 1], regions[r, 3], regions[r, 4] = told[0], n, thresholds[k], told[1]
+        while i < len(runs) and runs[i, 0] == k:
+            found[n, 0], found[n, 1], found[n, 2] = runs[i, 1], runs[i, 2], runs[i, 3]
+            i += 1
+            n += 1
+        regions[r, 2] = n
+        r += 1
+    return n, r
+
+
 @step
 def find_regions(
     runs: Array, values: Array, search: Search, image: int, found: Array, regions: Array, n: int, r: int
-) -> tuple[int, int, int]:
-    """Write the targets of one image, from run n and region r on; return where both end, and the lowest threshold.
+) -> tuple[int, int]:
+    """Write the targets of one image, from run n and region r on; return where both end.
 
-    ``found`` (m, 3) and ``regions`` (k, 4): as ``find_regions_in_set`` returns them.
+    ``found`` (m, 3) and ``regions`` (k, 5): as ``find_regions_in_set`` returns them.
     """
     thresholds = threshold_sequence(values, search)
     lowest = thresholds[-1]
@@ -253,23 +319,11 @@ def find_regions(
             # Two disjoint regions are accepted only with a dip between their summits to the threshold of
             # one of them, that is by more than B + 1, since Bmax - Bmin > B and Bmin > threshold. No path
             # here dips as deep, so N < 2 at every threshold and the whole blob is the region.
-            regions[r, 0], regions[r, 1], regions[r, 2], regions[r, 3] = image, n, n + end - begin, lowest
-            r += 1
-            for i in range(begin, end):
-                found[n, 0], found[n, 1], found[n, 2] = runs[i, ROW], runs[i, FIRST], runs[i, END]
-                n += 1
+            n, r = write_whole(runs, begin, end, (image, lowest, lowest), found, regions, n, r)
             continue
         grown_thresholds, grown_runs = grow_regions(runs[begin:end], values, thresholds, search)
-        i = 0
-        for k in range(len(grown_thresholds)):
-            regions[r, 0], regions[r, 1], regions[r, 3] = image, n, grown_thresholds[k]
-            while i < len(grown_runs) and grown_runs[i, 0] == k:
-                found[n, 0], found[n, 1], found[n, 2] = grown_runs[i, 1], grown_runs[i, 2], grown_runs[i, 3]
-                i += 1
-                n += 1
-            regions[r, 2] = n
-            r += 1
-    return n, r, lowest
+        n, r = write_grown(grown_thresholds, grown_runs, (image, lowest), found, regions, n, r)
+    return n, r
 
 
 @step
@@ -277,11 +331,10 @@ def find_regions_in_set(bright: BrightPixels, search: Search) -> FoundRegions:
     """Find the targets of all images of a frame set among the pixels above the lowest threshold."""
     values, run_start, value_start = bright.values, bright.run_start, bright.value_start
     n_images = len(run_start) - 1
-    lowest = np.empty(n_images, np.int32)
-    found, regions = np.empty((len(values), 3), np.int32), np.empty((len(values), 4), np.int32)
-    n, r = 0, 0
+    found, regions = np.empty((len(values), 3), np.int32), np.empty((len(values), 5), np.int32)
+    n, r = np.int64(0), np.int64(0)
     for i in range(n_images):
         own_runs = bright.runs[run_start[i] : run_start[i + 1]]
         own_values = values[value_start[i] : value_start[i + 1]]
-        n, r, lowest[i] = find_regions(own_runs, own_values, search, i, found, regions, n, r)
-    return FoundRegions(found[:n], regions[:r], lowest)
+        n, r = find_regions(own_runs, own_values, search, i, found, regions, n, r)
+    return FoundRegions(found[:n], regions[:r], np.empty((r, 4)))

@@ -21,8 +21,10 @@ def _instruction(code: Any) -> Any:
 
 
 @_instruction
-def bright_mask(_context: Any, address: Any, like: Any, level: Any) -> Any:
-    """Return which of the 64 pixels from ``address`` (uint64) on are above ``level``: bit k of an int64 for pixel k.
+def bright_mask(_context: Any, address: Any, like: Any, limits: Any) -> Any:
+    """Return which of the 64 pixels from ``address`` (uint64) on exceed those from ``limits`` (uint64) on.
+
+    Bit k of an int64 for pixel k.
 
     Pixels are of the type of the array ``like``, unsigned. One compare of 64 lanes, which the compiler cuts into
     those of the machine.
@@ -31,15 +33,12 @@ def bright_mask(_context: Any, address: Any, like: Any, level: Any) -> Any:
     def code(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
         pixel = ir.IntType(like.dtype.bitwidth)
         lanes = ir.VectorType(pixel, 64)
-        pixels = builder.load(builder.inttoptr(arguments[0], lanes.as_pointer()), align=pixel.width // 8)
-        limit = builder.insert_element(
-            ir.Constant(lanes, ir.Undefined), builder.trunc(arguments[2], pixel), ir.IntType(32)(0)
+        pixels, limits = (
+            builder.load(builder.inttoptr(arguments[k], lanes.as_pointer()), align=pixel.width // 8) for k in (0, 2)
         )
-        everywhere = ir.Constant(ir.VectorType(ir.IntType(32), 64), [0] * 64)
-        limits = builder.shuffle_vector(limit, ir.Constant(lanes, ir.Undefined), everywhere)
         return builder.bitcast(builder.icmp_unsigned(">", pixels, limits), ir.IntType(64))
 
-    return types.int64(types.uint64, like, types.int64), code
+    return types.int64(types.uint64, like, types.uint64), code
 
 
 @_instruction

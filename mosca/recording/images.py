@@ -1,8 +1,8 @@
 """One image file to one mono image, or to the reason why not.
 
 Decoders differ in what they do with a file that was cut short: some give the part they got. So whether a
-PNG, TIFF or BMP is whole is checked here before OpenCV decodes it; and how much memory it would take, since a header
-may state any size.
+PNG, TIFF, BMP or JPEG is whole is checked here before OpenCV decodes it; and how much memory it would take, since a
+header may state any size.
 
 Colour is reduced to mono by one rule: luma of ITU-R BT.601, ``0.299 R + 0.587 G + 0.114 B`` rounded, as
 ``cv2.COLOR_BGR2GRAY`` has it; an alpha channel is dropped. Mono images stay as they are, 8 or 16 bit.
@@ -17,7 +17,7 @@ import numpy as np
 from mosca.data.arrays import Array
 from mosca.data.files.bounded import MOST_IMAGE_BYTES
 
-IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".bmp")
+IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".bmp", ".jpg", ".jpeg")
 # ImageWidth, ImageLength, BitsPerSample, PhotometricInterpretation, StripOffsets, SamplesPerPixel, StripByteCounts,
 # TileWidth, TileLength, TileOffsets, TileByteCounts
 _TIFF_TAGS = (256, 257, 258, 262, 273, 277, 279, 322, 323, 324, 325)
@@ -49,7 +49,7 @@ def decode_image(data: bytes) -> tuple[Array | None, str]:
 
 
 def what_is_missing(data: bytes) -> str:
-    """Return "" for a whole PNG, TIFF or BMP file that can be held, else what is wrong with it, in words."""
+    """Return "" for a whole PNG, TIFF, BMP or JPEG file that can be held, else what is wrong with it, in words."""
     if not data:
         return "empty file"
     if data.startswith(_PNG):
@@ -58,7 +58,9 @@ def what_is_missing(data: bytes) -> str:
         return _missing_in_bmp(data)
     if data[:4] in (b"II*\0", b"MM\0*"):
         return _missing_in_tiff(data)
-    return "neither PNG, TIFF nor BMP"
+    if data[:3] == b"\xff\xd8\xff":
+        return _missing_in_jpeg(data)
+    return "neither PNG, TIFF, BMP nor JPEG"
 
 
 def _too_large(width: int, height: int, pixel_bytes: int) -> str:
@@ -96,6 +98,23 @@ def _missing_in_bmp(data: bytes) -> str:
     if fault := _too_large(abs(width), abs(height), 4):
         return fault
     return f"BMP cut short: {len(data)} of {declared} bytes" if declared > len(data) else ""
+
+
+def _missing_in_jpeg(data: bytes) -> str:
+    """Walk the segments up to the scan (ISO/IEC 10918-1, B.1.1): marker, length; a whole file has an end after it."""
+    place = 2
+    while place + 9 <= len(data) and data[place] == 0xFF:
+        kind = data[place + 1]
+        (length,) = struct.unpack_from(">H", data, place + 2)
+        if 0xC0 <= kind <= 0xCF and kind not in (0xC4, 0xC8, 0xCC):
+            height, width = struct.unpack_from(">HH", data, place + 5)
+            if fault := _too_large(width, height, 4):
+                return fault
+        if kind == 0xDA:
+            return "" if data.rfind(b"\xff\xd9", place) > 0 else f"JPEG cut short at byte {len(data)}"
+        # a filling byte may stand before a marker
+        place += 1 if kind == 0xFF else 2 + length
+    return "JPEG cut short or damaged in its header"
 
 
 def _missing_in_tiff(data: bytes) -> str:

@@ -15,18 +15,22 @@ from mosca.recording.writer import MCAP_NAME, PART_NAME
 
 Recording = McapRecording | NumberedRecording
 WANTED = (
-    "wanted is recording.mcap, a folder of numbered images (png, tif, bmp) for each camera, "
-    "or a video (mp4, mkv, avi) for each camera"
+    "wanted is recording.mcap, a folder of numbered images (png, tif, bmp, jpg) for each camera, "
+    "or a video (mp4, mkv, avi, mov) for each camera, itself or in a folder called like the camera"
 )
 
 
-def open_recording(path: Path, rig: Rig | None = None, fps: float | None = None) -> Recording:
+def open_recording(
+    path: Path, rig: Rig | None = None, fps: float | None = None, *, times_matter: bool = True
+) -> Recording:
     """Open the recording in folder ``path`` as a FrameSource.
 
     ``rig``: read its cameras only, in its order and under its names; a camera ``cam1`` reads the entry
     ``cam1``, else the only entry whose name ends with it (``Images_cam1``). Without a rig every folder of
-    numbered images (else every video) is a camera, in order of name. ``fps``: frame rate [1/s], needed
-    where there is no ``frames.csv``; a ``recording.mcap`` carries its own times and needs none.
+    numbered images (else every video) is a camera, in order of name; where there is neither, every folder in which
+    one other holds numbered images or which holds one video. ``fps``: frame rate [1/s], needed where there is no
+    ``frames.csv``; a ``recording.mcap`` carries its own times and needs none. ``times_matter``: False where only
+    frames of one number must belong together, as in a calibration; then no rate is needed.
 
     Raises InputError where there is no recording, a camera is missing, the images are not of the size that
     the rig states, or the frame rate is unknown.
@@ -41,7 +45,7 @@ def open_recording(path: Path, rig: Rig | None = None, fps: float | None = None)
     for name in (MCAP_NAME, PART_NAME):
         if (path / name).exists():
             return _open_mcap(path / name, rig)
-    return _open_numbered(path, rig, fps)
+    return _open_numbered(path, rig, fps, times_matter)
 
 
 def _open_mcap(path: Path, rig: Rig | None) -> McapRecording:
@@ -51,25 +55,21 @@ def _open_mcap(path: Path, rig: Rig | None) -> McapRecording:
     return recording
 
 
-def _open_numbered(path: Path, rig: Rig | None, fps: float | None) -> NumberedRecording:
-    entries = _sorted(path)
-    folders = {e.name: e for e in entries if e.is_dir() and has_numbered_images(e)}
-    videos = {e.stem: e for e in entries if e.is_file() and e.suffix.lower() in VIDEO_SUFFIXES}
-    if not folders and not videos:
-        loose = f"; numbered images lie in {path} itself" if has_numbered_images(path) else ""
-        raise InputError(f"{path}: no recording in it{loose}; {WANTED}")
-    use_folders = bool(folders) and (rig is None or not videos or _all_found(folders, rig.names))
-    cameras = folders if use_folders else videos
+def _open_numbered(path: Path, rig: Rig | None, fps: float | None, times_matter: bool) -> NumberedRecording:
+    cameras, use_folders = _cameras(path, rig)
     names = rig.names if rig is not None else tuple(cameras)
-    found = {name: cameras[_match(name, tuple(cameras), path)] for name in names}
+    entries = {name: _match(name, tuple(cameras), path) for name in names}
+    found = {name: cameras[entry] for name, entry in entries.items()}
     table = path / "frames.csv"
     if not table.exists() and fps is None:
         stated = None if use_folders else stated_rate_hz(next(iter(found.values())))
-        said = f" (the video states {stated:g})" if stated else ""
-        raise InputError(f"{path}: no frames.csv says when its frames were taken; pass --fps{said}")
+        if times_matter:
+            said = f" (the video states {stated:g})" if stated else ""
+            raise InputError(f"{path}: no frames.csv says when its frames were taken; pass --fps{said}")
+        fps = stated or 1.0
     table_stamps = None
     if table.exists():
-        entries_of = {entry.name if entry.is_dir() else entry.stem: name for name, entry in found.items()}
+        entries_of = {entry: name for name, entry in entries.items()}
         table_stamps = read_stamps(table, entries_of, fps)
     rate_hz = table_stamps.rate_hz if table_stamps is not None else fps or 0.0
     feeds: list[FolderFeed | VideoFeed] = []
@@ -85,6 +85,38 @@ def _open_numbered(path: Path, rig: Rig | None, fps: float | None) -> NumberedRe
     first, last = _span(feeds, table_stamps, path)
     stamps: Stamps = table_stamps if table_stamps is not None else EvenStamps(rate_hz, first)
     return NumberedRecording(tuple(feeds), first, last, stamps, tuple(notes))
+
+
+def _cameras(path: Path, rig: Rig | None) -> tuple[dict[str, Path], bool]:
+    """Return the folder of images or the video of each camera in ``path``, and whether they are folders."""
+    entries = _sorted(path)
+    folders = {e.name: e for e in entries if e.is_dir() and has_numbered_images(e)}
+    videos = _videos(entries)
+    if not folders and not videos:
+        inside = {e.name: _sorted(e) for e in entries if e.is_dir()}
+        for name, within in inside.items():
+            # as other programs keep them: camera/calibration_images/...
+            deeper = [e for e in within if e.is_dir()]
+            full = [e for e in deeper if has_numbered_images(e)]
+            here = _videos(within) or _videos([file for e in deeper for file in _sorted(e)])
+            if len(full) + len(here) > 1:
+                raise InputError(
+                    f"{path / name}: {len(full)} folders of images and {len(here)} videos; keep one for each camera"
+                )
+            folders.update((name, e) for e in full)
+            videos.update((name, e) for e in here.values())
+    if not folders and not videos:
+        loose = f"; numbered images lie in {path} itself" if has_numbered_images(path) else ""
+        raise InputError(f"{path}: no recording in it{loose}; {WANTED}")
+    use_folders = bool(folders) and (rig is None or not videos or _all_found(folders, rig.names))
+    return (folders if use_folders else videos), use_folders
+
+
+def _videos(entries: Sequence[Path]) -> dict[str, Path]:
+    """Return the videos by name without suffix; of one name in several containers the first of VIDEO_SUFFIXES."""
+    files = [e for e in entries if e.suffix.lower() in VIDEO_SUFFIXES and e.is_file()]
+    files.sort(key=lambda file: -VIDEO_SUFFIXES.index(file.suffix.lower()))
+    return dict(sorted((file.stem, file) for file in files))
 
 
 def _span(feeds: Sequence[FolderFeed | VideoFeed], table: TableStamps | None, path: Path) -> tuple[int, int]:

@@ -30,7 +30,7 @@ from mosca.recording.folder import check_size
 from mosca.recording.image_sequence import dropped_frame, numbered_frame
 from mosca.recording.stamps import Stamps
 
-VIDEO_SUFFIXES = (".mp4", ".mkv", ".avi")
+VIDEO_SUFFIXES = (".mp4", ".mkv", ".avi", ".mov")
 LARGEST_PX = 1 << 26
 """Of an image [px]; 8K has half of it. A decoder keeps several images, up to 8 bytes a pixel."""
 _OPTIONS = {

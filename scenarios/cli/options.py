@@ -55,7 +55,7 @@ FILE = click.Path(path_type=Path)
 OUT_FILE, OUT_FOLDER = OutFile(), OutFolder(path_type=Path)
 LAG = click.option("--lag", type=int, metavar="FRAMES", help="smooth each position with so many frames after it")
 SET = click.option(
-    "--set", "overrides", multiple=True, metavar="KEY=VALUE", help="change a setting, e.g. detection.contrast_dn=10"
+    "--set", "overrides", multiple=True, metavar="KEY=VALUE", help="change a setting, e.g. detection.false_alarms=0.1"
 )
 POSITIVE = Number(min=0, min_open=True)
 LOGGERS = ("mosca", "twin", "hardware", "scenarios")

@@ -6,7 +6,7 @@ from typing import Any, Literal
 import click
 
 from mosca.errors import InputError
-from scenarios.cli.options import FILE, OUT_FILE, POSITIVE, Number, echo_lines
+from scenarios.cli.options import FILE, OUT_FILE, POSITIVE, SET, Number, echo_lines
 from scenarios.cli.progress import Progress
 
 
@@ -24,7 +24,7 @@ from scenarios.cli.progress import Progress
 @click.option(
     "--free",
     metavar="NAME,NAME...",
-    help="lens parameters to estimate  [default: all; of measured points those that they determine]",
+    help="lens parameters to estimate  [default: all; of a wand or measured points those that they determine]",
 )
 @click.option(
     "--pixel-pitch-mm",
@@ -58,6 +58,10 @@ from scenarios.cli.progress import Progress
     type=click.IntRange(min=0),
     help="frame set in which field or board is the world  [default: the first]",
 )
+@click.option(
+    "--leave-out-unseen", is_flag=True, help="calibrate the others where a camera saw too little of the target"
+)
+@SET
 def calibrate(**given: Any) -> None:
     """Calibrate cameras from images of a target: interior and exterior orientation, with precision and verdict.
 
@@ -133,7 +137,7 @@ def rig_check(path: Path | None, devices: bool, live: bool, flash: Path | None, 
             "synchronised"
         )
     else:
-        from scenarios.commands.calibrate import describe_rig
+        from scenarios.commands.describe_rig import describe_rig
 
         lines = list(describe_rig(path))
     echo_lines(lines)

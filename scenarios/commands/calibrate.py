@@ -6,25 +6,23 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
-import numpy as np
-
 from mosca.calibration.session import EstimateSettings, Shown, calibrate_session
 from mosca.calibration.single_camera.adjust import AdjustmentSettings
 from mosca.calibration.single_camera.from_points import calibrate_from_points, summary
 from mosca.calibration.single_camera.interior_orientation import LensChoice
 from mosca.calibration.targets.read_session import check_shown
 from mosca.calibration.targets.reader import reader_of
-from mosca.camera.projection import lens_directions
 from mosca.data.calibration import Calibration
 from mosca.data.files.rig_file import read_rig, write_rig
 from mosca.data.files.target_file import PointsTarget, read_target_file
 from mosca.data.files.whole_file import check_writable
-from mosca.data.rig import Rig
 from mosca.data.targets import ScaleBar
-from mosca.data.wands import LFrame
+from mosca.data.wands import LFrame, Wand
+from mosca.detection.detect import DetectionSettings
 from mosca.errors import CalibrationError, InputError
 from mosca.recording import open_recording
 from reports.calibration_page import write_calibration_page
+from scenarios.commands.reconstruct import reconstruct_settings, reconstruct_spec
 
 LOG = logging.getLogger(__name__)
 T = TypeVar("T", LFrame, ScaleBar)
@@ -47,12 +45,29 @@ class CalibrateOptions:
     fps: float | None = None
     every: int = 1
     reference: int | None = None
+    leave_out_unseen: bool = False
+    overrides: tuple[str, ...] = ()
 
     def settings(self) -> EstimateSettings:
         """Return what is estimated, and from which frame sets."""
         free = None if self.free is None else tuple(name.strip() for name in self.free.split(","))
         lens = LensChoice(self.lens or "mosca", self.pixel_pitch_mm)
-        return EstimateSettings(lens, free, self.exterior_only, self.every, self.reference)
+        return EstimateSettings(
+            lens,
+            free,
+            self.exterior_only,
+            self.every,
+            self.reference,
+            self.detection(),
+            leave_out_unseen=self.leave_out_unseen,
+        )
+
+    def detection(self) -> DetectionSettings:
+        """Return the detection settings of balls; InputError for keys of other stages, and where nothing detects."""
+        for text in self.overrides:
+            if not text.startswith("detection."):
+                raise InputError(f"--set {text}: a calibration has the settings of detection.KEY=VALUE alone")
+        return reconstruct_settings(reconstruct_spec(None, self.overrides)).detection
 
 
 def calibrate(request: CalibrateOptions, progress: Callable[[int, int | None], None]) -> list[str]:
@@ -69,18 +84,20 @@ def calibrate(request: CalibrateOptions, progress: Callable[[int, int | None], N
     target = read_target_file(request.target)
     if isinstance(target, PointsTarget):
         return _from_points(request, target, settings)
+    if request.overrides and request.axes is None and not isinstance(target, Wand):
+        raise InputError(f"--set {request.overrides[0]}: balls alone are detected; {request.target} describes none")
     known = None if request.known is None else read_rig(request.known)
     if settings.exterior_only and known is None:
         raise InputError("--exterior-only keeps the lenses of an earlier rig; give it with --known RIG.toml")
     page = out.with_suffix(".html")
     LOG.info("%s: target %s, reading images and adjusting", request.recording, request.target)
-    with open_recording(request.recording, known, request.fps) as source:
+    with open_recording(request.recording, known, request.fps, times_matter=False) as source:
         check_shown(
             source, lambda: reader_of(target, settings.detection), source.n_frames, settings.every,
             lambda n: progress(n, None),
         )  # fmt: skip
     calibration, evidence = calibrate_session(
-        Shown(target, lambda rig: open_recording(request.recording, rig, request.fps)),
+        Shown(target, lambda rig: open_recording(request.recording, rig, request.fps, times_matter=False)),
         settings,
         axes=_shown(request.axes, LFrame, "--axes", request.fps),
         lengths=_shown(request.lengths, ScaleBar, "--lengths", request.fps),
@@ -114,40 +131,6 @@ def summary_lines(calibration: Calibration) -> list[str]:
     return lines + [f"{mark[one.severity]} {one.code}: {one.message}" for one in calibration.findings]
 
 
-def describe_rig(path: Path) -> list[str]:
-    """Return what a rig's cameras are and how far their views overlap, a line each."""
-    rig = read_rig(path)
-    lines = [
-        f"{c.name}: {c.lens.model} lens, {c.width} x {c.height} px, {_view(rig, c.name)}, at "
-        f"({', '.join(f'{x:.3f}' for x in c.world_from_camera.translation)}) m"
-        for c in rig.cameras
-    ]
-    return lines + _overlaps(rig)
-
-
-def _view(rig: Rig, name: str) -> str:
-    """Return how wide a camera sees, from the middles of its image's edges."""
-    camera = rig.camera(name)
-    middle_x, middle_y = (camera.width - 1) / 2, (camera.height - 1) / 2
-    edges = np.array([[0, middle_y], [camera.width - 1, middle_y], [middle_x, 0], [middle_x, camera.height - 1]])
-    v = lens_directions(camera.lens, edges)
-    angles = [np.degrees(np.arccos(np.clip(v[k] @ v[k + 1], -1, 1))) for k in (0, 2)]
-    return f"sees {angles[0]:.0f} x {angles[1]:.0f} deg"
-
-
-def _overlaps(rig: Rig) -> list[str]:
-    from scenarios.build.cameras import overlap_of
-
-    lines = []
-    for k, camera in enumerate(rig.cameras):
-        for other in rig.cameras[k + 1 :]:
-            share = overlap_of(camera, other)
-            lines.append(
-                f"{camera.name} - {other.name}: {100 * share:.0f} % of the first one's view can be seen by the second"
-            )
-    return lines
-
-
 def _from_points(request: CalibrateOptions, target: PointsTarget, settings: EstimateSettings) -> list[str]:
     for option, given in (
         ("--known", request.known),
@@ -155,6 +138,8 @@ def _from_points(request: CalibrateOptions, target: PointsTarget, settings: Esti
         ("--lengths", request.lengths),
         ("--exterior-only", settings.exterior_only or None),
         ("--reference", settings.reference),
+        ("--set", request.overrides or None),
+        ("--leave-out-unseen", request.leave_out_unseen or None),
     ):
         if given is not None:
             raise InputError(f'{option}: not with kind = "points", whose points are in the world already')
@@ -172,4 +157,4 @@ def _shown(paths: tuple[Path, Path] | None, kind: type[T], option: str, fps: flo
     target = read_target_file(file)
     if not isinstance(target, kind):
         raise InputError(f"{option} {file}: describes a {type(target).__name__}; a {kind.__name__} is wanted")
-    return Shown(target, lambda rig: open_recording(recording, rig, fps))
+    return Shown(target, lambda rig: open_recording(recording, rig, fps, times_matter=False))

@@ -135,7 +135,10 @@ def reconstruct_recording(
 def _why_no_tracks(counts: Array, settings: PipelineSettings) -> str:
     """Return advice by the first stage without results; ``counts``: sets, detections, points."""
     if counts[1] == 0:
-        return f"no detections: look at detection.contrast_dn ({settings.detection.contrast_dn:g})"
+        detection = settings.detection
+        if detection.thresholds == "noise":
+            return f"no detections: look at detection.false_alarms ({detection.false_alarms:g}) and sizes"
+        return f"no detections: look at detection.contrast_dn ({detection.paper_thresholds()[0]:g}) and sizes"
     if counts[2] == 0:
         return (
             "no points: look at the rig, [volume], match.camera_sigma_px "

@@ -3,23 +3,26 @@ instants.
 """
 
 import json
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
-from mosca.continuous.association.associate import AssociationSettings
+from mosca.continuous.association.associate import AssociationSettings, gather_seen
+from mosca.continuous.association.frame_detections import FrameCount
+from mosca.continuous.association.given_points import gather_named, seen_in_table
 from mosca.continuous.estimator.estimate import ContinuousSettings
-from mosca.continuous.moving_cameras.body_worn import reconstruct_worn
-from mosca.continuous.reconstruct import Reconstructed, reconstruct
+from mosca.continuous.moving_cameras.body_worn import Lamps, reconstruct_worn
+from mosca.continuous.reconstruct import Reconstructed, reconstruct, reconstruct_gathered
 from mosca.data.arrays import Array
 from mosca.data.files.rig_file import read_rig
 from mosca.data.files.whole_file import whole_file
 from mosca.data.frames import FrameSource
 from mosca.data.rig import Rig
 from mosca.errors import InputError
+from mosca.formats.image_points import read_image_points
 from mosca.formats.tracks.tracks_file import check_tracks_file, write_tracks
 from mosca.recording import McapRecording, open_recording
 from scenarios.build.cameras import overlap_of
@@ -73,28 +76,15 @@ def reconstruct_continuous(
     if lamps is None:
         check_overlap(rig, rig_path)
     spec = reconstruct_spec(settings_path, overrides)
-    pipeline = reconstruct_settings(spec, settings_path)
-    backgrounds = recorded_backgrounds(recording, rig, fps, spec.background)
-    with open_recording(recording, rig, fps) as opened, between_steps() as stop:
-        source: FrameSource = opened
-        if isinstance(opened, McapRecording) and opened.holds == "detections":
-            raise InputError(
-                f"{recording}: holds detections of frame sets, not images; --continuous needs each camera's frames"
-            )
-        if any(info.name not in rig.names for info in source.cameras):
-            source = SelectedCameras(source, rig.names)
-
-        def attend(done: int) -> None:
-            stop()
-            if progress is not None:
-                progress(done, done)
-
-        gathering = AssociationSettings(pipeline, options.clocks, options.search_s)
-        wanted = ContinuousSettings(clocks="known", limbs=options.limbs)
-        if lamps is None:
-            found = reconstruct(source, rig, gathering, wanted, backgrounds, attend)
-        else:
-            found = reconstruct_worn(source, rig, *lamps, gathering, wanted, backgrounds, attend).reconstructed
+    gathering = AssociationSettings(reconstruct_settings(spec, settings_path), options.clocks, options.search_s)
+    wanted = ContinuousSettings(clocks="known", limbs=options.limbs)
+    if recording.suffix == ".csv":
+        if lamps is not None:
+            raise InputError(f"{recording}: a table of image points has no lamps to read; leave --worn out")
+        found = _of_table(recording, rig, fps, gathering, wanted)
+    else:
+        backgrounds = recorded_backgrounds(recording, rig, fps, spec.background)
+        found = _of_images(recording, rig, fps, gathering, wanted, backgrounds, lamps, progress)
     rate = options.rate_hz or max(1.0 / one.period_s for one in found.gathered.seen)
     tracks = found.tracks(grid_ns(found, rate))
     write_tracks(tracks, out, rate)
@@ -114,6 +104,47 @@ def reconstruct_continuous(
         *_without_stamps(recording, fps, options),
         *found.findings,
     ]
+
+
+def _of_table(
+    path: Path, rig: Rig, fps: float | None, gathering: AssociationSettings, wanted: ContinuousSettings
+) -> Reconstructed:
+    """Return what a table of image points gives."""
+    table = read_image_points(path, fps)
+    seen, names = seen_in_table(table, rig)
+    if (table.point != "").all():
+        return reconstruct_gathered(gather_named(seen, names, rig, gathering), rig, wanted)
+    # a table states no sizes that could tell what is partly hidden
+    pipeline = gathering.pipeline
+    pipeline = replace(pipeline, match=replace(pipeline.match, judge_sizes=False))
+    count = FrameCount({one.info.name: len(one.frame_ns) for one in seen})
+    gathered = gather_seen(seen, rig, replace(gathering, pipeline=pipeline), count)
+    return reconstruct_gathered(gathered, rig, wanted)
+
+
+def _of_images(
+    recording: Path, rig: Rig, fps: float | None, gathering: AssociationSettings, wanted: ContinuousSettings,
+    backgrounds: Mapping[str, Array], lamps: tuple[tuple[str, ...], Lamps] | None,
+    progress: Callable[[int, int], None] | None
+) -> Reconstructed:  # fmt: skip
+    """Return what a recording's images give."""
+    with open_recording(recording, rig, fps) as opened, between_steps() as stop:
+        source: FrameSource = opened
+        if isinstance(opened, McapRecording) and opened.holds == "detections":
+            raise InputError(
+                f"{recording}: holds detections of frame sets, not images; --continuous needs each camera's frames"
+            )
+        if any(info.name not in rig.names for info in source.cameras):
+            source = SelectedCameras(source, rig.names)
+
+        def attend(done: int) -> None:
+            stop()
+            if progress is not None:
+                progress(done, done)
+
+        if lamps is None:
+            return reconstruct(source, rig, gathering, wanted, backgrounds, attend)
+        return reconstruct_worn(source, rig, *lamps, gathering, wanted, backgrounds, attend).reconstructed
 
 
 def _without_stamps(recording: Path, fps: float | None, options: ContinuousOptions) -> list[str]:

@@ -158,15 +158,18 @@ def update_baselines(outcomes: Sequence[Outcome], baselines: Path, replicates: S
     """Write the records as the new baselines; refuses while any scenario failed.
 
     ``replicates``: folders of suite runs of the same product with other processor features; each metric's spread
-    among them goes into its baseline.
+    among them goes into its baseline. Without them, the spreads of the baselines that are replaced are kept.
     """
     failed = [o.name for o in outcomes if not o.passed]
     if failed:
         raise InputError(f"baselines are not updated while {', '.join(failed)} failed; mend that first")
     records = [o.record for o in outcomes if o.record is not None]
-    stated = [_with_spread(r, [read_record(f / r.scenario / "record.json") for f in replicates]) for r in records]
-    for record in stated:
-        path = baseline_path(record.scenario, baselines)
+    paths = [baseline_path(record.scenario, baselines) for record in records]
+    if replicates:
+        stated = [_with_spread(r, [read_record(f / r.scenario / "record.json") for f in replicates]) for r in records]
+    else:
+        stated = [_with_spread_of(r, path) for r, path in zip(records, paths, strict=True)]
+    for record, path in zip(stated, paths, strict=True):
         path.parent.mkdir(parents=True, exist_ok=True)
         write_record(replace(record, timings={}), path)
 
@@ -180,6 +183,15 @@ def _with_spread(record: RunRecord, others: Sequence[RunRecord]) -> RunRecord:
         known = 0 < len(values) == len(others) and bool(np.isfinite(changes).all())
         metrics.append(replace(metric, spread=float(changes.max()) if known else None))
     return replace(record, metrics=tuple(metrics))
+
+
+def _with_spread_of(record: RunRecord, path: Path) -> RunRecord:
+    """Return the record with the spreads that the baseline at ``path`` states, where there is one."""
+    if not path.is_file():
+        return record
+    old = read_record(path)
+    known = {metric.name: metric.spread for metric in old.metrics}
+    return replace(record, metrics=tuple(replace(m, spread=known.get(m.name)) for m in record.metrics))
 
 
 def baseline_path(name: str, baselines: Path) -> Path:

@@ -7,8 +7,8 @@ one, the standing long jump, is table 1). Data: ``$MOSCA_DATA/cmu_mocap``.
 RMSE [mm] of all points over all frames that the three cameras span. "known": cameras as they are, nothing aligned.
 "moving": a pose of its own at every instant, as the paper's worn cameras have; datum is the first camera's pose and
 its distance to the second; errors after one similarity for the whole motion. "fixed": one unknown pose for each
-camera. Camera: rms error of the projection centres after the same similarity. Floor: a cubic spline fitted to the
-truth itself with a knot each 4.5 frames, the most that the data can determine (six numbers each nine frames).
+camera. Camera: rms error of the projection centres after the same similarity. Equal knots: a cubic spline fitted to
+the truth itself with a knot each 4.5 frames, as many as six numbers each nine frames determine; no lower bound.
 ``--worn``: the cameras sit on belly, left wrist and right shin of the actor and move with them; errors after a
 similarity for each frame, because such cameras have no datum in the world.
 """
@@ -39,7 +39,7 @@ from tests.studies.unsynchronised import (
     MOTIONS,
     TUNING,
     Score,
-    floor_m,
+    equal_knots_m,
     observe,
     read_points,
     score,
@@ -59,7 +59,7 @@ Row = dict[tuple[str, str, bool], Score]
 
 
 def measured(name: str, cameras: list[str], methods: list[str], is_worn: bool) -> tuple[Row, float]:
-    """Return scores by (cameras, method, with epipoles) of one motion, and its floor [m]."""
+    """Return scores by (cameras, method, with epipoles) of one motion, and what equal knots leave [m]."""
     truth = read_points(DATA, name)
     rig, paths = worn(DATA, name) if is_worn else (surround(truth), None)
     see = observe(truth, rig, paths=paths)
@@ -85,7 +85,7 @@ def measured(name: str, cameras: list[str], methods: list[str], is_worn: bool) -
                     f"{time.perf_counter() - begun:.1f} s",
                     flush=True,
                 )
-    return row, floor_m(truth, frames, KNOT_FRAMES)
+    return row, equal_knots_m(truth, frames, KNOT_FRAMES)
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,10 +120,10 @@ def ours(see: TimedObservations, rig: Rig, kind: Cameras, epipoles: bool) -> Our
     return Ours(done.curves.points, done.curves, done.paths)
 
 
-def table(title: str, rows: list[Row], floors: list[float], cameras: list[str], methods: list[str]) -> None:
+def table(title: str, rows: list[Row], references: list[float], cameras: list[str], methods: list[str]) -> None:
     """Print the means over ``rows`` in the layout of the paper's tables."""
     paper = PAPER.get(title, {})
-    print(f"\n{title}: mean RMSE [mm] over {len(rows)} motion(s), floor {1e3 * np.mean(floors):.3f}")
+    print(f"\n{title}: mean RMSE [mm] over {len(rows)} motion(s), equal knots {1e3 * np.mean(references):.3f}")
     head = "".join(f"{f'{k}, w/ epipoles':>22}{'w/o epipoles':>14}" for k in cameras)
     print(f"{'':8}{head}{'paper w/':>12}{'w/o':>9}")
     for method in methods:
@@ -151,17 +151,17 @@ def main() -> None:
     parser.add_argument("motions", nargs="*", help="default: all of MOTIONS")
     given = parser.parse_args()
     cameras = ["moving"] if given.worn else given.cameras
-    rows, floors = [], []
+    rows, references = [], []
     wrong = [name for name in given.motions if name not in MOTIONS | TUNING]
     if wrong:
         parser.error(f"{wrong[0]}: no such motion; there are {', '.join(MOTIONS | TUNING)}")
     for name in given.motions or MOTIONS:
-        row, floor = measured(name, cameras, given.methods, given.worn)
+        row, reference = measured(name, cameras, given.methods, given.worn)
         rows.append(row)
-        floors.append(floor)
+        references.append(reference)
         if name == JUMP and not given.worn:
-            table("table 1", [row], [floor], cameras, given.methods)
-    table("worn" if given.worn else "table 2", rows, floors, cameras, given.methods)
+            table("table 1", [row], [reference], cameras, given.methods)
+    table("worn" if given.worn else "table 2", rows, references, cameras, given.methods)
 
 
 if __name__ == "__main__":

@@ -169,7 +169,7 @@ def main() -> None:
         noise = {"read_noise_dn": contrast / SNR, "gain_dn_per_e": 0.0}
         if kind == "photon":
             noise = {"read_noise_dn": 0.5, "gain_dn_per_e": contrast / SNR**2}
-        settings = DetectionSettings(lowest_dn=threshold, contrast_dn=threshold, **noise)
+        settings = DetectionSettings(thresholds="paper", lowest_dn=threshold, contrast_dn=threshold, **noise)
         finders = {"ours": ours(images, settings), **peers(given.diameter, threshold)}
         print(f"\ndiameter {given.diameter:g} px, {kind} noise, SNR {SNR:g}: Cramer-Rao bound {bound:.4f} px")
         print(f"{'':34s}   rms px  x bound  bias px   found false      ms  x ours")

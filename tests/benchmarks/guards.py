@@ -29,7 +29,11 @@ def detection() -> Iterator[Figure]:
     images, places = detectors.made(8.0, "uniform", contrast, 8, rng)
     bound = detectors.bound_px(8.0, "uniform", contrast, rng)
     settings = DetectionSettings(
-        lowest_dn=threshold, contrast_dn=threshold, read_noise_dn=contrast / detectors.SNR, gain_dn_per_e=0.0
+        thresholds="paper",
+        lowest_dn=threshold,
+        contrast_dn=threshold,
+        read_noise_dn=contrast / detectors.SNR,
+        gain_dn_per_e=0.0,
     )
     name = "OpenPTV target_recognition"
     finders = {"ours": detectors.ours(images, settings), name: detectors.peers(8.0, threshold)[name]}

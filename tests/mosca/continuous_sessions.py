@@ -59,11 +59,11 @@ def as_detections(info: CameraInfo, frame_ns: np.ndarray, images, sigma_px: floa
 
 
 def seen_by(
-    camera: Camera, k: int, duration_s: float, own_clock: bool, motion: Motion = Motion()
+    camera: Camera, k: int, duration_s: float, own_clock: bool, motion: Motion = Motion(), rate_hz: float = RATE_HZ
 ) -> tuple[CameraDetections, np.ndarray, np.ndarray]:
     """Return what a camera saw, which point each image point is, and the true instants of its frames."""
     random = np.random.default_rng(10 + k)
-    true_s = np.arange(BEGIN_S[k], duration_s, 1 / RATE_HZ)
+    true_s = np.arange(BEGIN_S[k], duration_s, 1 / rate_hz)
     stamp = np.rint(true_s * (1 + DRIFT[k] * own_clock) * 1e9).astype(np.int64) + EPOCH_NS[k] * own_clock
     xy = pinhole(camera, motion.at(true_s)) + random.normal(0, SIGMA_PX, (len(true_s), POINTS, 2))
     rows, names = [], []
@@ -72,12 +72,12 @@ def seen_by(
         inside = [p for p in order if 0 < image[p, 0] < WIDTH - 1 and 0 < image[p, 1] < HEIGHT - 1]
         rows.append(image[inside])
         names.append(np.array(inside))
-    info = CameraInfo(camera.name, WIDTH, HEIGHT, 8, RATE_HZ, "device" if own_clock else "session")
+    info = CameraInfo(camera.name, WIDTH, HEIGHT, 8, rate_hz, "device" if own_clock else "session")
     return as_detections(info, stamp, rows, SIGMA_PX), np.concatenate(names), true_s
 
 
 def session(
-    duration_s: float = 3.0, own_clock: bool = True, motion: Motion = Motion()
+    duration_s: float = 3.0, own_clock: bool = True, motion: Motion = Motion(), rate_hz: float = RATE_HZ
 ) -> tuple[list[CameraDetections], list[np.ndarray], list[np.ndarray]]:
-    found = [seen_by(camera, k, duration_s, own_clock, motion) for k, camera in enumerate(rig().cameras)]
+    found = [seen_by(camera, k, duration_s, own_clock, motion, rate_hz) for k, camera in enumerate(rig().cameras)]
     return [f[0] for f in found], [f[1] for f in found], [f[2] for f in found]

@@ -54,7 +54,8 @@ def pixels(image, ix, iy):
 def bound_px(diameter, blur, contrast, gain, **odd):
     """Cramer-Rao bound (x, y) with position, contrast, background and diameter unknown."""
     image = fine_image(diameter, blur, **odd)
-    wider, smaller = (fine_image(diameter + step, blur, **odd, across=len(image) // FINE) for step in (0.06, -0.06))
+    alike = {**odd, "across": len(image) // FINE}
+    wider, smaller = (fine_image(diameter + step, blur, **alike) for step in (0.06, -0.06))
     variances = []
     for ix in range(0, FINE // 2 + 1, 4):
         for iy in range(0, FINE // 2 + 1, 4):

@@ -206,7 +206,7 @@ def test_centres_agree_with_the_pipelines_detector():
     plates = views(13, 10)
     image = picture(plates, noise=0.3)
     found = find_coded(image, "left")
-    spots = detect(image, "left", DetectionSettings(contrast_dn=60)).xy_px
+    spots = detect(image, "left", DetectionSettings(thresholds="paper", contrast_dn=60)).xy_px
     off = np.array([np.abs(spots - xy).max(axis=1).min() for xy in found.xy_px])
     assert off.max() < 0.03
 

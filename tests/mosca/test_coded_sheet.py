@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import xml.etree.ElementTree as ElementTree
 import zlib
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -168,6 +169,22 @@ def test_a_board_is_found_where_it_was_printed(tmp_path, ending, paths_of, board
     true = (middle + 1000 * board.corners()[:, :2] * [1, -1]) * PER_MM - 0.5
     assert len(found) == len(true)
     np.testing.assert_allclose(found.xy_px, true[found.corner], atol=0.3)
+
+
+def test_an_inverted_board_with_a_back_is_found_on_both_sheets(tmp_path):
+    """The back is the front's mirror image: glued back to back at their edges, the corners coincide."""
+    board = replace(CHARUCO, inverted=True, from_behind=True)
+    front, back = write_sheets(board, tmp_path / "board.svg")
+    assert back.name == "board-back.svg"
+    seen = [painted(svg_paths(file), (297.0, 210.0)) for file in (front, back)]
+    assert np.mean(seen[1] != seen[0][:, ::-1]) < 0.01  # the hairline that shows where to cut
+    found = [find_board(image, board) for image in seen]
+    assert len(found[0]) == len(found[1]) == len(board.corners())
+    np.testing.assert_allclose(found[1].xy_px, [seen[0].shape[1] - 1, 0] + found[0].xy_px * [-1, 1], atol=0.6)
+    assert len(find_board(seen[0], CHARUCO)) == 0  # control: not inverted
+    assert len(find_board(seen[1], replace(CHARUCO, inverted=True))) == 0  # control: from the front alone
+    straight = find_board(painted(svg_paths(write_sheets(CHARUCO, tmp_path / "b.svg")[0]), (297.0, 210.0)), CHARUCO)
+    np.testing.assert_allclose(found[0].xy_px, straight.xy_px, atol=0.02)
 
 
 def test_markers_are_those_that_opencv_draws(tmp_path):

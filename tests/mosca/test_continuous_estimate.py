@@ -196,6 +196,21 @@ def test_points_are_known_only_while_they_are_seen():
     assert np.isnan(curves.covariance_at([0.5])[0, 1]).all()
 
 
+def _with_covariance(observations, covariance):
+    """The same with the covariance (2, 2) of one image point changed."""
+    changed = observations.covariance_px2.copy()
+    changed[4] = covariance
+    return replace(observations, covariance_px2=changed)
+
+
+@pytest.mark.parametrize("cameras", ["known", "fixed"])
+def test_cameras_at_one_place_determine_nothing_and_that_is_told(cameras):
+    there = ring()
+    same = Rig(tuple(replace(one, world_from_camera=there.cameras[0].world_from_camera) for one in there.cameras))
+    with pytest.raises(InputError, match=r"c0, c1, c2 are all at .* they see no depth"):
+        estimate(take(sines(1, 6), same, staggered(), 0.05), same, replace(PLAIN, cameras=cameras))
+
+
 @pytest.mark.parametrize(
     ("change", "text"),
     [
@@ -204,7 +219,12 @@ def test_points_are_known_only_while_they_are_seen():
         (lambda o: replace(o, time_s=o.time_s + np.where(o.camera == 2, 9.0, 0.0)), "shares no time"),
         (lambda o: o.only(o.exposure < 3), "record longer"),
         (lambda o: o.only(o.camera == 0), "no image points"),
-        (lambda o: o.only(np.zeros(len(o), dtype=bool)), "no image points")
+        (lambda o: o.only(np.zeros(len(o), dtype=bool)), "no image points"),
+        (lambda o: _with_covariance(o, np.zeros((2, 2))), r"camera 'c0', exposure 4, point 'm0': covariance"),
+        (lambda o: _with_covariance(o, np.ones((2, 2))), "positive definite"),
+        (lambda o: _with_covariance(o, np.array([[1.0, 2.0], [2.0, 1.0]])), "positive definite"),
+        (lambda o: _with_covariance(o, 1e-20 * np.eye(2)), "positive definite"),
+        (lambda o: replace(o, xy_px=np.where(np.arange(len(o))[:, None] == 7, np.nan, o.xy_px)), "leave out")
     ]
 )  # fmt: skip
 def test_recordings_that_cannot_be_used_are_refused_in_one_line(change, text):

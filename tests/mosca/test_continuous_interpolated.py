@@ -11,6 +11,8 @@ from scipy.optimize import approx_fprime, least_squares
 from scipy.spatial.transform import Rotation
 
 from mosca.camera.projection import project
+from mosca.continuous.comparison_methods import initial_poses
+from mosca.continuous.comparison_methods.epipoles import relative_pose
 from mosca.continuous.comparison_methods.initial_poses import first_scene, in_datum
 from mosca.continuous.comparison_methods.interpolated import ImageTracks, common_instants, interpolated
 from mosca.continuous.comparison_methods.moving_projection import project_moving, rotated
@@ -244,3 +246,46 @@ def test_bad_input_is_one_line():
     views = ImageTracks(apart, rig, "linear").at(common_instants(apart))
     with pytest.raises(InputError, match="at no instant"):
         first_scene(views, "moving")
+
+
+def _with_wrong_names(see, cameras, share, seed=5):
+    """Image points of ``cameras`` exchange their names within their exposure: this share of them."""
+    rng = np.random.default_rng(seed)
+    point = see.point.copy()
+    for key in np.unique(see.exposure[np.isin(see.camera, cameras)]):
+        for c in cameras:
+            own = np.flatnonzero((see.camera == c) & (see.exposure == key) & (see.carried_by[see.point] < 0))
+            some = own[rng.random(len(own)) < share]
+            point[some] = rng.permutation(point[some])
+    return replace(see, point=point)
+
+
+def test_a_start_without_poses_holds_where_names_are_wrong():
+    """A tenth of one camera's names wrong: the pair's pose is that of the others. The control: all used alike."""
+    truth = waving(points=20)
+    rig, see = synchronous(truth, 0.02)
+    wrong = _with_wrong_names(see, (0,), 0.12)
+    views = ImageTracks(wrong, rig, "linear").at(common_instants(wrong))
+    rays = views.rays()[:, :2, views.free]
+    both = np.isfinite(rays).all(axis=(1, 3))
+    a, b = rays[:, 0][both], rays[:, 1][both]
+    good = initial_poses._agreeing(a, b)
+    true = rig.cameras[1].world_from_camera.inverse() @ rig.cameras[0].world_from_camera
+
+    def turned(found):
+        return np.rad2deg(Rotation.from_matrix(found.rotation @ true.rotation.T).magnitude())
+
+    assert 0.8 < good.mean() < 0.99
+    assert turned(relative_pose(a[good], b[good])) < 0.5
+    assert turned(relative_pose(a, b)) > 2.0
+
+
+def test_a_start_that_finds_no_pose_says_so():
+    """All cameras share all points: that they share too few is no reason."""
+    truth = waving()
+    rig, see = synchronous(truth)
+    turned = replace(see, xy_px=np.where((see.camera == 2)[:, None], 655.0 - see.xy_px, see.xy_px))
+    nonsense = _with_wrong_names(turned, (2,), 1.0)
+    with pytest.raises(InputError, match="no pose fits its images") as told:
+        interpolated(nonsense, rig, cameras="fixed")
+    assert "share 8 points" not in str(told.value)

@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 from continuous_scenes import PLAIN, nees, ring, sines, staggered, take
 
+import mosca.continuous.estimator.estimate as whole
 from mosca.camera.projection import project
 from mosca.continuous.estimator.estimate import estimate
+from mosca.continuous.estimator.residual_covariance import covariance_of_shared
 from mosca.data.rig import Rig
 from mosca.triangulation.triangulate import triangulate
 
@@ -77,3 +79,54 @@ def test_what_the_rig_says_of_its_lenses_is_stated():
     stated = np.trace(estimated.curves.unheld, axis1=2, axis2=3).ravel()
     # given for half a second at a time, in which points move by 0.1 m
     np.testing.assert_allclose(np.sqrt(stated), np.sqrt(wanted), rtol=0.15)
+
+
+CLOCKS = ((0.0, 0.0), (0.003, 0.0), (-0.002, 0.0))
+
+
+def labels_that_wander(observations, seed, sigma_px, lasting_s):
+    """Image points off by an error of each point in each camera that lasts, as of a lens or of a label."""
+    rng, xy = np.random.default_rng(seed), observations.xy_px.copy()
+    for c in range(3):
+        for p in range(10):
+            own = np.flatnonzero((observations.camera == c) & (observations.point == p))
+            apart = observations.time_s[own][:, None] - observations.time_s[own]
+            alike = np.exp(-0.5 * (apart / lasting_s) ** 2) + 1e-6 * np.eye(len(own))
+            xy[own] += sigma_px * np.linalg.cholesky(alike) @ rng.normal(size=(len(own), 2))
+    spread = np.tile((0.05**2 + sigma_px**2) * np.eye(2), (len(xy), 1, 1))
+    return replace(observations, xy_px=xy, covariance_px2=spread)
+
+
+def offsets(wander_px, windows, monkeypatch):
+    """Return of each window the errors (n, 2) of two offsets, and the standard deviations stated and those that
+    independent errors would have.
+    """
+    given = {}
+
+    def spied(image, solved, places):
+        given["sigma"] = np.sqrt(np.diag(solved.covariance))
+        return covariance_of_shared(image, solved, places)
+
+    monkeypatch.setattr(whole, "covariance_of_shared", spied)
+    rows = []
+    for seed in range(windows):
+        seen = take(sines(100 + seed, 10), ring(), staggered(), 0.05, seed, clocks=CLOCKS)
+        seen = labels_that_wander(seen, 900 + seed, wander_px, 0.15) if wander_px else seen
+        clocks = estimate(seen, ring(), replace(PLAIN, clocks="offset")).clocks[1:]
+        error = [one.offset_s - true for one, (true, _drift) in zip(clocks, CLOCKS[1:], strict=True)]
+        rows.append((error, [one.offset_sigma_s for one in clocks], given["sigma"]))
+    return np.swapaxes(np.array(rows), 0, 1)
+
+
+@pytest.mark.slow
+def test_clocks_state_what_they_scatter_where_image_errors_last(monkeypatch):
+    """The control: as if all errors were independent, offsets of windows scatter by twice what is stated."""
+    error, stated, alone = offsets(0.2, 8, monkeypatch)
+    scatter = np.sqrt((error**2).mean())
+    assert scatter > 1.7 * np.sqrt((alone**2).mean())
+    assert scatter < 1.5 * np.sqrt((stated**2).mean())
+
+
+def test_clocks_of_independent_errors_are_stated_as_before(monkeypatch):
+    _error, stated, alone = offsets(0.0, 2, monkeypatch)
+    np.testing.assert_allclose(stated, alone, rtol=1e-9)

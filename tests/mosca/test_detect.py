@@ -1,5 +1,7 @@
 """Targets against the paper's text taken literally, hand numbers, and the errors that they predict."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from disc_images import READ, bound_px, errors, frame
@@ -10,11 +12,16 @@ from oracle import detect_reference as reference
 from scipy import ndimage
 
 from mosca.data.detections import UNREFINED
-from mosca.detection.detect import DEFAULTS, DetectionSettings, detect, detect_set, mean_background, target_regions
+from mosca.detection.detect import DetectionSettings, detect, detect_set, mean_background, target_regions
 from mosca.errors import InputError
 
+PAPER = DetectionSettings(
+    thresholds="paper", contrast_dn=24.0, step_dn=1, lowest_dn=16, read_noise_dn=0.13, gain_dn_per_e=0.0128
+)
+"""The paper's rule, with the noise of the twin's camera."""
 
-def regions_of(image, wanted=DEFAULTS, bit_depth=8):
+
+def regions_of(image, wanted=PAPER, bit_depth=8):
     labels = target_regions(image, wanted, bit_depth)
     return {frozenset((int(x), int(y)) for y, x in np.argwhere(labels == k)) for k in range(1, labels.max() + 1)}
 
@@ -30,6 +37,7 @@ def regions_by_paper(image, wanted, bit_depth=8):
 
 search_settings = st.builds(
     DetectionSettings,
+    thresholds=st.just("paper"),
     contrast_dn=st.sampled_from([5.0, 10.0, 24.0, 24.5, 60.0]),
     step_dn=st.sampled_from([1, 2, 3, 7, 20]),
     lowest_dn=st.sampled_from([0, 3, 16, 50]),
@@ -66,7 +74,8 @@ def test_regions_equal_the_reference_on_noise_and_merging_discs(seed, bit_depth)
     light += rng.normal(0, [0.5, 3, 10][seed % 3], light.shape)
     scale = 2 ** (bit_depth - 8)
     image = np.clip(light * scale, 0, 256 * scale - 1).astype(np.uint8 if bit_depth == 8 else np.uint16)
-    wanted = DetectionSettings(
+    wanted = replace(
+        PAPER,
         contrast_dn=float(rng.choice([10, 24, 60])),
         step_dn=int(rng.choice([1, 2, 5])),
         maximum_size_px=float(rng.choice([8, 40])),
@@ -79,7 +88,7 @@ def test_paper_centroid_equals_the_reference(seed):
     rng = np.random.default_rng(seed)
     light = ndimage.gaussian_filter(rng.uniform(0, 255, (40, 44)), 1.3)
     image = np.clip((light - 110) * 8, 0, 255).astype(np.uint8)
-    wanted = DetectionSettings(centroid="paper", contrast_dn=10.0)
+    wanted = replace(PAPER, centroid="paper", contrast_dn=10.0)
     inside = [
         region for region in regions_by_paper(image, wanted) if all(0 < x < 43 and 0 < y < 39 for x, y in region)
     ]
@@ -101,7 +110,7 @@ def small_cross():
 
 def test_centroid_of_the_paper_by_hand():
     # sum I = 350; x: (2*50 + 3*(60 + 100 + 60) + 4*80) / 350; y: (2*60 + 3*230 + 4*60) / 350.
-    found = detect(small_cross(), "left", DetectionSettings(centroid="paper"))
+    found = detect(small_cross(), "left", replace(PAPER, centroid="paper"))
     np.testing.assert_allclose(found.xy_px, [[1080 / 350, 3.0]], rtol=1e-14)
     assert found.camera == "left"
     assert found.peak.tolist() == [100]
@@ -112,7 +121,7 @@ def test_centroid_and_covariance_over_the_background_by_hand():
     # b = 10. sum (I - b) = 300; x: (2*40 + 3*190 + 4*70) / 300 = 3.1. The mask has 3, 5, 5, 5, 3 pixels in
     # columns 1 to 5: sum (x - 3.1)^2 = 34.21, sum (x - 3.1) = -2.1; sum (x - 3.1)^2 (I - b) = 107; the
     # ring is the image's border, 24 pixels.
-    wanted = DetectionSettings(read_noise_dn=0.0, gain_dn_per_e=0.5, centroid="background")
+    wanted = replace(PAPER, read_noise_dn=0.0, gain_dn_per_e=0.5, centroid="background")
     found = detect(small_cross(), "left", wanted)
     np.testing.assert_allclose(found.xy_px, [[3.1, 3.0]], rtol=1e-14)
     var_x = (34.21 / 12 + 0.5 * 107 + 2.1**2 / (12 * 24)) / 300**2
@@ -131,21 +140,21 @@ def test_limits_of_contrast_and_size_are_strict():
         (True, {"maximum_size_px": 3.1}),
         (False, {"maximum_size_px": 3.0}),
     ]:
-        assert len(detect(image, "left", DetectionSettings(**change))) == accepted, change
+        assert len(detect(image, "left", replace(PAPER, **change))) == accepted, change
 
 
 def test_single_pixels_are_never_targets():
     rng = np.random.default_rng(3)
     image = np.full((60, 60), 4, np.uint8)
     image[2:58:3, 2:58:3] = rng.integers(100, 256, (19, 19))
-    assert len(detect(image, "left")) == 0
+    assert len(detect(image, "left", PAPER)) == 0
 
 
 def test_a_saturated_disc_is_one_target_at_its_centre():
     y, x = np.mgrid[:21, :21]
     radius = np.hypot(x - 10, y - 10)
     image = np.clip(600 - 100 * radius, 5, 255).astype(np.uint8)
-    found = detect(image, "left")
+    found = detect(image, "left", PAPER)
     np.testing.assert_allclose(found.xy_px, [[10, 10]], atol=1e-12)
 
 
@@ -162,14 +171,14 @@ def test_two_targets_that_merge_lower_down_stay_two():
     # not fall back to 1 at the next threshold, where one merged region is all that the last image had.
     squares = {frozenset((x, y) for x in range(a, a + 3) for y in range(3, 6)) for a in (3, 9)}
     assert regions_of(two_summits(saddle=100)) == squares
-    assert len(detect(two_summits(saddle=100), "left")) == 2
+    assert len(detect(two_summits(saddle=100), "left", PAPER)) == 2
 
 
 def test_two_summits_with_a_shallow_saddle_are_one_target():
     # Above the saddle the summits have contrast 0 and 0: nothing is accepted before they are one region.
     image = two_summits(saddle=149)
     image[4, 4] = image[4, 10] = 150
-    assert len(detect(image, "left")) == 0  # contrast 1
+    assert len(detect(image, "left", PAPER)) == 0  # contrast 1
     image[3:6, 2] = image[3:6, 12] = 60
     assert [len(region) for region in regions_of(image)] == [27]
 
@@ -181,7 +190,7 @@ def test_a_noisy_plateau_is_one_target_as_long_as_noise_is_below_contrast():
     disc = np.hypot(x - 20, y - 20) < 9
     image[disc] = rng.integers(200, 224, disc.sum())
     image[np.abs(np.hypot(x - 20, y - 20) - 9.5) < 0.5] = 100
-    assert len(detect(image, "left")) == 1
+    assert len(detect(image, "left", PAPER)) == 1
 
 
 def test_a_target_on_the_border_is_dropped():
@@ -189,18 +198,18 @@ def test_a_target_on_the_border_is_dropped():
     image[4:7, 17:20] = 100
     image[5, 18] = 200
     assert len(regions_of(image)) == 1
-    assert len(detect(image, "left")) == 0
-    assert len(detect(np.pad(image, 1, constant_values=4), "left")) == 1
+    assert len(detect(image, "left", PAPER)) == 0
+    assert len(detect(np.pad(image, 1, constant_values=4), "left", PAPER)) == 1
 
 
 def test_a_neighbour_two_pixels_off_is_not_taken_into_the_mask():
     image = np.full((11, 17), 4, np.uint8)
     image[4:7, 4:7] = 100
     image[5, 5] = 200
-    alone = detect(image, "left", DetectionSettings(dilation_px=2, centroid="background")).xy_px[0]
+    alone = detect(image, "left", replace(PAPER, dilation_px=2, centroid="background")).xy_px[0]
     image[4:7, 8:11] = 100
     image[5, 9] = 200
-    found = detect(image, "left", DetectionSettings(dilation_px=2, centroid="background")).xy_px
+    found = detect(image, "left", replace(PAPER, dilation_px=2, centroid="background")).xy_px
     np.testing.assert_allclose(alone, [5, 5], atol=1e-12)
     np.testing.assert_allclose(found, [[5, 5], [9, 5]], atol=1e-12)
 
@@ -230,9 +239,9 @@ def by_place(detections):
 def test_a_shift_by_whole_pixels_shifts_centroids_by_whole_pixels(seed, dx, dy):
     image = scene(seed)
     moved = np.pad(image, ((dy, 9), (dx, 9)), constant_values=6)
-    there, covariance, diameter = by_place(detect(moved, "left"))
+    there, covariance, diameter = by_place(detect(moved, "left", PAPER))
     here, covariance_here, diameter_here = by_place(
-        detect(np.pad(image, ((0, 9), (0, 9)), constant_values=6), "left")
+        detect(np.pad(image, ((0, 9), (0, 9)), constant_values=6), "left", PAPER)
     )
     np.testing.assert_allclose(there, here + [dx, dy], rtol=0, atol=1e-12)
     np.testing.assert_array_equal(covariance, covariance_here)
@@ -243,7 +252,7 @@ def test_a_shift_by_whole_pixels_shifts_centroids_by_whole_pixels(seed, dx, dy):
 @pytest.mark.parametrize("seed", range(5))
 def test_transposing_the_image_swaps_x_and_y(seed, centroid, atol):
     image = scene(seed)
-    wanted = DetectionSettings(centroid=centroid)
+    wanted = replace(PAPER, centroid=centroid)
     straight = detect(image, "left", wanted)
     swapped = detect(np.ascontiguousarray(image.T), "left", wanted)
     assert len(straight) == len(swapped) > 3
@@ -260,8 +269,8 @@ def test_transposing_the_image_swaps_x_and_y(seed, centroid, atol):
 @pytest.mark.parametrize("seed", range(5))
 def test_a_constant_grey_value_changes_no_centroid_over_the_background(seed):
     image = scene(seed)
-    plain = detect(image, "left", DetectionSettings(lowest_dn=20, centroid="background"))
-    lifted = detect(image + np.uint8(13), "left", DetectionSettings(lowest_dn=33, centroid="background"))
+    plain = detect(image, "left", replace(PAPER, lowest_dn=20, centroid="background"))
+    lifted = detect(image + np.uint8(13), "left", replace(PAPER, lowest_dn=33, centroid="background"))
     np.testing.assert_array_equal(plain.xy_px, lifted.xy_px)
     np.testing.assert_allclose(plain.covariance_px2, lifted.covariance_px2, rtol=1e-9)
 
@@ -285,7 +294,7 @@ def test_settings_hold_for_the_same_scene_in_more_bits(bit_depth):
 def test_any_width_and_any_memory_layout_give_the_same(width):
     image = scene(2)
     cut = image[3:, 5 : 5 + width]
-    expected = regions_by_paper(cut, DetectionSettings())
+    expected = regions_by_paper(cut, PAPER)
     assert regions_of(cut) == expected
     assert regions_of(np.asfortranarray(cut)) == expected
     assert regions_of(cut.astype(np.uint16), bit_depth=8) == expected
@@ -319,11 +328,11 @@ def test_a_background_image_takes_off_what_does_not_move():
     background = mean_background(frames)
     assert background.dtype == np.uint8
     assert background[0, 0] == 6  # (5 + 6 + 6) / 3 = 5.67
-    assert len(detect(lit, "left", background=background)) < len(detect(lit, "left"))
+    assert len(detect(lit, "left", PAPER, background=background)) < len(detect(lit, "left", PAPER))
     wiped = lit.astype(int) - background
     np.testing.assert_array_equal(
-        detect(lit, "left", background=background).xy_px,
-        detect(np.clip(wiped, 0, 255).astype(np.uint8), "left").xy_px,
+        detect(lit, "left", PAPER, background=background).xy_px,
+        detect(np.clip(wiped, 0, 255).astype(np.uint8), "left", PAPER).xy_px,
     )
 
 
@@ -333,9 +342,9 @@ def test_a_background_image_takes_off_what_does_not_move():
 @pytest.mark.parametrize(
     ("call", "words"),
     [
-        (lambda: DetectionSettings(contrast_dn=0), "contrast_dn"),
-        (lambda: DetectionSettings(lowest_dn=243), "lowest_dn"),
-        (lambda: DetectionSettings(step_dn=0), "step_dn"),
+        (lambda: replace(PAPER, contrast_dn=0), "contrast_dn"),
+        (lambda: replace(PAPER, lowest_dn=243), "lowest_dn"),
+        (lambda: replace(PAPER, step_dn=0), "step_dn"),
         (lambda: DetectionSettings(minimum_size_px=50), "minimum_size_px"),
         (lambda: DetectionSettings(centroid="middle"), "middle"),
         (lambda: DetectionSettings(dilation_px=3), "dilation_px"),
@@ -361,7 +370,7 @@ def test_errors_say_what_is_wrong_in_one_line(call, words):
 def errors_on_discs(diameter, blur, contrast, snr, n=864, **change):
     """Detect n discs at random positions: errors and predicted variances (n, 2), phases, diameters, bound."""
     image, truth, gain = frame(np.random.default_rng(0), diameter, blur, contrast, snr, n)
-    wanted = DetectionSettings(**{"centroid": "background", **change}, read_noise_dn=READ, gain_dn_per_e=gain)
+    wanted = replace(PAPER, **{"centroid": "background", **change}, read_noise_dn=READ, gain_dn_per_e=gain)
     found = detect(image, "left", wanted)
     assert len(found) == len(truth)
     away, variances = errors(found, truth)

@@ -7,7 +7,8 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mosca.detection.disc_fit.camera_statistics import N_TALLIES, N_TERMS, NO_STATISTICS, CameraStatistics, joined
+from mosca.detection.disc_fit.camera_statistics import NO_STATISTICS, CameraStatistics, joined
+from mosca.detection.disc_fit.light_offset import N_TALLIES, N_TERMS, StatisticsSums
 from mosca.detection.scheduler import DELAY, EARLY_SETS, EARLY_UPDATES, UPDATE_PERIOD, DelayedStatistics
 
 
@@ -17,7 +18,8 @@ def lesson(name, k):
     rng = np.random.default_rng(k)
     root = rng.normal(size=(1, N_TERMS, 40))
     tallies = np.full((1, N_TALLIES), 30.0) + rng.random((1, N_TALLIES))
-    return CameraStatistics((name,), tallies, root @ root.transpose(0, 2, 1), rng.normal(size=(1, N_TERMS, 2)))
+    sums = StatisticsSums(tallies, root @ root.transpose(0, 2, 1), rng.normal(size=(1, N_TERMS, 2)))
+    return CameraStatistics((name,), sums)
 
 
 def summed(name, numbers):
@@ -28,9 +30,7 @@ def summed(name, numbers):
 
 
 def alike(a, b):
-    return a.names == b.names and all(
-        getattr(a, n).tobytes() == getattr(b, n).tobytes() for n in ("tallies", "normal", "right_side")
-    )
+    return a.names == b.names and all(one.tobytes() == two.tobytes() for one, two in zip(a.sums, b.sums, strict=True))
 
 
 @settings(deadline=None, max_examples=30)

@@ -1,8 +1,10 @@
 """C3D and TRC at their edges: damaged parameters, strange labels, more than 255 points, unknown content."""
 
 import os
+import struct
 from pathlib import Path
 
+import ezc3d
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -60,6 +62,28 @@ def test_any_bytes_are_an_input_error(tmp_path_factory: pytest.TempPathFactory, 
     path.write_bytes(data)
     with pytest.raises(InputError):
         read_c3d(path)
+
+
+@pytest.mark.parametrize(("header_end", "frames"), [(2, 6), (300, 6), (65535, 6), (6, 2), (6, 300), (6, 65535)])
+def test_a_stale_count_of_frames_is_read_as_ezc3d_reads_it(
+    tmp_path: Path, whole: bytes, header_end: int, frames: int
+) -> None:
+    """Word 5 of the header or POINT:FRAMES (name, offset, type, dimensions, value) differs from the six written."""
+    data = bytearray(whole)
+    struct.pack_into("<H", data, 8, header_end)
+    at = whole.index(b"FRAMES")
+    dimensions = data[at + 9]
+    assert struct.unpack_from("<H", data, at + 10 + dimensions) == (6,)
+    struct.pack_into("<H", data, at + 10 + dimensions, frames)
+    path = tmp_path / "stale.c3d"
+    path.write_bytes(bytes(data))
+    theirs = ezc3d.c3d(str(path))["data"]["points"][:3].transpose(2, 1, 0)
+    np.testing.assert_allclose(read_c3d(path).xyz, theirs / 1000, rtol=1e-6)
+    # the control: of the last block, which holds all frames (288 bytes), two are left; neither count says two
+    path.write_bytes(bytes(data[: len(data) - 512 + 100]))
+    if min(header_end, frames) == 6:
+        with pytest.raises(InputError, match=r"cannot be read as C3D: cut short, \d+ of \d+ bytes"):
+            read_c3d(path)
 
 
 def test_faults_have_names(whole: bytes) -> None:

@@ -46,7 +46,7 @@ EXAMPLES = Path(__file__).parents[2] / "docs" / "examples"
 ROI_M = np.array([0.0, 0.0, -0.025]), np.array([0.07, 0.07, 0.015])
 MAX_ERR_MM = 0.25
 # particles of 1 to 9 px, half of them less than 37 grey values above a background with 4.5 grey values of noise
-DETECTION = DetectionSettings(contrast_dn=4, lowest_dn=4, minimum_size_px=0, read_noise_dn=4.5)
+DETECTION = DetectionSettings(thresholds="paper", contrast_dn=4, lowest_dn=4, minimum_size_px=0, read_noise_dn=4.5)
 # measured: 0.162, 0.282, 0.294 (mosca), 0.260, 0.270, 0.267 (opencv), 0.325, 0.458, 0.360 (fisheye); the
 # direct linear transformation 0.160, 0.283, 0.307. Margin 10 %.
 MEDIAN_PX = {"mosca": (0.18, 0.31, 0.32), "opencv": (0.29, 0.30, 0.30), "fisheye": (0.36, 0.51, 0.40)}

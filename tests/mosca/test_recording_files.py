@@ -71,7 +71,7 @@ def test_numbers_without_leading_zeros_are_in_numeric_order(tmp_path: Path) -> N
     assert frames[2].time_ns == 200_000_000
 
 
-@pytest.mark.parametrize("suffix", ["png", "tif", "bmp"])
+@pytest.mark.parametrize("suffix", ["png", "tif", "bmp", "jpg"])
 @pytest.mark.parametrize("kept", [0, 1, 7, 20, 100, 0.3, 0.7, 0.97])
 def test_truncated_files_are_corrupt_named_and_counted(tmp_path: Path, suffix: str, kept: float) -> None:
     write_images(tmp_path / "a", [0, 1, 2], f"{{:06d}}.{suffix}")
@@ -172,7 +172,7 @@ def test_dates_for_numbers_and_unreadable_folders_are_said(tmp_path: Path) -> No
         open_recording(tmp_path / "rec", fps=1)
     (tmp_path / "bad" / "a").mkdir(parents=True)
     (tmp_path / "bad" / "a" / "1.png").write_bytes(b"nothing")
-    with pytest.raises(InputError, match=r"none of its 1 images can be read.*neither PNG, TIFF nor BMP"):
+    with pytest.raises(InputError, match=r"none of its 1 images can be read.*neither PNG, TIFF, BMP nor JPEG"):
         open_recording(tmp_path / "bad", fps=1)
 
 
@@ -320,6 +320,58 @@ def test_video_without_rate_names_the_stated_one(tmp_path: Path) -> None:
     write_video(tmp_path / "a.avi", list(range(5)), rate=60)
     with pytest.raises(InputError, match=r"pass --fps \(the video states 60\)"):
         open_recording(tmp_path)
+
+
+def test_jpeg_sequences_are_read_as_opencv_reads_them(tmp_path: Path) -> None:
+    """A thumbnail in the header has an end of its own: a file cut behind it is cut."""
+    write_images(tmp_path / "rec" / "a", [3, 4, 5], "shot{:d}.JPG")
+    frames = read(open_recording(tmp_path / "rec", fps=10))
+    assert [f.index for f in frames] == [3, 4, 5]
+    for frame in frames:
+        path = tmp_path / "rec" / "a" / f"shot{frame.index}.JPG"
+        np.testing.assert_array_equal(frame.image, cv2.imread(str(path), cv2.IMREAD_GRAYSCALE))
+    colour = np.random.default_rng(1).integers(0, 255, (HEIGHT, WIDTH, 3)).astype(np.uint8)
+    data = cv2.imencode(".jpg", colour, [cv2.IMWRITE_JPEG_PROGRESSIVE, 1])[1].tobytes()
+    image, fault = decode_image(data)
+    assert fault == ""
+    assert image.shape == (HEIGHT, WIDTH)
+    thumbnail = b"\xff\xe1" + (len(data) + 2).to_bytes(2, "big") + data
+    with_thumbnail = data[:2] + thumbnail + data[2:]
+    assert what_is_missing(with_thumbnail) == ""
+    assert "cut short" in what_is_missing(with_thumbnail[:-40])
+    huge = bytearray(data)
+    at = huge.index(b"\xff\xc2") + 5
+    huge[at : at + 4] = b"\xff\xff\xff\xff"
+    assert "states 65535x65535 px" in what_is_missing(bytes(huge))
+
+
+def test_videos_in_quicktime_files(tmp_path: Path) -> None:
+    write_video(tmp_path / "a.mkv", list(range(6)))
+    with av.open(str(tmp_path / "a.mkv")) as source, av.open(str(tmp_path / "A.MOV"), "w", format="mov") as out:
+        stream = out.add_stream("png", rate=100)
+        stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, "gray"
+        for frame in source.decode(video=0):
+            out.mux(stream.encode(frame))
+        out.mux(stream.encode(None))
+    (tmp_path / "a.mkv").unlink()
+    frames = read(open_recording(tmp_path, fps=100))
+    assert [(f.camera, f.index) for f in frames] == [("A", k) for k in range(6)]
+    for frame in frames:
+        np.testing.assert_array_equal(frame.image, picture(frame.index))
+
+
+def test_a_folder_for_each_camera_as_other_programs_keep_them(tmp_path: Path) -> None:
+    for name in ("left", "right"):
+        (tmp_path / name / "calibration_images").mkdir(parents=True)
+        for suffix in ("mkv", "avi"):  # one take in two containers
+            write_video(tmp_path / name / "calibration_images" / f"session-{name}.{suffix}", list(range(5)))
+    frames = read(open_recording(tmp_path, times_matter=False))  # a calibration needs no frame rate
+    assert states(frames) == {name: [(k, "ok") for k in range(5)] for name in ("left", "right")}
+    write_images(tmp_path / "left" / "again", [1])
+    with pytest.raises(InputError, match=r"left: 1 folders of images and 1 videos; keep one"):
+        open_recording(tmp_path, times_matter=False)
+    write_video(tmp_path / "top.avi", list(range(3)))  # a video beside the folders is the camera, as ever
+    assert [info.name for info in open_recording(tmp_path, fps=10).cameras] == ["top"]
 
 
 @pytest.mark.data

@@ -46,6 +46,9 @@ class Reader:
     def seen_instead(self):
         return "; seen are others" if self.others else ""
 
+    def advice(self):
+        return ""
+
     def sees_others(self):
         return self.others
 

@@ -230,6 +230,34 @@ def test_wand_and_l_frame(lab, tmp_path):
     assert found.rms_m < 1.5e-3, found.lines()
 
 
+def test_a_wand_with_chosen_lens_parameters_and_detection(lab, tmp_path):
+    """What is not named stays 0."""
+    given = ("calibrate", lab / "wand", "--target", lab / "wand.toml", "--pixel-pitch-mm", 0.0099)
+    out = tmp_path / "rig.toml"
+    code, told, err = mosca(
+        *given,
+        "--free",
+        "c_mm,xp_px,yp_px,K1_per_mm2,P1_per_mm,P2_per_mm",
+        "--set",
+        "detection.false_alarms=0.001",
+        "--out",
+        out,
+    )
+    assert code == 0, err
+    assert "sigma_x" in told
+    for camera in read_rig(out).cameras:
+        lens = camera.lens
+        assert lens.K1_per_mm2 != 0
+        assert lens.P1_per_mm != 0
+        assert (lens.K2_per_mm4, lens.K3_per_mm6, lens.a) == (0, 0, 0)
+        assert lens.my_mm_per_px == lens.mx_mm_per_px
+    found = compare_rigs(lab.truth, read_rig(out), ((-0.4, -0.4, -0.4), (0.4, 0.4, 0.4)), align="rigid")
+    assert found.rms_m < 3e-3, found.lines()
+    # the control: a size that no ball reaches
+    line = refused(*given, "--set", "detection.minimum_size_px=39", "--out", tmp_path / "no.toml")
+    assert "show the target" in line
+
+
 def test_a_refused_calibration_has_a_page_and_no_rig(lab, tmp_path):
     field = read_field(lab / "field.toml")
     out, target = tmp_path / "rig.toml", tmp_path / "mm.toml"
@@ -310,7 +338,11 @@ def test_bad_input_is_one_line(lab, tmp_path):
     assert "0 to 11 are allowed" in line("--reference", 99)
     assert "lens parameter 'k1' cannot be estimated; allowed: c_mm" in line("--free", "c_mm,k1")
     assert "leave it out" in line("--known", lab / "truth.toml", "--exterior-only", "--free", "c_mm")
-    assert "leave 'free' out" in line("--free", "c_mm", target=lab / "wand.toml", recording="wand")
+    wand = {"target": lab / "wand.toml", "recording": "wand"}
+    assert "of a wand's cameras c_mm must be estimated" in line("--free", "xp_px", **wand)
+    assert "a number greater than 0" in line("--set", "detection.false_alarms=0", **wand)
+    assert "settings of detection.KEY=VALUE alone" in line("--set", "track.gate_m=1", **wand)
+    assert "balls alone are detected" in line("--set", "detection.false_alarms=0.1")
     points = tmp_path / "points.toml"
     points.write_text('kind = "points"\nunit = "mm"\nsize_px = [480, 360]\n[[camera]]\nname = "a"\nfile = "a.txt"\n')
     assert "--reference: not with" in line("--reference", 1, target=points)

@@ -110,7 +110,7 @@ def test_a_scan_gives_the_printed_lengths(tmp_path):
         (("target", "scale", "wand.toml", "--ruler", "150", "150"), "describes Wand, which has no printed sheet"),
         (("target", "scale", "board.toml", "--scan", "field.toml", "600"), "no coded targets that a scan shows"),
         (("target", "scale", "field.toml", "--scan", "no.png", "600"), "no.png: no such file"),
-        (("target", "scale", "field.toml", "--scan", "board.toml", "600"), "neither PNG, TIFF nor BMP"),
+        (("target", "scale", "field.toml", "--scan", "board.toml", "600"), "neither PNG, TIFF, BMP nor JPEG"),
         (("target", "scale", "field.toml", "--scan", ".", "600"), ".: is a folder; name a file"),
     ],
 )

@@ -33,7 +33,11 @@ def suite(planted, out):
     return subprocess.run(
         [sys.executable, str(HERE / "planted_losses.py"), "suite", "--out", str(out), "--jobs", "2",
          *(str(LIBRARY / f"{name}.toml") for name in (*SETS, *FREE))],
-        env={**os.environ, "PLANTED": planted, "PYTHONPATH": str(HERE.parent), "COLUMNS": "200"},
+        # the tests' folder alone would hide the package: tests/mosca is one of the same name
+        env={
+            **os.environ, "PLANTED": planted, "COLUMNS": "200",
+            "PYTHONPATH": os.pathsep.join(map(str, (HERE.parents[1], HERE.parent))),
+        },
         capture_output=True, text=True, timeout=1200, check=False,
     )  # fmt: skip
 

@@ -136,14 +136,14 @@ def test_a_stage_has_the_keys_of_its_settings(table, settings):
     spec = type(getattr(PipelineSpec(), table))
     assert set(spec.model_fields) == set(settings.__dataclass_fields__)
     assert all(field.description for field in spec.model_fields.values())
-    defaults = {key: value for key, value in vars(settings()).items() if value != float("inf")}
+    defaults = {key: value for key, value in vars(settings()).items() if value not in (None, float("inf"))}
     assert spec(**defaults).model_dump(exclude_none=True) == defaults
 
 
 @pytest.mark.parametrize(
     ("key", "message"),
     [
-        ("pipeline.detection.contrast_dn=-1", "greater than 0"),
+        ("pipeline.detection.false_alarms=-1", "greater than 0"),
         ("pipeline.match.minimum_cameras=1", "greater than or equal to 2"),
         ("pipeline.track.coast_s=-1", "greater than or equal to 0"),
         ("pipeline.detection.centroid=x", "'refined', 'background' or 'paper'"),

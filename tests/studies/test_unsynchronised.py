@@ -1,4 +1,4 @@
-"""The second paper's experiment: schedule, cameras, scores, floor; with recorded motions where they are."""
+"""The second paper's experiment: schedule, cameras, scores, equal knots; with recorded motions where they are."""
 
 import os
 from dataclasses import dataclass, replace
@@ -20,7 +20,7 @@ from tests.studies.unsynchronised import (
     JUMP,
     MOTIONS,
     TUNING,
-    floor_m,
+    equal_knots_m,
     observe,
     read_points,
     score,
@@ -113,16 +113,16 @@ def test_scores_by_hand():
     assert found.rms_m == 0
 
 
-def test_floor_is_zero_for_what_a_spline_can_say_and_scipys_otherwise():
+def test_equal_knots_leave_nothing_for_what_a_spline_can_say_and_scipys_otherwise():
     t = np.arange(91) / 120
     values = np.stack([t**3, t**2 - t, 0 * t], axis=1)[:, None]
     truth = PointMotion(("a",), t, values)
-    assert floor_m(truth, np.arange(91)) < 1e-12
+    assert equal_knots_m(truth, np.arange(91)) < 1e-12
     rough = PointMotion(("a",), t, values + 0.01 * np.sin(2 * np.pi * 11 * t)[:, None, None])
     knots = np.concatenate([[0] * 3, np.linspace(0, t[-1], 11), [t[-1]] * 3])
     rest = make_lsq_spline(t, rough.xyz[:, 0], knots)(t) - rough.xyz[:, 0]
-    assert floor_m(rough, np.arange(91)) == pytest.approx(np.sqrt((rest**2).sum(axis=1).mean()))
-    assert floor_m(rough, np.arange(91)) > 0.005
+    assert equal_knots_m(rough, np.arange(91)) == pytest.approx(np.sqrt((rest**2).sum(axis=1).mean()))
+    assert equal_knots_m(rough, np.arange(91)) > 0.005
 
 
 @needs_data

@@ -209,7 +209,7 @@ def score(
     return Score(float(np.sqrt(np.mean(np.concatenate(squares)))), float(known.mean()), camera_m)
 
 
-def floor_m(truth: PointMotion, frames: Array, knot_frames: float = EVERY) -> float:
+def equal_knots_m(truth: PointMotion, frames: Array, knot_frames: float = EVERY) -> float:
     """Return what a cubic spline with a knot each ``knot_frames`` frames leaves, fitted to the truth itself [m]."""
     from scipy.interpolate import make_lsq_spline
 

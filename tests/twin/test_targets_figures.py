@@ -1,5 +1,7 @@
 """Figures of targets: areas in closed form, what is white where, and boards as OpenCV draws and reads them."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -157,6 +159,16 @@ def test_a_charuco_board_is_the_one_that_opencv_draws(name):
     margin = pixels // 2
     assert (ours[:margin] == 1).all()
     np.testing.assert_allclose(255 * ours[margin:-margin, margin:-margin], theirs, atol=1e-9)
+
+
+@pytest.mark.parametrize("black", [0.0, 0.04])
+def test_an_inverted_board_is_the_other_one_s_complement(black):
+    board = Board(5, 4, 0.8, 0.4, 0.4, "DICT_4X4_50")
+    plain, inverted = (
+        picture(board_figure(one, black), *board.size_m, 24 / 0.8) for one in (board, replace(board, inverted=True))
+    )
+    np.testing.assert_allclose(plain + inverted, 1 + black, atol=1e-9)
+    assert 0.3 < inverted.mean() < 0.7
 
 
 def test_opencv_reads_a_charuco_board_that_leans():

@@ -50,6 +50,10 @@ def build_board(
     if tilt_rad > _MOST_TILT_RAD:
         raise InputError(f"tilt_rad = {tilt_rad:g} given; at most {_MOST_TILT_RAD:.4g} is allowed")
     board = default_board(box) if board is None else board
+    if board.from_behind:
+        raise InputError(
+            "from_behind = true: a board's back is blank here; leave it out, the front is what cameras see"
+        )
     width, height = board.size_m
     toward = (1.0, 0.0, 0.0) if facing is None else facing
     try:
@@ -84,9 +88,10 @@ def board_figure(board: Board, black: float = 0.0) -> Figure:
     width, height = board.size_m
     half = board.square_m / 2
     white = set(board.white_squares())
-    contours = [polygon(rectangle(width / 2, height / 2))]
+    paper, ink = (black, 1 - black) if board.inverted else (1.0, black - 1)
+    contours = [] if paper == 0 else [polygon(rectangle(width / 2, height / 2), paper)]
     contours += [
-        polygon(rectangle(half, half, *board.square_centre(column, row)), black - 1)
+        polygon(rectangle(half, half, *board.square_centre(column, row)), ink)
         for row in range(board.rows)
         for column in range(board.columns)
         if (column, row) not in white
@@ -97,7 +102,7 @@ def board_figure(board: Board, black: float = 0.0) -> Figure:
             cell = board.marker_m / len(cells)
             x, y = board.square_centre(column, row)
             corner = np.array([x - board.marker_m / 2, y + board.marker_m / 2])
-            contours += [polygon(corner + cell * loop, black - 1) for loop in outlines(cells)]
+            contours += [polygon(corner + cell * loop, ink) for loop in outlines(cells)]
     return figure(contours)
 
 

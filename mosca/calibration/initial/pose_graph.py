@@ -45,21 +45,23 @@ def chain(
             heapq.heappush(waiting, (doubt[other], other))
     missing = [k for k in range(len(names)) if k not in cameras]
     if missing:
-        raise CalibrationError(_not_joined(cameras, missing, by_camera, names))
+        raise _not_joined(cameras, missing, by_camera, names)
     return cameras, stands
 
 
 def _not_joined(
     placed: Collection[int], missing: Sequence[int], seen: Mapping[int, list[View]], names: Sequence[str]
-) -> str:
+) -> CalibrationError:
     blind = [names[k] for k in missing if k not in seen]
     if blind:
-        return (
+        return CalibrationError(
             f"few-views: camera {', '.join(repr(name) for name in blind)}: the target was not seen, or with fewer "
-            "than 4 marks at a time; show it to that camera, nearer or more slowly"
+            "than 4 marks at a time; show it to that camera, nearer or more slowly",
+            tuple(blind),
         )
     one, other = (", ".join(names[k] for k in group) for group in (sorted(placed), missing))
-    return (
+    return CalibrationError(
         f"no-link: cameras {one} and {other} never saw the target at the same time, so that nothing says how they "
-        "stand to each other; carry the target through where the views of one of each overlap"
+        "stand to each other; carry the target through where the views of one of each overlap",
+        tuple(names[k] for k in min(sorted(missing), sorted(placed), key=len)),
     )

@@ -17,6 +17,8 @@ CODES: dict[str, str] = {
     "scale-error": "lengths that were not used come out wrong",
     "weak-parameter": "a parameter that the data hardly determine was held",
     "blunders": "many image points do not fit",
+    "target-shape": "the target's marks are elsewhere on it than its file says",
+    "left-out": "cameras that saw too little are not in the rig, as was asked for",
     "lens-model": "residuals have a pattern that the lens model cannot follow",
 }
 

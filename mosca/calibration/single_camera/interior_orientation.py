@@ -96,7 +96,8 @@ def _from_solid(shown: CameraViews, lens: LensChoice, rng: np.random.Generator) 
     if best is None or count < FEWEST_MARKS:
         raise CalibrationError(
             f"few-views: camera '{name}': {count} marks of the target in its best view, at least {FEWEST_MARKS} are "
-            "wanted; show it more of the target"
+            "wanted; show it more of the target",
+            (name,),
         )
     # a thin prism found in one view would stay: the adjustment of all views holds it
     settings = AdjustmentSettings(prism=False, pixel_pitch_mm=lens.pixel_pitch_mm, max_sigma0_px=5.0)
@@ -110,7 +111,8 @@ def _from_plane(shown: CameraViews, lens: LensChoice) -> Camera:
     if len(usable) < FEWEST_PLANE_VIEWS:
         raise CalibrationError(
             f"few-views: camera '{name}': {len(usable)} views of the flat target with {FEWEST_MARKS} marks or more, "
-            f"at least {FEWEST_PLANE_VIEWS} are wanted; hold it before the camera at more angles"
+            f"at least {FEWEST_PLANE_VIEWS} are wanted; hold it before the camera at more angles",
+            (name,),
         )
     # evenly from all: neighbouring views are nearly the same
     picked = [usable[k] for k in np.unique(np.linspace(0, len(usable) - 1, MOST_START_VIEWS).astype(int))]

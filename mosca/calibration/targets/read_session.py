@@ -31,6 +31,10 @@ class MarkReader(Protocol):
         """Return what images without the target show, "; ..." in words; "" where that is not known."""
         ...
 
+    def advice(self) -> str:
+        """Return what the target file should say by what the images show, "; ..." in words; "" where all is well."""
+        ...
+
     def sees_others(self) -> bool:
         """Return whether an image without the target has shown marks of another; False where that is not known."""
         ...
@@ -100,7 +104,8 @@ def _parts(frame_set: FrameSet, infos: Sequence[CameraInfo], reader: MarkReader,
 
 
 def _nothing_shown(looked: str, infos: Sequence[CameraInfo], reader: MarkReader) -> InputError:
+    shown = reader.seen_instead() + reader.advice()
     return InputError(
-        f"0 of {looked} of {', '.join(info.name for info in infos)} show the target{reader.seen_instead()}; check "
-        "the target file, exposure and focus (the marks need contrast and a few pixels)"
+        f"0 of {looked} of {', '.join(info.name for info in infos)} show the target{shown}; check the target "
+        "file, exposure and focus (the marks need contrast and a few pixels)"
     )

@@ -1,5 +1,6 @@
 """Finds a target's marks in an image: boards, coded test fields, scale bars and wands."""
 
+import math
 from collections import Counter
 from dataclasses import replace
 
@@ -7,7 +8,7 @@ import numpy as np
 
 from mosca.calibration.targets.find_balls import read_wand
 from mosca.calibration.targets.read_session import MarkReader
-from mosca.coded_targets.boards import find_board
+from mosca.coded_targets.boards import find_board, other_looks
 from mosca.coded_targets.detect import CodedSettings, find_coded
 from mosca.data.arrays import Array
 from mosca.data.boards import Board
@@ -98,6 +99,10 @@ class FieldReader:
         own += " and more" if len(self.mark_of) > MOST_TOLD else ""
         return f"; its numbers are {own}; seen are {seen or 'none'}{more}"
 
+    def advice(self) -> str:
+        """Return nothing: the plates' colour is found by itself."""
+        return ""
+
     def sees_others(self) -> bool:
         """Return whether numbers of another target were seen."""
         return bool(self._others)
@@ -112,19 +117,36 @@ class BoardReader:
 
     def __init__(self, board: Board) -> None:
         self._board = board
-        self._refusals: dict[str, int] = {}
+        self._refusals: Counter[str] = Counter()
         """Why boards were not found, and in how many images."""
+        self._without: Counter[str] = Counter()
+        """Images without the board, by camera."""
+        self._looks: dict[str, dict[str, None]] = {}
+        """Keys with which it is found in some of these: the cameras, in order."""
 
     def read(self, image: Array, camera: str, bit_depth: int) -> Part:
         """Return the board's corners in an image (H, W)."""
         found = find_board(image, self._board, camera)
         if found.refused:
-            self._refusals[found.refused] = self._refusals.get(found.refused, 0) + 1
+            self._refusals[found.refused] += 1
+            self._without[camera] += 1
+            # of n images the square root, spread over all of them: each takes three searches more
+            if math.isqrt(self._without[camera]) ** 2 == self._without[camera]:
+                keys = ", ".join(f"{key} = {value}".lower() for key, value in other_looks(image, self._board).items())
+                if keys:
+                    self._looks.setdefault(keys, {})[camera] = None
         return Part(0, 0, found.corner, found.xy_px, found.covariance_px2, np.full(len(found), np.nan))
 
     def seen_instead(self) -> str:
         """Return why the images show no board."""
         return "".join(f"; in {count} images: {why}" for why, count in self._refusals.items())
+
+    def advice(self) -> str:
+        """Return with which keys of the target file the board would have been found."""
+        return "".join(
+            f"; {', '.join(cameras)} would see the board with {keys} in the target file"
+            for keys, cameras in self._looks.items()
+        )
 
     def sees_others(self) -> bool:
         """Return False: a board that is not found may be out of sight."""
@@ -147,6 +169,10 @@ class _WandReader:
 
     def seen_instead(self) -> str:
         """Return nothing: balls cannot be told apart."""
+        return ""
+
+    def advice(self) -> str:
+        """Return nothing: balls look alike."""
         return ""
 
     def sees_others(self) -> bool:

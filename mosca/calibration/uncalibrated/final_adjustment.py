@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from scipy.stats import chi2
@@ -36,13 +37,18 @@ GROSS_SIGMAS = 6.0
 ROUNDS = 3
 
 
-def finished(start: Network, tracks: PointViews) -> Network:
-    """Return the network of all image points with lenses of the models of ``tracks.lenses``."""
+def finished(start: Network, tracks: PointViews, only: Free | None = None) -> Network:
+    """Return the network of all image points with lenses of the models of ``tracks.lenses``.
+
+    ``only``: the lens parameters to estimate; None: those that the data determine.
+    """
     cameras = {k: _in_model(camera, tracks.lenses[k]) for k, camera in start.cameras.items()}
+    if only is not None:
+        cameras = {k: _without_others(camera, only) for k, camera in cameras.items()}
     model = {k: camera.lens.model for k, camera in cameras.items()}
     usable = cleaned(imaged(tracks, cameras), cameras, CLEAR_SIGMAS * start.spread)
     usable = usable.of_cameras(cameras)
-    free = {k: BASIC[model[k]] for k in cameras}
+    free = {k: only or BASIC[model[k]] for k in cameras}
     plain = BundleSettings(tolerance=0.1, most_steps=50, precision=False)
     one = network(usable, cameras, free, plain)
     for _ in range(ROUNDS):
@@ -51,7 +57,7 @@ def finished(start: Network, tracks: PointViews) -> Network:
             break
         usable = fewer
         one = network(usable, one.cameras, free, plain, points=one.points)
-    for step in range(max(len(EXTRA[m]) for m in model.values())):
+    for step in range(max(len(EXTRA[m]) for m in model.values()) if only is None else 0):
         richer = {k: free[k] + EXTRA[model[k]][step] if step < len(EXTRA[model[k]]) else free[k] for k in free}
         trial = network(usable, one.cameras, richer, plain, points=one.points)
         joined = sum(len(richer[k]) - len(free[k]) for k in free)
@@ -60,6 +66,13 @@ def finished(start: Network, tracks: PointViews) -> Network:
             one, free = trial, richer
     last = BundleSettings(blunder_significance=BLUNDER_SIGNIFICANCE)
     return network(usable, one.cameras, free, last, points=one.points)
+
+
+def _without_others(camera: Camera, only: Free) -> Camera:
+    """Return the camera without the distortion of its first lens that is not to be estimated."""
+    radial = ("K1_per_mm2", "K2_per_mm4", "k1", "k2")
+    none: dict[str, Any] = {name: 0.0 for name in radial if hasattr(camera.lens, name) and name not in only}
+    return replace(camera, lens=replace(camera.lens, **none))
 
 
 def _held_more(trial: Network, one: Network) -> bool:
@@ -102,7 +115,8 @@ def focal_sigmas(one: Network) -> Mapping[int, float]:
     sigma = one.adjustment.standard_deviations
     out = {}
     for k, camera in one.cameras.items():
-        name = FOCAL_NAME[camera.lens.model]
+        names = (FOCAL_NAME[camera.lens.model], "fx_px")
+        name = next(name for name in names if f"{camera.name}.{name}" in sigma)
         value = camera.lens.c_mm if isinstance(camera.lens, MoscaLens) else camera.lens.fx_px
         out[k] = sigma[f"{camera.name}.{name}"] / value
     return out

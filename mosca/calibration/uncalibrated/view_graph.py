@@ -34,7 +34,8 @@ def check_links(tracks: PointViews) -> None:
         if points < FEWEST_POINTS and len(tracks.names) > 1:
             raise CalibrationError(
                 f"no-link: camera '{name}' shares {points} points with other cameras, {FEWEST_POINTS} at least are "
-                "needed; wave longer where it and another camera both see, or leave it out"
+                "needed; wave longer where it and another camera both see",
+                (name,),
             )
     groups, group_of = connected_components(common >= FEWEST_COMMON, directed=False)
     if groups > 1:
@@ -44,11 +45,12 @@ def check_links(tracks: PointViews) -> None:
 
 def refuse_groups(names: Sequence[str], group: set[int], why: str = "no common view joins") -> None:
     """Raise CalibrationError that names both groups of cameras."""
-    inside = ", ".join(name for k, name in enumerate(names) if k in group)
-    outside = ", ".join(name for k, name in enumerate(names) if k not in group)
+    inside = [name for k, name in enumerate(names) if k in group]
+    outside = [name for k, name in enumerate(names) if k not in group]
     raise CalibrationError(
-        f"no-link: {why} cameras {outside} with {inside}; wave the target where one of each group sees it at the "
-        "same time"
+        f"no-link: {why} cameras {', '.join(outside)} with {', '.join(inside)}; wave the target where one of each "
+        "group sees it at the same time",
+        tuple(outside if len(outside) <= len(inside) else inside),
     )
 
 

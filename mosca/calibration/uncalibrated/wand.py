@@ -27,12 +27,19 @@ EXACT = 1e-5
 WRONG_SHAPE = 0.004
 
 
-def calibrate_wand(sightings: Sightings, wand: Wand, rng: np.random.Generator, lenses: Sequence[Lens]) -> Calibration:
+def calibrate_wand(
+    sightings: Sightings,
+    wand: Wand,
+    rng: np.random.Generator,
+    lenses: Sequence[Lens],
+    free: tuple[str, ...] | None = None,
+) -> Calibration:
     """Calibrate cameras of unknown focal length from sightings of a wand.
 
     ``sightings``: marks are the wand's balls; where its order is not known (-1), the rows of an image are in
     their order along the line, from either end. ``lenses``: one a camera; model (mosca or opencv) and shape of the
-    pixels count, all else is estimated. Lengths are the wand's; axes are near those of one of the cameras.
+    pixels count, all else is estimated. ``free``: the lens parameters to estimate, with the focal length among them;
+    None: those that the data determine. Lengths are the wand's; axes are near those of one of the cameras.
     CalibrationError where cameras are not joined by common views, or where the result cannot be a rig.
     """
     balls = len(wand.along_m)
@@ -43,7 +50,7 @@ def calibrate_wand(sightings: Sightings, wand: Wand, rng: np.random.Generator, l
     bend = common_bend(some, rng)
     start = grow(wand_start(some, bend, rng), some, bend, rng)
     _check_shape(cleaned(tracks, start.cameras, CLEAR_SIGMAS * start.spread), start.cameras, wand)
-    final = finished(start, tracks)
+    final = finished(start, tracks, free)
     check(final, tracks)
     length = wand.along_m[-1] - wand.along_m[0]
     return calibration_of(

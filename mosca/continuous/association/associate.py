@@ -12,9 +12,10 @@ from typing import Literal
 import numpy as np
 
 from mosca.continuous.association.coarse_sync import ClockTie, common_clock, tied_clocks
-from mosca.continuous.association.correspondence import common_instants, curves_of, observed, tracked
+from mosca.continuous.association.correspondence import CURVE_PX, common_instants, curves_of, observed, tracked
 from mosca.continuous.association.frame_detections import CameraDetections, FrameCount, detect_in_frames
 from mosca.continuous.association.interpolated_tracks import SampledCurves
+from mosca.continuous.association.space_motion import quick_for, settings_for, space_motion
 from mosca.continuous.association.tracklet_merging import joined
 from mosca.continuous.association.tracklets_2d import Tracklets, tracklets
 from mosca.continuous.model.observations import Curves, TimedObservations
@@ -46,25 +47,29 @@ class AssociationSettings:
 class Associated:
     """Result of the data association.
 
-    ``observations``: times on the common clock, as coarsely as it is known. ``start``: curves
-    through the interpolated tracks. ``ties``: how each camera's own clock is tied to the common one, seconds of
-    which count from the first camera's ``origin_ns``. ``seen``: what each camera saw. ``sigma_px`` (c,): random
-    error of each camera's image points besides their detections'. ``searched``: whether clocks had to be searched
-    for.
+    ``observations``: times on the common clock, as coarsely as it is known; ``row`` (n,): number of each among its
+    camera's image points. ``start``: curves through the interpolated tracks, None where names
+    are given. ``ties``: how each camera's own clock is
+    tied to the common one, seconds of which count from the first camera's ``origin_ns``. ``seen``: what each camera
+    saw. ``sigma_px`` (c,): random error of each camera's image points besides their detections'. ``searched``:
+    whether clocks had to be searched for. ``between_px``: standard deviation of positions interpolated at the common
+    instants, rms; infinite where ``sigma_px`` was not learned there.
     """
 
     observations: TimedObservations
-    start: SampledCurves
+    row: Array
+    start: SampledCurves | None
     ties: tuple[ClockTie, ...]
     seen: tuple[CameraDetections, ...]
     sigma_px: Array
     count: FrameCount
     searched: bool
+    between_px: float = np.inf
 
     def again(self, rig: Rig, curves: Curves, curve_px: float = 0.1) -> "Associated":
         """Return all with image points assigned to markers again, by better curves of the same points."""
-        found, _row = observed(self.seen, self.ties, rig, curves, self.sigma_px, curve_px)
-        return replace(self, observations=found)
+        found, row = observed(self.seen, self.ties, rig, curves, self.sigma_px, curve_px)
+        return replace(self, observations=found, row=row)
 
 
 def associate(
@@ -127,14 +132,24 @@ def markers_of(
     ]
     done = sum(count.frames.values())
     on = None if attend is None else lambda k: attend(done + k)
-    tracks, sigma = tracked(seen, paths, common_instants(seen, ties), rig, settings.pipeline, on, moving)
-    track = settings.pipeline.track
+    instants, pipeline = common_instants(seen, ties), settings.pipeline
+    if moving is None:
+        motion = space_motion(paths, rig)
+        if quick_for(pipeline, motion, float(np.median(np.diff(instants)))):
+            instants = common_instants(seen, ties, all_cameras=True)
+        pipeline = settings_for(pipeline, motion, float(np.quantile(np.diff(instants), 0.9)))
+    tracks, sigma = tracked(seen, paths, instants, rig, pipeline, on, moving)
+    track = pipeline.track
+    # curves through interpolated positions are as uncertain as these; at exposures nothing is interpolated
+    between = np.concatenate([path.at(instants).variance_px2 for path in paths])
+    between_px = float(np.sqrt(between.sum() / max(len(between), 1)))
+    off_px = float(np.hypot(CURVE_PX, between_px)) if moving is None else CURVE_PX
     curves = curves_of(tracks, track.coast_s)
-    found, row = observed(seen, ties, rig, curves, sigma, moving=moving)
+    found, row = observed(seen, ties, rig, curves, sigma, off_px, moving)
     tracks = joined(tracks, curves, found, tracklet, row, track.acceleration_mps2)
     curves = curves_of(tracks, track.coast_s)
-    found, _row = observed(seen, ties, rig, curves, sigma, moving=moving)
-    return Associated(found, curves, ties, seen, np.asarray(sigma), count, searched)
+    found, row = observed(seen, ties, rig, curves, sigma, off_px, moving)
+    return Associated(found, row, curves, ties, seen, np.asarray(sigma), count, searched, between_px)
 
 
 def check_long_enough(one: CameraDetections) -> None:

@@ -15,12 +15,13 @@ from mosca.continuous.association.coarse_sync import ClockTie
 from mosca.continuous.association.frame_detections import CameraDetections
 from mosca.continuous.association.interpolated_tracks import SampledCurves
 from mosca.continuous.association.tracklets_2d import Tracklets, detections_at
-from mosca.continuous.model.observations import Curves, TimedObservations, no_carriers
+from mosca.continuous.estimator.observation_equations import HUBER
+from mosca.continuous.model.observations import CameraPaths, Curves, TimedObservations, UncertainCurves, no_carriers
 from mosca.continuous.model.rig_at_time import MovingRig, RigAtEach, centres_at, images_at, images_of
 from mosca.data.arrays import Array
 from mosca.data.detections import MERGED, Detections
 from mosca.data.frames import FrameSet
-from mosca.data.rig import Rig
+from mosca.data.rig import Camera, Rig
 from mosca.data.tracks import Samples, Tracks, table
 from mosca.diagnostics.camera_health import Health, HealthSettings
 from mosca.errors import InputError
@@ -28,20 +29,23 @@ from mosca.pipeline import PipelineSettings, run_seen
 
 FEWEST_SAMPLES = 6
 """Tracks of fewer samples are dropped."""
-INTERPOLATED_PX = 0.15
-"""Standard deviation of a position between two exposures beyond the detections' own: initial value of an estimate."""
+CLOSEST = 0.2
+"""Instants at which cameras are compared are so many periods of the fastest camera apart, at least about."""
 GATE_SIGMA, CURVE_PX = 4.5, 0.25
 """Gate of an image point about its curve; standard deviation an axis of a curve through samples."""
 WORST_PX = 1.0
 """Image points less certain than this are not used (those that no disc could be fitted to)."""
 ODD_SHARE = 0.15
 """Share of its area by which an image may differ from the usual one before it is taken as partly hidden."""
+MOST_TAKEN = 0.95
+"""Share of an image point's own error that a curve may take up: with more, the others say nothing of it."""
 CHUNK = 500
 """Frames whose points are projected at a time."""
 
 
-def common_instants(seen: Sequence[CameraDetections], ties: Sequence[ClockTie]) -> Array:
-    """Return the instants (t,) of the common clock at which cameras are compared: the exposures of the fastest one.
+def common_instants(seen: Sequence[CameraDetections], ties: Sequence[ClockTie], all_cameras: bool = False) -> Array:
+    """Return the instants (t,) of the common clock at which cameras are compared: the exposures of the fastest one,
+    or those of ``all_cameras``, a fifth of its period apart at least.
 
     Those at which two cameras and more were running. InputError where a camera never ran together with another.
     """
@@ -63,6 +67,10 @@ def common_instants(seen: Sequence[CameraDetections], ties: Sequence[ClockTie]) 
     before = t[0] - period * np.arange(int(max(0.0, t[0] - begins.min()) / period), 0, -1)
     after = t[-1] + period * np.arange(1, int(max(0.0, ends.max() - t[-1]) / period) + 1)
     instants = np.concatenate([before, t, after])
+    if all_cameras:
+        instants = np.sort(np.concatenate(times))
+        cell = np.floor((instants - instants[0]) / (CLOSEST * period))
+        instants = instants[np.diff(cell, prepend=-1.0) > 0]
     running = (instants[:, None] >= begins) & (instants[:, None] <= ends)
     result: Array = instants[running.sum(axis=1) >= 2]
     return result
@@ -81,7 +89,7 @@ def tracked(
 
     ``paths``: the cameras' tracklets on the common clock. ``moving``: the same rig's poses where they change.
     """
-    health = Health(rig, HealthSettings(start_px=INTERPOLATED_PX))
+    health = Health(rig, HealthSettings(start_px=settings.match.camera_sigma_px))
     places = [path.at(instants_s) for path in paths]
     there = np.ones((len(instants_s), len(seen)), dtype=bool)
     keeper = None
@@ -121,6 +129,7 @@ def observed(
     sigma_px: Array,
     curve_px: float = CURVE_PX,
     moving: MovingRig | None = None,
+    used: tuple[TimedObservations, Array] | None = None,
 ) -> tuple[TimedObservations, Array]:
     """Return the image points that belong to ``curves``, each at its own instant on the common clock, and their
     numbers.
@@ -128,12 +137,16 @@ def observed(
     The numbers (n,) count each camera's own image points.
 
     ``sigma_px`` (c,): random error of each camera's image points besides their detections'. ``curve_px``: how far
-    the curves may be off in the images. Merged images of two targets are left out. ``moving``: as ``tracked`` has it.
+    the curves may be off in the images besides their own covariance, where they have one. Merged images of two
+    targets are left out. ``moving``: as ``tracked`` has it. ``used``: what this returned before, where the curves
+    were estimated from it: each image point is then compared with what the others make of its curve.
     """
     parts, numbers = [], []
     for c, (one, tie) in enumerate(zip(seen, ties, strict=True)):
         times = tie.common_s(one.time_s(tie.origin_ns))
-        row, point, away = _assigned(one, tie, rig, c, curves, sigma_px[c], curve_px, moving)
+        row, point, away = _assigned(
+            one, tie, rig, c, curves, sigma_px[c], curve_px, moving, _points_of(one, c, used)
+        )
         keep = (one.flags[row] & MERGED) == 0
         row, point, away = row[keep], point[keep], away[keep]
         odd = odd_sizes_px(one.diameter_px[row], away, point)
@@ -161,9 +174,12 @@ def odd_sizes_px(diameter_px: Array, away_m: Array, point: Array) -> Array:
 
 def _assigned(
     one: CameraDetections, tie: ClockTie, rig: Rig, c: int, curves: Curves, sigma_px: float, curve_px: float,
-    moving: MovingRig | None
+    moving: MovingRig | None, used: Array
 ) -> tuple[Array, Array, Array]:  # fmt: skip
-    """Return image points of a camera, the curves that they belong to, and how far these were [m]."""
+    """Return image points of a camera, the curves that they belong to, and how far these were [m].
+
+    ``used`` (n,): the curve that each image point helped to estimate, -1 where none.
+    """
     camera = rig.cameras[c]
     first_row = tie.common_s((one.frame_ns - tie.origin_ns) * 1e-9)
     at = first_row + 0.5 * one.row_time_s * (camera.height - 1)
@@ -180,27 +196,72 @@ def _assigned(
             flow = (images_of(curves, camera, c, cameras, some + 1e-3) - image) / 1e-3
             late = one.row_time_s * (image[..., 1:] - 0.5 * (camera.height - 1))
             image = image + flow * late
+        of_curve = _variances_px2(curves, camera, c, cameras, some, xyz, image)
         for k in range(len(some)):
             own = np.arange(one.start[begin + k], one.start[begin + k + 1])
+            _without_own(image[k], of_curve[k], one, own[used[own] >= 0], used, sigma_px)
             near = np.flatnonzero(np.isfinite(image[k]).all(axis=1))
-            which, to = _nearest(one, own, image[k, near], sigma_px, curve_px)
+            which, to = _nearest(one, own, image[k, near], sigma_px**2 + curve_px**2 + of_curve[k, near])
             rows.append(own[which])
             points.append(near[to])
             aways.append(np.linalg.norm(xyz[k, near[to]] - origin[k], axis=1))
     return np.concatenate(rows), np.concatenate(points), np.concatenate(aways)
 
 
-def _nearest(
-    one: CameraDetections, own: Array, image: Array, sigma_px: float, curve_px: float
-) -> tuple[Array, Array]:
-    """Return which of the image points ``own`` goes to which of the images (p, 2): least distance in all."""
+def _points_of(one: CameraDetections, c: int, used: tuple[TimedObservations, Array] | None) -> Array:
+    """Return the point (n,) that each image point of camera number ``c`` was used for, -1 where for none."""
+    of = np.full(len(one.xy_px), -1)
+    if used is not None:
+        own = used[0].camera == c
+        of[used[1][own]] = used[0].point[own]
+    return of
+
+
+def _without_own(
+    image: Array, variance: Array, one: CameraDetections, rows: Array, used: Array, sigma_px: float
+) -> None:
+    """Take the influence of image points ``rows`` (r,) off the ``image`` (p, 2) of their curves and its ``variance``
+    (p,).
+
+    A curve that follows a wrong image point would keep it. With the share h of an image point's own error that its
+    curve takes up (its leverage, by the weight that the estimate gave it), the prediction of all others lies e h / (1
+    - h) from the curve, away from the point.
+    """
+    point = used[rows]
+    off = one.xy_px[rows] - image[point]
+    own = one.covariance_px2[rows].trace(axis1=1, axis2=2) / 2 + sigma_px**2
+    weight = np.minimum(1.0, HUBER**2 * own / np.maximum((off**2).sum(axis=1), 1e-12))
+    taken = np.minimum(weight * variance[point] / own, MOST_TAKEN)
+    image[point] -= (taken / (1.0 - taken))[:, None] * off
+    variance[point] /= 1.0 - taken
+
+
+def _variances_px2(
+    curves: Curves, camera: Camera, c: int, cameras: CameraPaths | None, time_s: Array, xyz: Array, image: Array
+) -> Array:
+    """Return the variance (t, points) an axis [px^2] of the images (t, points, 2) of curves, 0 where not stated."""
+    # of moving cameras the curves' covariance contains the poses', which move all images alike
+    if cameras is not None or not isinstance(curves, UncertainCurves):
+        return np.zeros(image.shape[:2])
+    small = 1e-3
+    by = [(images_at(camera, c, cameras, time_s, xyz + small * e) - image) / small for e in np.eye(3)]
+    slope = np.stack(by, axis=-1)
+    return np.asarray(0.5 * np.einsum("tpai,tpij,tpaj->tp", slope, curves.covariance_at(time_s), slope))
+
+
+def _nearest(one: CameraDetections, own: Array, image: Array, variance: Array) -> tuple[Array, Array]:
+    """Return which of the image points ``own`` goes to which of the images (p, 2) +- ``variance`` (p,): the greatest
+    likelihood.
+    """
     if not len(own) or not len(image):
         return np.empty(0, np.int64), np.empty(0, np.int64)
     off = one.xy_px[own][:, None] - image[None]
     # the larger axis of a detection's error is taken for both
-    variance = one.covariance_px2[own].trace(axis1=1, axis2=2) / 2 + sigma_px**2 + curve_px**2
-    squared = (off**2).sum(axis=2) / variance[:, None]
-    allowed = (squared < GATE_SIGMA**2) & (variance < WORST_PX**2)[:, None]
-    which, to = linear_sum_assignment(np.where(allowed, squared, 1e4))
+    detected = one.covariance_px2[own].trace(axis1=1, axis2=2) / 2
+    whole = detected[:, None] + variance
+    squared = (off**2).sum(axis=2) / whole
+    allowed = (squared < GATE_SIGMA**2) & (detected < WORST_PX**2)[:, None]
+    cost = squared + 2.0 * np.log(whole / whole.min())
+    which, to = linear_sum_assignment(np.where(allowed, cost, 1e6))
     good = allowed[which, to]
     return which[good], to[good]

@@ -123,7 +123,7 @@ def _detect(note: _Notes, frame: Frame, settings: DetectionSettings, background:
     if len(found) > MOST_DETECTIONS:
         raise InputError(
             f"camera '{frame.camera}', frame {frame.index}: {len(found)} detections, {MOST_DETECTIONS} are "
-            "allowed; noise is taken for targets: raise detection.contrast_dn, or give a background"
+            "allowed; noise is taken for targets: lower detection.false_alarms, or give a background"
         )
     note.learned = note.learned.plus(taught)
     note.row_time_ns = frame.row_time_ns

@@ -9,26 +9,28 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
-from scipy.spatial.distance import cdist
 
 from mosca.continuous.association.frame_detections import CameraDetections
+from mosca.continuous.association.image_motion import (
+    GATE_SIGMA,
+    ImageMotion,
+    first_motion,
+    fixed_motion,
+    learned_motion,
+)
 from mosca.data.arrays import Array
 from mosca.data.detections import Detections
 
-GATE_PX, GATE_SHARE = 5.0, 0.3
-"""Gate about a tracklet's prediction: a length and a share of its last step."""
-FIRST_GATE_PX = 16.0
-"""Largest motion from the first frame of a tracklet to the second [px]."""
-BEND = 0.8
-"""Share of its last change of speed with which a tracklet is extrapolated: damping of the acceleration."""
 LONGEST_GAP = 2.6
 """Longest time from an image point of a tracklet to the next, in the camera's periods."""
+PASSES = 3
+"""How often tracklets are made: with motion as the passes before showed it."""
 
 
 @dataclass
 class _Open:
     """Tracklets that may go on (k,): number, last position (k, 2) and time, and after it mean speed of the last step,
-    its middle and the change of speed [px/s^2]; NaN speed where there was no step yet.
+    its middle and the change of speed [px/s^2]; NaN where there was no step yet, or only one.
     """
 
     number: Array
@@ -42,7 +44,7 @@ class _Open:
     def begun(cls, number: Array, place: Array, now_s: float) -> "_Open":
         k = len(number)
         times = np.full(k, now_s)
-        return cls(number, place, times, np.full((k, 2), np.nan), times.copy(), np.zeros((k, 2)))
+        return cls(number, place, times, np.full((k, 2), np.nan), times.copy(), np.full((k, 2), np.nan))
 
     def only(self, keep: Array) -> "_Open":
         return _Open(*(getattr(self, name)[keep] for name in self.__dataclass_fields__))
@@ -51,27 +53,33 @@ class _Open:
         names = self.__dataclass_fields__
         return _Open(*(np.concatenate([getattr(self, name), getattr(other, name)]) for name in names))
 
-    def way(self, now_s: float) -> Array:
-        """Return how far each one goes until ``now_s`` (k, 2) [px], NaN where it had no step yet."""
-        middle = 0.5 * (now_s + self.last_s)
-        speed = self.speed + BEND * self.bend * (middle - self.middle_s)[:, None]
-        return speed * (now_s - self.last_s)[:, None]
-
     def goes_on(self, at: Array, place: Array, now_s: float) -> None:
         """Take the next positions (p, 2) of tracklets ``at`` (p,)."""
         step = np.maximum(now_s - self.last_s[at], 1e-9)[:, None]
         speed, middle = (place - self.place[at]) / step, 0.5 * (now_s + self.last_s[at])
         apart = np.maximum(middle - self.middle_s[at], 1e-9)[:, None]
-        known: Array = np.all(np.isfinite(self.speed[at]), axis=1)
-        self.bend[at] = np.where(known[:, None], (speed - self.speed[at]) / apart, 0.0)
+        self.bend[at] = (speed - self.speed[at]) / apart
         self.place[at], self.last_s[at], self.speed[at], self.middle_s[at] = place, now_s, speed, middle
 
 
-def tracklets(seen: CameraDetections, longest_gap: float = LONGEST_GAP) -> Array:
+def tracklets(seen: CameraDetections, longest_gap: float = LONGEST_GAP, learned: bool = True) -> Array:
     """Return the tracklet (n,) of each image point of a camera.
 
-    ``longest_gap``: longest time from an image point of a tracklet to the next, in the camera's periods.
+    ``longest_gap``: longest time from an image point of a tracklet to the next, in the camera's periods. How far
+    image points move, and how well that is predicted, is learned from the tracklets themselves; not of lamps that are
+    dark for longer, nor where not ``learned`` (``FixedMotion``).
     """
+    if longest_gap > LONGEST_GAP or not learned:
+        return _followed(seen, fixed_motion(seen), longest_gap)
+    motion = first_motion(seen)
+    for _pass in range(PASSES):
+        of_point = _followed(seen, motion, longest_gap)
+        motion = learned_motion(seen, of_point, motion)
+    return of_point
+
+
+def _followed(seen: CameraDetections, motion: ImageMotion, longest_gap: float) -> Array:
+    """Return the tracklet (n,) of each image point by the motion that is expected."""
     of_point = np.full(len(seen.xy_px), -1, dtype=np.int64)
     following = 0
     longest = longest_gap * seen.period_s
@@ -80,7 +88,8 @@ def tracklets(seen: CameraDetections, longest_gap: float = LONGEST_GAP) -> Array
         rows = np.arange(seen.start[f], seen.start[f + 1])
         xy = seen.xy_px[rows]
         going = going.only(now - going.last_s <= longest)
-        at, to = _pairs(going.place, going.way(now), xy)
+        way, sigma = motion.step(going.speed, going.bend, going.middle_s, going.last_s, now)
+        at, to = _pairs(going.place + way, sigma, xy)
         new = np.ones(len(rows), dtype=bool)
         new[to] = False
         of_point[rows[to]] = going.number[at]
@@ -91,17 +100,17 @@ def tracklets(seen: CameraDetections, longest_gap: float = LONGEST_GAP) -> Array
     return of_point
 
 
-def _pairs(place: Array, way: Array, xy: Array) -> tuple[Array, Array]:
-    """Return which open tracklets and which image points belong together, the least total distance."""
+def _pairs(place: Array, sigma: Array, xy: Array) -> tuple[Array, Array]:
+    """Return which open tracklets, expected at ``place`` (k, 2) +- ``sigma`` (k,) an axis, and which image points
+    belong together: most, and of the greatest likelihood.
+    """
     if not len(place) or not len(xy):
         return np.empty(0, np.int64), np.empty(0, np.int64)
-    known: Array = np.all(np.isfinite(way), axis=1)
-    way = np.where(known[:, None], way, 0.0)
-    gate = np.where(known, GATE_PX + GATE_SHARE * np.linalg.norm(way, axis=1), FIRST_GATE_PX)
-    # in units of the gate: a tracklet of known velocity has a narrower gate
-    away = cdist(place + way, xy) / gate[:, None]
-    allowed = away < 1.0
-    at, to = linear_sum_assignment(np.where(allowed, away, 1e3))
+    squared = ((place[:, None] - xy[None]) ** 2).sum(axis=2) / sigma[:, None] ** 2
+    allowed = squared < GATE_SIGMA**2
+    # the density of a Gaussian in two dimensions: a tracklet of better known motion is preferred near its place
+    cost = squared + 4.0 * np.log(sigma / sigma.min())[:, None]
+    at, to = linear_sum_assignment(np.where(allowed, cost, 1e6))
     good = allowed[at, to]
     return at[good], to[good]
 
@@ -111,7 +120,8 @@ class ImageInterpolation:
     """Positions of tracklets at instants: one row per tracklet and instant, sorted by instant.
 
     ``instant`` (r,) its number; ``tracklet`` (r,); ``xy_px`` (r, 2); ``row`` (r,) the nearer one of the two image
-    points that the position lies between, ``other`` (r,) the second; ``speed_px`` (r, 2) [px/s].
+    points that the position lies between, ``other`` (r,) the second; ``speed_px`` (r, 2) [px/s]; ``variance_px2``
+    (r,) of the interpolation, an axis.
     """
 
     instant: Array
@@ -120,6 +130,7 @@ class ImageInterpolation:
     row: Array
     other: Array
     speed_px: Array
+    variance_px2: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +139,7 @@ class Tracklets:
 
     Image points sorted by tracklet and time: ``order`` (n,) their numbers, ``tracklet``, ``time_s`` (n,), ``xy_px``
     and ``speed_px`` (n, 2). ``left`` (p,): those from which a piece leads to the next; ``last`` (p,): a tracklet's
-    last.
+    last; ``variance_px2`` (p,): of the interpolation in the middle of each piece, an axis.
     """
 
     order: Array
@@ -138,6 +149,7 @@ class Tracklets:
     speed_px: Array
     left: Array
     last: Array
+    variance_px2: Array
 
     @classmethod
     def of(cls, seen: CameraDetections, tracklet: Array, time_s: Array) -> "Tracklets":
@@ -148,7 +160,7 @@ class Tracklets:
         left = np.flatnonzero(same)
         last = np.ones(len(left), dtype=bool)
         last[:-1] = left[1:] != left[:-1] + 1
-        return cls(order, s, t, xy, _speeds(s, t, xy), left, last)
+        return cls(order, s, t, xy, _speeds(s, t, xy), left, last, _variances(s, xy, left))
 
     def at(self, instants_s: Array) -> ImageInterpolation:
         """Return where the tracklets were at ``instants_s`` (rising) [s].
@@ -179,7 +191,44 @@ class Tracklets:
             self.order[np.where(before, a, a + 1)][sort],
             self.order[np.where(before, a + 1, a)][sort],
             ((1 - u) * v0 + u * v1)[sort],
+            (np.repeat(self.variance_px2, count) * (4 * u * (1 - u))[:, 0] ** 2)[sort],
         )
+
+    @property
+    def interpolation_px(self) -> float:
+        """Standard deviation of an interpolated position in the middle of a piece, an axis, rms of all."""
+        return float(np.sqrt(np.mean(self.variance_px2))) if len(self.variance_px2) else 0.0
+
+
+def _variances(s: Array, xy: Array, left: Array) -> Array:
+    """Return the variance an axis [px^2] of an interpolation in the middle of the pieces (p,) from ``left`` on.
+
+    Every image point is interpolated from its neighbours but one, on both sides and, as at the ends of a tracklet, on
+    one: the means of these errors near a piece. Pieces are half as long; what a random change of acceleration does
+    falls with the power 2.5 of the length.
+    """
+    n, k = len(s), np.arange(len(s))
+
+    def at(away: int) -> tuple[Array, Array]:
+        other = np.clip(k + away, 0, n - 1)
+        return xy[other], (s[other] == s) & (other == k + away)
+
+    (p0, has0), (p1, has1), (p2, has2), (p3, has3) = (at(away) for away in (-3, -1, 1, 3))
+    squares, counts = np.zeros(n), np.zeros(n)
+    for weights, has in (
+        ((-0.0625, 0.5625, 0.5625, -0.0625), has0 & has1 & has2 & has3),
+        ((0.0, 0.4375, 0.625, -0.0625), has1 & has2 & has3),
+        ((-0.0625, 0.625, 0.4375, 0.0), has0 & has1 & has2),
+    ):
+        rest = xy - sum(w * p for w, p in zip(weights, (p0, p1, p2, p3), strict=True))
+        squares += np.where(has, 0.5 * (rest**2).sum(axis=1), 0.0)
+        counts += has
+    first, last = np.searchsorted(s, s[left], "left"), np.searchsorted(s, s[left], "right")
+    low, high = np.maximum(left - 2, first), np.minimum(left + 4, last)
+    sums, number = (np.concatenate([[0.0], np.cumsum(one)]) for one in (squares, counts))
+    near = number[high] - number[low]
+    usual = squares.sum() / max(counts.sum(), 1.0)
+    return np.asarray(np.where(near > 0, (sums[high] - sums[low]) / np.maximum(near, 1.0), usual) / 2.0**5)
 
 
 def _speeds(s: Array, t: Array, xy: Array) -> Array:
@@ -211,7 +260,8 @@ def detections_at(seen: CameraDetections, places: ImageInterpolation, instant: i
     found = Detections(
         seen.info.name,
         places.xy_px[low:high],
-        0.5 * (seen.covariance_px2[rows] + seen.covariance_px2[others]),
+        0.5 * (seen.covariance_px2[rows] + seen.covariance_px2[others])
+        + places.variance_px2[low:high, None, None] * np.eye(2),
         0.5 * (seen.diameter_px[rows] + seen.diameter_px[others]),
         np.maximum(seen.peak[rows], seen.peak[others]),
         np.maximum(seen.elongation[rows], seen.elongation[others]),

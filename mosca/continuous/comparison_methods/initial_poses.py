@@ -1,11 +1,13 @@
 """Cameras without known poses: where to begin. Two views by their essential matrix, the others by resection."""
 
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
 
+from mosca.calibration.initial.projective import fundamental
 from mosca.calibration.initial.target_pose import poses_of
-from mosca.continuous.comparison_methods.epipoles import TooFewPointsError, relative_pose
+from mosca.continuous.comparison_methods.epipoles import FEWEST, TooFewPointsError, relative_pose
 from mosca.continuous.comparison_methods.synchronous import Cameras, PosesAndPoints, Views, adjust, intersected
 from mosca.data.arrays import Array
 from mosca.errors import InputError
@@ -31,21 +33,26 @@ def first_scene(views: Views, cameras: Cameras, *, epipoles: bool = True) -> Pos
     if cameras == "known":
         return PosesAndPoints(rotations, centres, intersected(views, rotations, centres))
     if cameras == "fixed":
-        found = _still(views, epipoles)
-        if found is None:
+        try:
+            found = _still(views, epipoles)
+        except TooFewPointsError:
             raise InputError(
                 f"cameras {', '.join(one.name for one in views.cameras)}: no two of them share 8 points at common "
                 "instants (3 where both see each other); record longer or let the cameras overlap"
-            )
+            ) from None
+        except NoPoseError as lost:
+            raise InputError(
+                f"camera '{lost}': no pose fits its images of the points that two other cameras determine; check "
+                'names, clocks and lenses, or give cameras = "known" with a calibrated rig'
+            ) from None
         start = _scene(views, *found)
         return in_datum(adjust(views, start, "fixed", epipoles=epipoles).scene, views)
     centres, rotations = np.full((t, c, 3), np.nan), np.tile(np.eye(3), (t, c, 1, 1))
     for i in sorted(range(t), key=lambda i: (i % STEP != 0, i)):
         if i % STEP and np.isfinite(centres).any():
             break
-        one = _still(replace(views, xy_px=views.xy_px[[i]]), epipoles)
-        if one is not None:
-            rotations[i], centres[i] = one
+        with suppress(TooFewPointsError, NoPoseError):
+            rotations[i], centres[i] = _still(replace(views, xy_px=views.xy_px[[i]]), epipoles)
     if not np.isfinite(centres).any():
         raise InputError("moving cameras: at no instant do two cameras share 8 points (3 where both see each other)")
     return _moving(views, rotations, centres, epipoles)
@@ -96,8 +103,15 @@ def _scene(views: Views, rotations: Array, centres: Array) -> PosesAndPoints:
     return PosesAndPoints(rotations, centres, intersected(views, rotations, centres))
 
 
-def _still(views: Views, epipoles: bool) -> tuple[Array, Array] | None:
-    """Return poses (c, 3, 3), (c, 3) of still cameras, up to a similarity; None where not all are found."""
+class NoPoseError(ValueError):
+    """No pose of the named camera fits its images."""
+
+
+def _still(views: Views, epipoles: bool) -> tuple[Array, Array]:
+    """Return poses (c, 3, 3), (c, 3) of still cameras, up to a similarity.
+
+    TooFewPointsError where no two cameras share enough points, NoPoseError where a camera's pose is not found.
+    """
     rays = views.rays()
     own = rays[:, :, views.free]
     seen = np.asarray(np.isfinite(own).all(axis=-1))
@@ -108,11 +122,8 @@ def _still(views: Views, epipoles: bool) -> tuple[Array, Array] | None:
     thin = _thinned(int(both.sum()))
     a, b = own[:, first][both][thin], own[:, second][both][thin]
     toward, back = _epipole(views, rays, first, second), _epipole(views, rays, second, first)
-    try:
-        found = relative_pose(a, b, toward if epipoles else None, back if epipoles else None)
-    except TooFewPointsError:
-        return None
-    pose = found.inverse()
+    good = _agreeing(a, b)
+    pose = relative_pose(a[good], b[good], toward if epipoles else None, back if epipoles else None).inverse()
     rotations, centres = np.tile(np.eye(3), (c, 1, 1)), np.zeros((c, 3))
     rotations[second], centres[second] = pose.rotation, pose.translation
     both_cameras = views.cameras[first], views.cameras[second]
@@ -127,10 +138,23 @@ def _still(views: Views, epipoles: bool) -> tuple[Array, Array] | None:
         thin = _thinned(int(good.sum()))
         fits = poses_of(own[:, k][good][thin], xyz[good][thin])
         if not fits:
-            return None
+            raise NoPoseError(views.cameras[k].name)
         pose = fits[0].camera_from_target.inverse()
         rotations[k], centres[k] = pose.rotation, pose.translation
     return rotations, centres
+
+
+def _agreeing(first: Array, second: Array) -> Array:
+    """Return which pairs of rays (n, 3) one fundamental matrix fits: gross errors and wrong names are left out.
+
+    All of them where there are too few to tell, or rays beyond 90 degrees from the axis.
+    """
+    every: Array = np.ones(len(first), dtype=bool)
+    if len(first) < 2 * FEWEST[0] or min(first[:, 2].min(), second[:, 2].min()) <= 0.0:
+        return every
+    plain = [rays[:, :2] / rays[:, 2:] for rays in (first, second)]
+    found = fundamental(plain[0], plain[1], np.random.default_rng(0))
+    return found.inliers if found.inliers.sum() >= FEWEST[0] else every
 
 
 def _epipole(views: Views, rays: Array, viewer: int, carrier: int) -> Array | None:

@@ -21,10 +21,10 @@ from mosca.continuous.estimator.initial_state import (
     moving_start,
     seen_from_to,
 )
-from mosca.continuous.estimator.input_checks import check
+from mosca.continuous.estimator.input_checks import check, check_places
 from mosca.continuous.estimator.motion_prior import ORDERS, expected_accelerations, liveliness, shrunk
 from mosca.continuous.estimator.observation_equations import ImagePoints
-from mosca.continuous.estimator.residual_covariance import unheld
+from mosca.continuous.estimator.residual_covariance import covariance_of_shared, unheld
 from mosca.continuous.estimator.single_point import first_curves
 from mosca.continuous.estimator.state import StateLayout, TrajectoryState, layout
 from mosca.continuous.model.camera_paths import StillCameras
@@ -73,6 +73,8 @@ def estimate(
     began = stopwatch.perf_counter()
     settings = ContinuousSettings() if settings is None else settings
     check(observations, rig)
+    if settings.cameras != "moving":
+        check_places(observations.cameras, rig)
     findings: list[str] = []
     used = observations
     if settings.cameras == "known":
@@ -119,6 +121,7 @@ def estimate(
         )
     spans = seen_from_to(used, image.times(solved.state))
     missing = unheld(image, solved, places, alone, points)
+    solved = replace(solved, covariance=covariance_of_shared(image, solved, places))
     curves = curves_of(solved, places, covariances, observations, spans, missing)
     names = observations.points
     found = tuple(

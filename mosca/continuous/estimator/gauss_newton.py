@@ -15,6 +15,7 @@ from mosca.continuous.model.bspline import values
 from mosca.continuous.model.estimated import SplineCurves
 from mosca.continuous.model.observations import TimedObservations
 from mosca.data.arrays import Array
+from mosca.errors import InputError
 
 HALVINGS = 6
 HELD = 1e12
@@ -84,6 +85,11 @@ def step(
         parts.append(own)
     found, shared, carried, covariance = solve_bordered(factors, rights, borders, corner, corner_right)
     new = replaced(state, places, found, shared)
+    if not (np.isfinite(new.xyz).all() and np.isfinite(new.clocks).all()):
+        raise InputError(
+            "continuous: the images do not determine the points or the cameras (cameras at one place, or a start "
+            "that is far off); give the cameras' poses, or images from places farther apart"
+        )
     if places.moving or places.shared:
         new = _short_enough(image, state, new, found, shared, places, covariances, pairs, weight)
     moved = float(np.abs(new.xyz - state.xyz).max(initial=0.0))
@@ -105,7 +111,9 @@ def draws(solved: Solved, places: StateLayout, number: int, rng: np.random.Gener
     """Return of each group curves drawn from the posterior, (number, count, width)."""
     shared = np.zeros((places.shared, number))
     if places.shared:
-        shared = np.linalg.cholesky(solved.covariance) @ rng.normal(size=(places.shared, number))
+        # the root by eigenvalues: of unknowns that are held, rounding may leave a variance just below zero
+        sizes, axes = np.linalg.eigh(solved.covariance)
+        shared = axes @ (np.sqrt(np.maximum(sizes, 0.0))[:, None] * rng.normal(size=(places.shared, number)))
     drawn = []
     for g, (factor, carried) in enumerate(zip(solved.factors, solved.carried, strict=True)):
         error = factor.spread(np.asfortranarray(rng.normal(size=(factor.count * factor.width, number))))

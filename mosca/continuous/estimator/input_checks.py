@@ -7,6 +7,10 @@ from mosca.data.rig import Rig
 from mosca.errors import InputError
 
 FEWEST_EXPOSURES = 4
+LEAST_APART_M = 1e-9
+"""Cameras nearer to each other are at one place: rounding of the coordinates."""
+LEAST_SIGMA_PX = 1e-6
+"""Image errors below this are less than what pixel coordinates are rounded to."""
 
 
 def check(observations: TimedObservations, rig: Rig) -> None:
@@ -19,6 +23,7 @@ def check(observations: TimedObservations, rig: Rig) -> None:
         rig.camera(name)
     if not len(observations):
         raise InputError("continuous: no image points given; detect and identify markers first")
+    _check_errors(observations, rig)
     spans = []
     for c, name in enumerate(observations.cameras):
         own = observations.camera == c
@@ -54,3 +59,36 @@ def check(observations: TimedObservations, rig: Rig) -> None:
         raise InputError(
             f"continuous: only camera '{observations.cameras[0]}' is there; two at least are needed to see depth"
         )
+
+
+def check_places(cameras: tuple[str, ...], rig: Rig) -> None:
+    """Raise InputError where all cameras stand at one place: their images say nothing of depth."""
+    centres = np.array([rig.camera(name).world_from_camera.translation for name in cameras])
+    apart = np.linalg.norm(centres - centres[0], axis=1)
+    if apart.max() <= LEAST_APART_M:
+        raise InputError(
+            f"continuous: cameras {', '.join(cameras)} are all at {centres[0].tolist()} m: they see no depth; give "
+            "the rig's poses, as a start where they are not known"
+        )
+
+
+def _check_errors(observations: TimedObservations, rig: Rig) -> None:
+    """Raise InputError for image points or covariances that are no numbers, and for errors that no image has."""
+    widest = max(max(rig.camera(name).width, rig.camera(name).height) for name in observations.cameras)
+    covariance = observations.covariance_px2
+    known = np.asarray(np.isfinite(observations.xy_px).all(axis=1) & np.isfinite(covariance).all(axis=(1, 2)))
+    sizes = np.linalg.eigvalsh(np.where(known[:, None, None], covariance, np.eye(2)))
+    usable = known & (sizes[:, 0] >= LEAST_SIGMA_PX**2) & (sizes[:, 1] <= widest**2)
+    if usable.all():
+        return
+    k = int(np.flatnonzero(~usable)[0])
+    where = (
+        f"continuous: camera '{observations.cameras[observations.camera[k]]}', exposure {observations.exposure[k]}, "
+        f"point '{observations.points[observations.point[k]]}'"
+    )
+    if not np.isfinite(observations.xy_px[k]).all():
+        raise InputError(f"{where}: image point {observations.xy_px[k].tolist()} given; leave out what was not seen")
+    raise InputError(
+        f"{where}: covariance {covariance[k].tolist()} px^2 given; a positive definite one is wanted, of standard "
+        f"deviations from {LEAST_SIGMA_PX:g} to {widest} px; give the images' error, 0.1 px for example"
+    )

@@ -23,6 +23,8 @@ CHANCE = 3.0
 """Least excess of variances over the stated ones, in standard deviations, to count as significant."""
 LATER = range(3, 9)
 """Lag of the autocovariance, in exposures: beyond the correlation that the fit itself causes."""
+LEAST_SHOWN = 1 / 4
+"""Share of time-correlated errors that residuals show where two cameras see every point."""
 EXPOSURE_GROUP_S = 0.5
 """Bins of time within which the set of cameras that see a point counts as constant [s]."""
 
@@ -92,6 +94,36 @@ def time_correlated_variance(image: ImagePoints, solved: Solved) -> float:
     # the same residuals are compared several times
     chance = CHANCE * size * np.sqrt(len(LATER) / number)
     return alike / own if alike / number > chance else 0.0
+
+
+def covariance_of_shared(image: ImagePoints, solved: Solved, places: StateLayout) -> Array:
+    """Return the covariance (b, b) of the shared unknowns (clocks, poses of fixed cameras), larger where image errors
+    do not average out.
+
+    What the residuals of one point in one camera do to an unknown together, summed over all as if these pairs were
+    independent: the covariance for errors that are correlated in any way within a pair (Liang and Zeger 1986), of a
+    lens or of what is taken for the point. The covariance grows by the mean ratio of the variances, where chance does
+    not explain it. Of such errors the curves take up a part, as in ``time_correlated_variance``.
+    """
+    o, shared = image.observations, places.shared
+    if not shared:
+        return solved.covariance
+    cameras = len(o.cameras)
+    by_pair = np.zeros((len(o.points) * cameras, shared))
+    for g, rows in enumerate(solved.rows):
+        own = np.flatnonzero(of_group(image, places, g) & (solved.weight > 0))
+        taken = [rows.applied(column, places.width(g)) for column in solved.carried[g].T]
+        score = (rows.shared - np.stack(taken, axis=1)) * rows.rest[:, None]
+        np.add.at(by_pair, o.point[own] * cameras + o.camera[own], score.reshape(len(own), 2, -1).sum(axis=1))
+    seen = by_pair.any(axis=1).reshape(-1, cameras)
+    seen_by = seen.sum(axis=1)
+    shown = float(np.average(np.maximum(2 * seen_by - 3, 0) / np.maximum(2 * seen_by, 1), weights=seen_by))
+    influence = by_pair @ solved.covariance
+    # of all unknowns together: a single one's is as uncertain as the few pairs leave it
+    ratio = float(np.mean((influence**2).sum(axis=0) / np.diag(solved.covariance)))
+    if ratio <= 1.0 + CHANCE * np.sqrt(2.0 / max(int(seen.sum()), 1)):
+        return solved.covariance
+    return np.asarray(solved.covariance * ratio / max(shown, LEAST_SHOWN))
 
 
 def time_correlated_covariances(image: ImagePoints, solved: Solved, places: StateLayout, share: Array) -> Array:

@@ -100,6 +100,13 @@ class SplineCurves:
             total += np.einsum("tpib,bc,tpjc->tpij", by_shared, self.shared, by_shared)
         return self._known(total, time_s)
 
+    def reaching(self, farther_s: float) -> "SplineCurves":
+        """Return the curves with what is predicted ``farther_s`` before and after a point was seen."""
+        begin, end = self.knots.start_s, self.knots.end_s
+        return replace(
+            self, from_s=np.maximum(self.from_s - farther_s, begin), to_s=np.minimum(self.to_s + farther_s, end)
+        )
+
     def _known(self, of_points: Array, time_s: Array) -> Array:
         t = np.asarray(time_s)[:, None]
         slack = 1e-9 + 1e-9 * self.knots.step_s

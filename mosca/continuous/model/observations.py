@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -83,6 +83,7 @@ class Curves(Protocol):
         """Return the positions (t, points, 3) at the instants ``time_s`` (t,)."""
 
 
+@runtime_checkable
 class UncertainCurves(Curves, Protocol):
     """Curves that know how certain they are."""
 

@@ -126,14 +126,14 @@ def solve_worn(
         for c, (one, t, own) in enumerate(zip(seen, times, by_code, strict=True))
     )
     marked = tuple(_without(one, own) for one, own in zip(seen, lamp, strict=True))
-    tracklet = [tracklets(one) for one in marked]
+    tracklet = [tracklets(one, learned=False) for one in marked]
     gathered = markers_of(marked, tracklet, ties, rig, gathering, count or FrameCount(), attend, moving)
     settings = settings or ContinuousSettings()
     # a camera's path is seen at its own exposures alone: knots as far apart as the quickest one's frames
     knot_s = settings.knot_s or min(one.period_s for one in seen)
     settings = replace(settings, cameras="moving", clocks="known", knot_s=knot_s)
     found, paths = gathered.observations, moving.paths
-    start: Curves = gathered.start
+    start: Curves | None = gathered.start
     # the first pass only bridges gaps between poses, and assigns image points to markers again
     quick = replace(settings, limbs=False, knot_s=COARSER * knot_s)
     for now in (quick, settings):

@@ -2,7 +2,7 @@
 
 A table per camera holds ``size``, ``matrix`` (3 x 3, px), ``distortions`` (OpenCV's order, or four of ``cv2.fisheye``
 where ``fisheye = true``), ``rotation`` (a rotation vector, or a 3 x 3 matrix in older Caliscope files) and
-``translation``; the last two are *camera_from_world*, in metres.
+``translation``; the last two are *camera_from_world*, in metres, or in the unit in which the board was described.
 
 - aniposelib, Pose2Sim: ``[cam_0]`` ... with ``name``, beside ``[metadata]``.
 - Caliscope: ``[cameras.0]`` ... with ``cam_id`` (older: ``port``), no name. Its videos are called
@@ -57,8 +57,8 @@ def is_caliscope(document: dict[str, Any]) -> bool:
     )
 
 
-def rig_from_caliscope(document: dict[str, Any], path: Path) -> Rig:
-    """Return the cameras of ``document``; ``path`` is named in errors.
+def rig_from_caliscope(document: dict[str, Any], path: Path, unit_m: float = 1.0) -> Rig:
+    """Return the cameras of ``document``, whose translations have the unit ``unit_m`` [m]; errors name ``path``.
 
     Raises InputError for a camera without calibration that is not marked ``ignore``, for a number of
     distortion coefficients that OpenCV's model does not have, for skew, and for millimetres.
@@ -70,7 +70,7 @@ def rig_from_caliscope(document: dict[str, Any], path: Path) -> Rig:
         where = f"{path}: [{'cameras.' if nested else ''}{key}]"
         if not isinstance(table, dict) or key == "metadata" or table.get("ignore") is True:
             continue
-        camera = _camera(check(CaliscopeCamera, table, where), key, where)
+        camera = _camera(check(CaliscopeCamera, table, where), key, where, unit_m)
         if camera.name in cameras:
             raise InputError(f"{where}: camera name '{camera.name}' stands twice; give each its own name")
         cameras[camera.name] = camera
@@ -79,16 +79,18 @@ def rig_from_caliscope(document: dict[str, Any], path: Path) -> Rig:
     return Rig(tuple(cameras.values()))
 
 
-def _camera(table: CaliscopeCamera, key: str, where: str) -> Camera:
+def _camera(table: CaliscopeCamera, key: str, where: str, unit_m: float) -> Camera:
     number = table.cam_id if table.cam_id is not None else table.port
     name = table.name or (f"cam_{number}" if number is not None else str(key))
-    if max(abs(value) for value in table.translation) > LARGEST_TRANSLATION_M:
+    translation = unit_m * np.array(table.translation)
+    if np.abs(translation).max() > LARGEST_TRANSLATION_M:
         raise InputError(
             f"{where}: translation {list(table.translation)} given; metres are wanted, at most "
-            f"{LARGEST_TRANSLATION_M:g}; a board measured in millimetres gives these: divide by 1000"
+            f"{LARGEST_TRANSLATION_M:g}; a board measured in millimetres gives these: "
+            "mosca rig convert --unit mm, or divide by 1000"
         )
     rotation = _rotation(table.rotation, where)
-    camera_from_world = Pose(rotation, np.array(table.translation))
+    camera_from_world = Pose(rotation, translation)
     return Camera(name, *table.size, _lens(table, where), camera_from_world.inverse())
 
 

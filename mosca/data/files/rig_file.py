@@ -151,17 +151,19 @@ def read_rig_file(path: Path) -> RigFile:
     return check(RigFile, read_toml(Path(path)), path)
 
 
-def read_rig(path: Path) -> Rig:
+def read_rig(path: Path, unit_m: float = 1.0) -> Rig:
     """Return the calibrated cameras of a rig file, or of an aniposelib/Caliscope/Pose2Sim calibration TOML.
 
-    The content determines which of the two it is. Raises InputError naming file, key, value and what is allowed; also
-    for a camera without lens or pose, a position in millimetres, or a principal point more than half an image outside
-    the image.
+    ``unit_m``: what one unit of another program's translations is in metres. The content determines which of the two
+    it is. Raises InputError naming file, key, value and what is allowed; also for a camera without lens or pose, a
+    position in millimetres, or a principal point more than half an image outside the image.
     """
     path = Path(path)
     document = read_toml(path)
     if is_caliscope(document):
-        rig = rig_from_caliscope(document, path)
+        rig = rig_from_caliscope(document, path, unit_m)
+    elif unit_m != 1:
+        raise InputError(f"{path}: a rig file of this project is in metres; leave the unit out")
     else:
         tables = check(RigFile, document, path).camera
         names = [table.name for table in tables]

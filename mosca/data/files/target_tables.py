@@ -16,6 +16,7 @@
     square_m = 0.04
     margin_m = 0.04
     marker_m = 0.03                       # with dictionary = "DICT_5X5_50": ChArUco
+    inverted = true                       # black and white exchanged; from_behind = true: seen from both sides
 
     kind = "wand"
     along_m = [0.0, 0.15, 0.5]            # the balls' centres on it
@@ -133,11 +134,23 @@ class BoardTable(Table):
     marker_m: Length | None = None
     dictionary: str | None = None
     sigma_m: Sigma = 0.0
+    inverted: bool = Field(False, description="black and white are exchanged, margin included")
+    from_behind: bool = Field(False, description="its mirror image is seen on the other side, at the same corners")
 
     def made(self) -> Board:
         """Return the board; ValueError for one that is symmetric under rotation."""
         margin = self.square_m if self.margin_m is None else self.margin_m
-        return Board(self.columns, self.rows, self.square_m, margin, self.marker_m, self.dictionary, self.sigma_m)
+        return Board(
+            self.columns,
+            self.rows,
+            self.square_m,
+            margin,
+            self.marker_m,
+            self.dictionary,
+            self.sigma_m,
+            self.inverted,
+            self.from_behind,
+        )
 
 
 class WandTable(Table):

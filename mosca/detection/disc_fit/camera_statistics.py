@@ -7,10 +7,12 @@ together, whose edge at the distance r from the centre (x, y) is
 
 the straight edge under a Gaussian blur, bent to a circle; where the target is small beside the blur it goes over into
 a bell. Elliptic targets are first mapped to round ones by their second moments. Maximum likelihood with the noise of
-EMVA 1288, ``var(I) = read^2 + gain (I - b) + 1/12``, by Gauss-Newton steps for x, y, A, b, R and s, whose normal
-matrix gives the covariance. The centre is uncorrelated with the other four for a window that is symmetric about
-the target, so that they do not add to its variance. The blur has a prior from earlier frames, since radius and blur
-of a target of 2 px are nearly collinear. Saturated pixels and those of neighbours are left out.
+EMVA 1288, ``var(I) = dark + gain (I - b)``, by Gauss-Newton steps for x, y, A, b, R and s, whose normal
+matrix gives the covariance; where the residuals are significantly larger than usual with this camera (targets that
+are hidden in part, images that are no discs), it is scaled by the ratio of their chi-squares. The centre is
+uncorrelated with the other four for a window that is symmetric about the target, so that they do not add to its
+variance. The blur has a prior from earlier frames, since radius and blur of a target of 2 px are nearly collinear.
+Saturated pixels and those of neighbours are left out.
 
 No point spread function is given. What is estimated from the frames, camera by camera (``CameraStatistics``):
 
@@ -27,49 +29,51 @@ No point spread function is given. What is estimated from the frames, camera by 
 The offsets are used from ``ENOUGH`` centroids on, where they are statistically significant (``CHANCE``).
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, field
+from typing import Any, TypeVar
 
 import numpy as np
 
 from mosca.data.arrays import Array
-from mosca.detection.disc_fit.fit_regions import Priors
+from mosca.detection.disc_fit.fit_regions import FIRST_ROUGHNESS, Priors
 from mosca.detection.disc_fit.light_offset import (
     BLUR_SUM,
     BLUR_WEIGHT,
     N_LIGHT,
-    N_TALLIES,
     N_TARGETS,
     N_TERMS,
     ROUGH_SUM,
+    StatisticsSums,
+    no_sums,
 )
+from mosca.detection.local_background import LocalBackground
+
+T = TypeVar("T")
 
 FIRST_BLUR_PX, FIRST_SPREAD = 0.75, 0.5
 """Blur assumed of a camera without statistics, and its standard deviation as a share of it."""
 SPREAD = 0.15
 """Standard deviation of a target's blur about that of its camera (depth of field), as a share of it."""
-USUAL_ROUGHNESS = 4e-4
-"""Misfit beyond the noise of a camera without statistics, over the squared amplitude: (2 %)^2."""
 FEW, ENOUGH, MEMORY = 3.0, 400.0, 20_000.0
-"""Clean targets from which the blur is used; centroids from which offsets are; targets after which older
-ones are weighted down."""
+"""Targets from which the blur is used, and of which the first guess of the misfit counts as many; centroids from
+which offsets are; targets after which older ones are weighted down."""
 CHANCE = 12.0
 """Least chi-square of a term of the offset, per axis: false-positive rate below 1 / 2,000."""
 
 
 @dataclass(frozen=True, eq=False)
 class CameraStatistics:
-    """Sums over frames of some cameras, from which blur and bias are estimated; read-only, added up with ``plus``."""
+    """What earlier frames tell of some cameras; read-only, added up with ``plus``."""
 
     names: tuple[str, ...] = ()
     """Cameras (n)."""
-    tallies: Array = field(default_factory=lambda: np.zeros((0, N_TALLIES)))
-    """(n, N_TALLIES) number of clean targets, sums for the blur, of misfits, number of centroids."""
-    normal: Array = field(default_factory=lambda: np.zeros((0, N_TERMS, N_TERMS)))
-    """(n, N_TERMS, N_TERMS) normal matrices of the offsets' least squares."""
-    right_side: Array = field(default_factory=lambda: np.zeros((0, N_TERMS, 2)))
-    """(n, N_TERMS, 2) their right sides."""
-    _priors: dict[tuple[str, ...], Priors] = field(default_factory=dict, repr=False)
+    sums: StatisticsSums = field(default_factory=lambda: no_sums(0))
+    """Of fitted targets, from which blur, bias and gain are estimated (n)."""
+    backgrounds: Mapping[str, LocalBackground] = field(default_factory=dict)
+    """By camera, of those whose background was measured."""
+    _kept: dict[Hashable, Any] = field(default_factory=dict, repr=False)
+    """What was computed from these statistics, by what it depends on besides."""
     _parts: Mapping[str, "CameraStatistics"] = field(default_factory=dict, repr=False)
 
     def plus(self, other: "CameraStatistics") -> "CameraStatistics":
@@ -77,13 +81,29 @@ class CameraStatistics:
         if self.names != other.names:
             names = self.names + tuple(name for name in other.names if name not in self.names)
             return self._of(names).plus(other._of(names)) if self.names else other
-        tallies, normal, right_side = self.tallies, self.normal, self.right_side
-        if max(tallies[:, N_TARGETS].tolist(), default=0.0) > MEMORY:
-            keep = np.minimum(1.0, MEMORY / np.maximum(tallies[:, N_TARGETS], 1.0))[:, None]
-            tallies, normal, right_side = keep * tallies, keep[:, None] * normal, keep[:, None] * right_side
+        kept = self.sums
+        if max(kept.tallies[:, N_TARGETS].tolist(), default=0.0) > MEMORY:
+            keep = np.minimum(1.0, MEMORY / np.maximum(kept.tallies[:, N_TARGETS], 1.0))
+            kept = StatisticsSums(*(keep.reshape(-1, *[1] * (part.ndim - 1)) * part for part in kept))
+        backgrounds = self.backgrounds
+        if other.backgrounds:
+            later = other.backgrounds
+            measured = {name: own.plus(later.get(name)) for name, own in backgrounds.items()}
+            backgrounds = {**later, **measured}
         return CameraStatistics(
-            self.names, tallies + other.tallies, normal + other.normal, right_side + other.right_side
+            self.names, StatisticsSums(*(a + b for a, b in zip(kept, other.sums, strict=True))), backgrounds
         )
+
+    def kept(self, key: Hashable, made: Callable[[], T]) -> T:
+        """Return what was computed from these statistics under this key, computed once by ``made``."""
+        if key not in self._kept:
+            self._kept[key] = made()
+        result: T = self._kept[key]
+        return result
+
+    def of(self, name: str) -> "CameraStatistics":
+        """Return one camera's own statistics, with what was computed from them before."""
+        return self._parts.get(name, self)
 
     def blur_px(self, name: str) -> float:
         """Return the blur [px] of a camera, standard deviation of its edges; ``FIRST_BLUR_PX`` without statistics."""
@@ -91,14 +111,14 @@ class CameraStatistics:
 
     def priors(self, names: tuple[str, ...]) -> Priors:
         """Return what the fit of these cameras starts from."""
-        if names not in self._priors:
-            parts = [self._parts[name] for name in names if name in self._parts]
-            if len(parts) == len(names) > 0:
-                each = [one.priors(one.names) for one in parts]
-                self._priors[names] = Priors(*(np.concatenate(column) for column in zip(*each, strict=True)))
-            else:
-                self._priors[names] = _priors(self if names == self.names else self._of(names))
-        return self._priors[names]
+        return self.kept(names, lambda: self._made_priors(names))
+
+    def _made_priors(self, names: tuple[str, ...]) -> Priors:
+        parts = [self._parts[name] for name in names if name in self._parts]
+        if len(parts) == len(names) > 0:
+            each = [one.priors(one.names) for one in parts]
+            return Priors(*(np.concatenate(column) for column in zip(*each, strict=True)))
+        return _priors(self if names == self.names else self._of(names))
 
     def solve(self) -> None:
         """Compute the priors of these cameras' fits ahead of the first fit, which would wait for them otherwise."""
@@ -108,21 +128,15 @@ class CameraStatistics:
 
     def by_camera(self) -> dict[str, "CameraStatistics"]:
         """Return each camera's own statistics."""
-        return {
-            name: CameraStatistics(
-                (name,), self.tallies[k : k + 1], self.normal[k : k + 1], self.right_side[k : k + 1]
-            )
-            for k, name in enumerate(self.names)
-        }
+        return {name: self._of((name,)) for name in self.names}
 
     def _of(self, names: tuple[str, ...]) -> "CameraStatistics":
         """Return the same for other cameras, zeros for those without any."""
         rows = np.array([self.names.index(name) if name in self.names else -1 for name in names])
-        parts = []
-        for part in (self.tallies, self.normal, self.right_side):
-            padded = np.concatenate([part, np.zeros((1, *part.shape[1:]))])
-            parts.append(padded[rows])
-        return CameraStatistics(names, *parts)
+        nothing = no_sums(1)
+        parts = [np.concatenate(pair)[rows] for pair in zip(self.sums, nothing, strict=True)]
+        backgrounds = {name: self.backgrounds[name] for name in names if name in self.backgrounds}
+        return CameraStatistics(names, StatisticsSums(*parts), backgrounds)
 
 
 NO_STATISTICS = CameraStatistics()
@@ -133,29 +147,29 @@ def joined(parts: Mapping[str, CameraStatistics]) -> CameraStatistics:
     known = {name: one for name, one in parts.items() if one.names}
     if not known:
         return NO_STATISTICS
+    columns = zip(*(one.sums for one in known.values()), strict=True)
     return CameraStatistics(
         tuple(known),
-        np.concatenate([one.tallies for one in known.values()]),
-        np.concatenate([one.normal for one in known.values()]),
-        np.concatenate([one.right_side for one in known.values()]),
+        StatisticsSums(*(np.concatenate(column) for column in columns)),
+        {name: background for one in known.values() for name, background in one.backgrounds.items()},
         _parts=known,
     )
 
 
 def _priors(statistics: CameraStatistics) -> Priors:
-    tallies = statistics.tallies
+    tallies, normal, right_side = statistics.sums
     known = tallies[:, BLUR_WEIGHT] > 0
     weight = np.where(known, tallies[:, BLUR_WEIGHT], 1.0)
     mean = np.where(known, tallies[:, BLUR_SUM] / weight, FIRST_BLUR_PX)
     mean = np.clip(mean, 0.3, 6.0)
     surely = known & (tallies[:, N_TARGETS] >= FEW)
     spread = np.sqrt((np.where(surely, SPREAD, FIRST_SPREAD) * mean) ** 2 + np.where(known, 1 / weight, 0.0))
-    usual = np.where(tallies[:, N_TARGETS] > 0, tallies[:, ROUGH_SUM] / np.maximum(tallies[:, N_TARGETS], 1.0), 0.0)
+    usual = (tallies[:, ROUGH_SUM] + FEW * FIRST_ROUGHNESS) / (tallies[:, N_TARGETS] + FEW)
     offsets = np.zeros((len(tallies), N_TERMS, 2))
     enough = np.flatnonzero(tallies[:, N_LIGHT] >= ENOUGH)
     if len(enough):
-        offsets[enough] = _offsets(statistics.normal[enough], statistics.right_side[enough])
-    return Priors(np.column_stack([mean, spread]), offsets, np.maximum(usual, USUAL_ROUGHNESS))
+        offsets[enough] = _offsets(normal[enough], right_side[enough])
+    return Priors(np.column_stack([mean, spread]), offsets, usual)
 
 
 def _offsets(normal: Array, right_side: Array) -> Array:

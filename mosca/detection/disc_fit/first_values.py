@@ -36,7 +36,9 @@ class Region(NamedTuple):
     threshold: int
     """It holds pixels above this [DN]."""
     floor: int
-    """The image's lowest threshold [DN]: what is not above it is background."""
+    """What is not above it is background [DN]."""
+    slope: tuple[float, float]
+    """Of the background by x and y [DN/px]."""
 
 
 class Light(NamedTuple):

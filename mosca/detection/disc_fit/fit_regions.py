@@ -19,13 +19,13 @@ from mosca.detection.disc_fit.light_offset import (
     BLUR_SUM,
     BLUR_WEIGHT,
     LIGHT_BLURS,
-    N_TALLIES,
     N_TARGETS,
     N_TERMS,
     ROUGH_SUM,
     StatisticsSums,
     add_light,
     moved,
+    no_sums_compiled,
 )
 from mosca.detection.disc_fit.pixels import (
     OVER,
@@ -36,6 +36,7 @@ from mosca.detection.disc_fit.pixels import (
     gather_unmarked,
     half_side,
     is_inside,
+    level_pixels,
     make_window,
     mark_foreign,
     pad,
@@ -44,8 +45,21 @@ from mosca.detection.disc_fit.pixels import (
     window_place,
     window_sums,
 )
+from mosca.detection.disc_fit.residual_noise import add_residuals
 from mosca.detection.images import ImageSet, image_of
-from mosca.detection.search import END_RUN, FIRST_RUN, IMAGE, THRESHOLD, FoundRegions, box_of
+from mosca.detection.search import (
+    DARK,
+    END_RUN,
+    FIRST_RUN,
+    FLOOR,
+    GAIN,
+    IMAGE,
+    SLOPE_X,
+    SLOPE_Y,
+    THRESHOLD,
+    FoundRegions,
+    box_of,
+)  # fmt: skip
 from mosca.numba_support.decorators import bare_step, step
 from mosca.numba_support.intrinsics import array_at
 
@@ -62,9 +76,13 @@ WORST_FIT = 2.0
 STRAY_PX, STRAY_SHARE = 0.3, 0.15
 """A fit that ends farther from its region's light than this [px] plus this share of the region's size is rejected."""
 MISFIT_MEAN, MISFIT_SIGMAS = 1.3, 5.0
-"""The disc model is rejected where chi-square per pixel exceeds the first plus so many of its standard deviations,"""
+"""The disc does not fit where chi-square per pixel exceeds the first plus so many of its standard deviations. Where
+its ratio to the camera's usual one does, the centre's covariance is scaled by that ratio."""
 MISFIT_FACTOR, MISFIT_LEAST = 8.0, 0.01
-"""and its excess so many times the camera's usual one and this share (10 %)^2 of the squared amplitude."""
+"""The disc is rejected, and the covariance scaled by all of chi-square, where the excess is also so many times the
+camera's usual one, at least the first guess, and (10 %)^2 of the squared amplitude."""
+FIRST_ROUGHNESS = 4e-4
+"""Misfit beyond the noise of a camera without statistics, over the squared amplitude: (2 %)^2."""
 LONG = 0.2
 """Difference of principal moments over their sum from which a region that no disc fits may be two targets."""
 ROUGH_FACTOR, ROUGH_FLOOR = 4.0, 1e-4
@@ -144,20 +162,41 @@ def is_good(region: Region, light: Light, fit: DiscFit, centre: Centre) -> bool:
 
 
 @bare_step(fastmath=FAST)
-def write_row(region: Region, light: Light, fit: DiscFit, centre: Centre, good: bool, odd: bool, out: Array) -> None:
-    """Write all but the centre and the misfit of a fit to its row of the table."""
+def write_row(
+    region: Region,
+    light: Light,
+    fit: DiscFit,
+    centre: Centre,
+    told: tuple[bool, int, float],
+    model: Model,
+    out: Array,
+) -> bool:
+    """Write all but the centre of a fit to its row of the table; return whether it is rejected as odd.
+
+    ``told``: whether the fit is good, of how many pixels, and the camera's usual misfit.
+    """
+    good, n, usual = told
+    misfit, contrast_2 = fit.chi2 / max(n - 6, 1), fit.amplitude * fit.amplitude
+    variance = model.dark_dn2 + model.gain_dn * fit.amplitude
+    rough = max(misfit - 1.0, 0.0) * variance / contrast_2
+    out[MISFIT], out[ROUGH], out[PULL] = misfit, rough, light.pull
     out[XX], out[XY], out[YY] = centre.xx, centre.xy, centre.yy
     out[DIAMETER] = 2.0 * centre.radius
     out[PEAK] = light.peak
     size_x, size_y = region.right - region.left + 1, region.bottom - region.top + 1
     out[ELONGATION] = max(size_x, size_y) / min(size_x, size_y)
     out[FLAGS] = (SATURATED if light.saturated else 0) + (0 if good else UNREFINED + (MERGED if light.crowded else 0))
-    if odd:
-        # the model does not fit: scale the centre's covariance by the misfit
-        misfit = out[MISFIT]
-        out[FLAGS] += PARTIAL + (MERGED if out[PULL] > LONG else 0)
-        out[XX], out[XY], out[YY] = misfit * out[XX], misfit * out[XY], misfit * out[YY]
     out[BLUR_INFO] = out[BLUR] = 0.0
+    chance = MISFIT_MEAN + MISFIT_SIGMAS * math.sqrt(2.0 / n)
+    least = max(MISFIT_FACTOR * max(usual, FIRST_ROUGHNESS), MISFIT_LEAST)
+    odd = good and not light.saturated and misfit > chance and rough > least
+    if odd:
+        out[FLAGS] += PARTIAL + (MERGED if out[PULL] > LONG else 0)
+    excess = misfit if odd else misfit / (1.0 + usual * contrast_2 / variance)
+    if good and excess > chance:
+        # fits worse than the camera's usual target: hidden in part, or no disc
+        out[XX], out[XY], out[YY] = excess * out[XX], excess * out[XY], excess * out[YY]
+    return odd
 
 
 @bare_step(fastmath=FAST)
@@ -184,7 +223,10 @@ def refine_region(
     takes_light: bool,
     out: Array,
 ) -> None:
-    """Fit one region, write its row of the table ``out`` and add to the sums; ``takes_light``: the centroid too."""
+    """Fit one region, write its row of the table ``out`` and add to the sums.
+
+    ``takes_light``: to those of centroid and noise too.
+    """
     blur = (priors.blurs[region.image, 0], priors.blurs[region.image, 1])
     own = runs[region.first_run : region.end_run]
     most = 0.5 * buffers.side - 2.0  # what the buffers hold
@@ -201,6 +243,7 @@ def refine_region(
         n = fill_window(image, middle, size, reach, buffers.windows, pixels)
     else:
         n = gather_at_border(image, middle, reach, pixels)
+    level_pixels(n, pixels, region.slope)
     box = (region.left, region.right, region.top, region.bottom)
     background = min(corner_background(image, box, region.floor), float(region.threshold))
     bright, peak, light_sums = window_sums(n, pixels, region.floor, background)
@@ -220,6 +263,8 @@ def refine_region(
         n = gather_unmarked(image, middle, light.shape, (x0, y0), reach, buffers.marks[0], marked, buffers.pixels)
         pixels = buffers.pixels
         pad(n, pixels)
+        det, (slope_x, slope_y) = m0 * m2 - m1 * m1, region.slope
+        level_pixels(n, pixels, ((m2 * slope_x - m1 * slope_y) / det, (m0 * slope_y - m1 * slope_x) / det))
     start = (x0, y0, amplitude, light.background, radius)
     symmetric = not light.crowded and not light.saturated
     fit = fit_disc((n + 7) // 8 * 8, pixels, start, blur, model, symmetric, buffers.equations)
@@ -227,19 +272,15 @@ def refine_region(
     good = is_good(region, light, fit, centre)
 
     usual = priors.roughness[region.image]
-    misfit = fit.chi2 / max(n - 6, 1)
-    variance = model.dark_dn2 + model.gain_dn * fit.amplitude
-    rough = max(misfit - 1.0, 0.0) * variance / (fit.amplitude * fit.amplitude)
-    out[MISFIT], out[ROUGH], out[PULL] = misfit, rough, light.pull
-    chance = MISFIT_MEAN + MISFIT_SIGMAS * math.sqrt(2.0 / n)
-    odd = good and not light.saturated and misfit > chance and rough > max(MISFIT_FACTOR * usual, MISFIT_LEAST)
-    write_row(region, light, fit, centre, good, odd, out)
-    if good and plain and symmetric:
-        tally = sums.tallies[region.image]
+    odd = write_row(region, light, fit, centre, (good, n, usual), model, out)
+    tally = sums.tallies[region.image]
+    if good and symmetric:
         tally[N_TARGETS] += 1.0
-        tally[ROUGH_SUM] += min(rough, ROUGH_FACTOR * usual + ROUGH_FLOOR)
+        tally[ROUGH_SUM] += min(out[ROUGH], ROUGH_FACTOR * usual + ROUGH_FLOOR)
+    if good and plain and symmetric:
         add_blur(fit, blur, out, tally)
         if takes_light and not odd:
+            add_residuals((n + 7) // 8 * 8, pixels, fit, model, out[MISFIT], tally)
             reach = min(centre.radius + LIGHT_BLURS * fit.blur, most)
             add_light(image, region, reach, fit, centre.radius, buffers.pixels, buffers.terms, sums)
     offsets = priors.offsets[region.image]
@@ -282,7 +323,7 @@ def buffers_for(largest: int, blurs: Array) -> Buffers:
 
 @step(fastmath=FAST)
 def refine_regions(
-    images: ImageSet, found: FoundRegions, priors: Priors, model: Model
+    images: ImageSet, found: FoundRegions, priors: Priors, full_dn: float
 ) -> tuple[Array, Array, StatisticsSums]:
     """Fit every region that does not touch its image's border.
 
@@ -291,9 +332,7 @@ def refine_regions(
     n_images, n_regions = len(images.addresses), len(found.regions)
     table = np.empty((n_regions, N_COLUMNS))
     region_of = np.empty(n_regions, np.int32)
-    sums = StatisticsSums(
-        np.zeros((n_images, N_TALLIES)), np.zeros((n_images, N_TERMS, N_TERMS)), np.zeros((n_images, N_TERMS, 2))
-    )
+    sums = no_sums_compiled(n_images)
     boxes, largest = boxes_of(found, images.height, images.width)
     buffers = buffers_for(largest, priors.blurs)
     known, regions = buffers.windows.known, found.regions
@@ -308,8 +347,10 @@ def refine_regions(
             known[0, 0] = 0
         region = Region(
             k, boxes[r, 0], boxes[r, 1], boxes[r, 2], boxes[r, 3], boxes[r, 4], regions[r, FIRST_RUN],
-            regions[r, END_RUN], regions[r, THRESHOLD], found.lowest[k],
+            regions[r, END_RUN], regions[r, THRESHOLD], regions[r, FLOOR],
+            (found.noise[r, SLOPE_X], found.noise[r, SLOPE_Y]),
         )  # fmt: skip
+        model = Model(found.noise[r, DARK], found.noise[r, GAIN], full_dn)
         refine_region(
             image_of(images, k), found.runs, region, priors, model, buffers, sums,
             (n - first_of_image) % EACH == 0, table[n],

@@ -6,15 +6,18 @@ The model: ``mosca.detection.disc_fit.camera_statistics``. Compiled into the ker
 
 from typing import NamedTuple
 
+import numpy as np
+
 from mosca.data.arrays import Array
 from mosca.detection.disc_fit.first_values import Region
 from mosca.detection.disc_fit.gauss_newton import FAST, ONE, DiscFit, f32
 from mosca.detection.disc_fit.pixels import V, X, Y, gather
-from mosca.numba_support.decorators import bare_step
+from mosca.numba_support.decorators import bare_step, step
 
 # What an image adds to its camera's statistics: counts and sums, see mosca.detection.disc_fit.camera_statistics.
-N_TARGETS, BLUR_SUM, BLUR_WEIGHT, ROUGH_SUM, N_LIGHT = range(5)
-N_TALLIES, N_TERMS = 5, 12
+N_TARGETS, BLUR_SUM, BLUR_WEIGHT, ROUGH_SUM, N_LIGHT, NOISE_SUMS = range(6)
+N_TALLIES, N_TERMS = 11, 12
+"""From column NOISE_SUMS on: sums of the gain's least squares, see ``mosca.detection.disc_fit.residual_noise``."""
 N_OFFSET_TERMS = 9
 """Terms of the offset that are added to the fitted centre; those in R are shading."""
 
@@ -35,6 +38,15 @@ class StatisticsSums(NamedTuple):
     """(n, N_TERMS, N_TERMS) normal matrices of the offsets."""
     right_side: Array
     """(n, N_TERMS, 2) right sides of the offsets."""
+
+
+def no_sums(n: int) -> StatisticsSums:
+    """Return sums of n images to which nothing was added yet."""
+    return StatisticsSums(np.zeros((n, N_TALLIES)), np.zeros((n, N_TERMS, N_TERMS)), np.zeros((n, N_TERMS, 2)))
+
+
+no_sums_compiled = step(no_sums)
+"""``no_sums`` for kernels."""
 
 
 @bare_step(fastmath=FAST)

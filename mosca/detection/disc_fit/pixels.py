@@ -25,6 +25,10 @@ CORNER_PX = 2
 """How far off a box's corners the background's first estimate is taken."""
 
 
+EVEN_DN2 = 1e-2
+"""A background that rises by less than the root of this [DN] over a window's side is even."""
+
+
 class RoundWindows(NamedTuple):
     """Pixels of round windows, one for each size of region that occurs in an image."""
 
@@ -153,6 +157,17 @@ def fill_window(
     for i in range(n, len(pixels[V])):
         pixels[V, i] = ZERO
     return n
+
+
+@bare_step(fastmath=FAST)
+def level_pixels(n: int, pixels: Array, slope: tuple[float, float]) -> None:
+    """Take the slope of the background [DN/px] out of the grey values of n pixels, about the offset (0, 0)."""
+    if (slope[0] * slope[0] + slope[1] * slope[1]) * n < EVEN_DN2:
+        return
+    x, y, v = pixels[X], pixels[Y], pixels[V]
+    a, b = f32(slope[0]), f32(slope[1])
+    for i in range(n):
+        v[i] -= a * x[i] + b * y[i]
 
 
 @bare_step(fastmath=FAST)

@@ -33,7 +33,7 @@ from mosca.detection.frame_set_kernel import Measured
 from mosca.detection.images import ImageSet, image_of
 from mosca.detection.merged_targets.fit import ELLIPSE, PAIR, SWEPT, FitTask, clearance, fit
 from mosca.detection.merged_targets.pixels import gather_all, keep_near, start_of
-from mosca.detection.search import END_RUN, FIRST_RUN, IMAGE, FoundRegions
+from mosca.detection.search import DARK, END_RUN, FIRST_RUN, FLOOR, GAIN, IMAGE, FoundRegions
 from mosca.numba_support.decorators import bare_step, kernel, step
 
 DECISIVE = 30.0
@@ -115,7 +115,7 @@ def write_pair(image: Array, pair: FittedPair, offsets: Array, terms: Array, ful
 
 @kernel(fastmath=FAST)
 def fit_pairs(
-    images: ImageSet, found: FoundRegions, candidates: Array, priors: Priors, model: Model
+    images: ImageSet, found: FoundRegions, candidates: Array, priors: Priors, full_dn: float
 ) -> tuple[Array, Array]:
     """Fit two discs to each of ``candidates`` (k, 2): a region alone (its number, -1) or with a second one.
 
@@ -128,10 +128,10 @@ def fit_pairs(
     for q in range(len(candidates)):
         first, second = candidates[q, 0], candidates[q, 1]
         k = regions[first, IMAGE]
-        image = image_of(images, k)
+        image, model = image_of(images, k), Model(found.noise[first, DARK], found.noise[first, GAIN], full_dn)
         own = runs[regions[first, FIRST_RUN] : regions[first, END_RUN]]
         other = own[:0] if second < 0 else runs[regions[second, FIRST_RUN] : regions[second, END_RUN]]
-        pixels, n, level, peak = gather_all(image, own, other, found.lowest[k], model.full_dn)
+        pixels, n, level, peak = gather_all(image, own, other, regions[first, FLOOR], full_dn)
         if n < FEWEST_PIXELS:
             continue
         task = FitTask(priors.blurs[k, 0], priors.blurs[k, 1], model, work)
@@ -224,7 +224,9 @@ def candidates_of(table: Array, image_of: Array) -> Array:
     return np.concatenate([beside, np.column_stack([single, np.full(len(single), -1)])]).astype(np.int64)
 
 
-def split_pairs(measured: Measured, images: ImageSet, found: FoundRegions, priors: Priors, model: Model) -> Measured:
+def split_pairs(
+    measured: Measured, images: ImageSet, found: FoundRegions, priors: Priors, full_dn: float
+) -> Measured:
     """Return the targets with the rows of each accepted pair replaced by those of its joint fit.
 
     A row that is in two pairs belongs to the first one accepted.
@@ -234,7 +236,7 @@ def split_pairs(measured: Measured, images: ImageSet, found: FoundRegions, prior
     if not len(rows_of):
         return measured
     by_region = np.where(rows_of >= 0, region_of[rows_of], -1)
-    fits, two = fit_pairs(images, found, by_region, priors, model)
+    fits, two = fit_pairs(images, found, by_region, priors, full_dn)
     spent: set[int] = set()
     more, after = [], []
     for (one, other), fitted, is_two in zip(rows_of.tolist(), fits, two, strict=True):

@@ -14,7 +14,6 @@ import tomli_w
 from mosca.data.files.rig_file import read_rig
 from mosca.data.files.whole_file import write_text
 from mosca.data.rig import Camera
-from mosca.errors import InputError
 from mosca.formats.rigs.lens_conversion import Notes, RigFileOptions, opencv_parts
 
 
@@ -22,9 +21,7 @@ def read_toml_rig(path: Path, options: RigFileOptions) -> tuple[tuple[Camera, ..
     """Read the project's rig file or one of this dialect, whichever it is
     (``mosca.data.files.rig_file.read_rig``).
     """
-    if options.unit == "mm":
-        raise InputError(f"{path}: unit = mm given; these files are in metres: divide 'translation' by 1000")
-    return read_rig(path).cameras, ()
+    return read_rig(path, options.metres("m")).cameras, ()
 
 
 def write_aniposelib(cameras: tuple[Camera, ...], path: Path, options: RigFileOptions) -> Notes:

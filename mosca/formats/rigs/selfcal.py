@@ -29,7 +29,7 @@ from mosca.formats.rigs.lens_conversion import (
     rotation_of,
 )
 
-VALUE = re.compile(r"^\s*(K\d\d|kc\d)\s*=\s*(\S+)\s*$", re.MULTILINE)
+VALUE = re.compile(r"^[^\S\n]*(K\d\d|kc\d)[^\S\n]*=(.*)$", re.MULTILINE)
 
 
 def read_selfcal(path: Path, options: RigFileOptions) -> tuple[tuple[Camera, ...], Notes]:
@@ -79,7 +79,10 @@ def _camera(
 def _radial(path: Path) -> OpenCVLens:
     values = {}
     for key, text in VALUE.findall(read_text(path, CALIBRATION, "utf-8-sig")):
-        values[key] = numbers(text, path)[0]
+        found = numbers(text, path)
+        if len(found) != 1:
+            raise InputError(f"{path}: '{key} ={text[:40]}' given; one number is wanted")
+        values[key] = found[0]
     wanted = [f"K{i}{j}" for i in "123" for j in "123"] + [f"kc{i}" for i in "1234"]
     missing = [key for key in wanted if key not in values]
     if missing:

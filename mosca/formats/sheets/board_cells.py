@@ -8,7 +8,8 @@ from mosca.data.boards import Board
 
 
 def black_cells(board: Board) -> Array:
-    """Return (n, 4) left, bottom, width and height [m] of all that is black, in the frame of ``Board``.
+    """Return (n, 4) left, bottom, width and height [m] of all that is black (``inverted``: white), in the frame of
+    ``Board``.
 
     The squares, and of markers each unbroken row of black bits; none overlap.
     """

@@ -63,7 +63,7 @@ def write_sheets(
     path = Path(path)
     match target:
         case Board():
-            return (write_board_sheet(path, target, page),)
+            return write_board_sheets(path, target, page)
         case TestField():
             coded = [placed.target for placed in target.targets if isinstance(placed.target, CodedTarget)]
         case ScaleBar():
@@ -99,10 +99,11 @@ def write_target_sheets(
     return tuple(files)
 
 
-def write_board_sheet(path: Path, board: Board, page: str | None = None) -> Path:
-    """Write a board in true size in the middle of a sheet, and return the file.
+def write_board_sheets(path: Path, board: Board, page: str | None = None) -> tuple[Path, ...]:
+    """Write a board in true size in the middle of a sheet, and return the files.
 
-    ``page`` as for ``write_sheets``. Raises InputError for another ending or page, or a board larger than the page.
+    A board that is seen from behind takes a second sheet ("board-back.svg"): its mirror image. ``page`` as for
+    ``write_sheets``. Raises InputError for another ending or page, or a board larger than the page.
     """
     path = _checked(path)
     wide, high = (1000 * edge for edge in board.size_m)
@@ -118,17 +119,20 @@ def write_board_sheet(path: Path, board: Board, page: str | None = None) -> Path
         )
     size = fitting[0] if fitting else (max(room[0], 2 * MARGIN_MM + 5 * TICK_MM), room[1])
     middle = (size[0] / 2, size[1] - MARGIN_MM - high / 2)
-    corners, codes = [], []
-    for left, bottom, width, height in 1000 * black_cells(board):
-        x, y = middle[0] + left, middle[1] + bottom
-        corners += [(x, y), (x + width, y), (x + width, y + height), (x, y + height), (x, y)]
-        codes += [Outline.MOVETO, Outline.LINETO, Outline.LINETO, Outline.LINETO, Outline.CLOSEPOLY]
-    edge = Rectangle(
-        (middle[0] - wide / 2, middle[1] - high / 2), wide, high, facecolor="white", edgecolor="0.5", lw=HAIRLINE_PT
-    )
-    # one path: where black cells meet there is no seam between two fillings
-    _write(path, [edge, PathPatch(Outline(corners, codes), facecolor="black", lw=0)], [], size)
-    return path
+    paper, ink = ("black", "white") if board.inverted else ("white", "black")
+    edge = (middle[0] - wide / 2, middle[1] - high / 2)
+    files = (path, path.with_name(f"{path.stem}-back{path.suffix}")) if board.from_behind else (path,)
+    for file in files:
+        corners, codes = [], []
+        for x0, bottom, width, height in 1000 * black_cells(board):
+            left = x0 if file == path else -x0 - width
+            x, y = middle[0] + left, middle[1] + bottom
+            corners += [(x, y), (x + width, y), (x + width, y + height), (x, y + height), (x, y)]
+            codes += [Outline.MOVETO, Outline.LINETO, Outline.LINETO, Outline.LINETO, Outline.CLOSEPOLY]
+        margin = Rectangle(edge, wide, high, facecolor=paper, edgecolor="0.5", lw=HAIRLINE_PT)
+        # one path: where cells meet there is no seam between two fillings
+        _write(file, [margin, PathPatch(Outline(corners, codes), facecolor=ink, lw=0)], [], size)
+    return files
 
 
 def sheet_size_mm(targets: Sequence[CodedTarget], page: str | None = None) -> Size:

@@ -6,6 +6,7 @@ where it was measured; here it is the standard deviation of the 3D position in m
 right-handed with Z up and stays so (``POINT:X_SCREEN`` = +X, ``POINT:Y_SCREEN`` = +Z).
 """
 
+import math
 import struct
 from collections.abc import Sequence
 from pathlib import Path
@@ -17,7 +18,7 @@ from mosca.data.arrays import Array
 from mosca.data.files.bounded import read_bytes
 from mosca.data.files.whole_file import whole_file
 from mosca.errors import InputError
-from mosca.formats.tracks.c3d_checks import MOST_BYTES, fault_of
+from mosca.formats.tracks.c3d_checks import MOST_BYTES, fault_of, frames_of_parameters
 from mosca.formats.tracks.marker_table import MarkerTable, plain_names
 
 # What ezc3d, and reading what it gives, raise on bytes that are not what they should be.
@@ -108,10 +109,12 @@ def read_c3d(path: Path) -> MarkerTable:
 def _bytes_needed(document: ezc3d.c3d, data: bytes) -> int:
     """Return how long the file must be to hold its frames: ezc3d reads truncated files without an error.
 
-    (C3D user guide, header section: words 4 and 5 are the first and last frame, word 9 the data's block.)
+    (C3D user guide, header section: words 4 and 5 are the first and last frame, word 9 the data's block.) Where the
+    header and POINT:FRAMES differ, one of them is stale: some writers change one only when they cut a file.
     """
     first, last, block = struct.unpack_from("<6x2H6xH", data)
-    n_frames = max(last - first + 1, document["data"]["points"].shape[2])
+    stated = frames_of_parameters(data) or math.inf
+    n_frames = max(min(last - first + 1, stated), document["data"]["points"].shape[2])
     header = document["header"]
     per_point_frame = round(header["analogs"]["frame_rate"] / header["points"]["frame_rate"])
     values = 4 * header["points"]["size"] + header["analogs"]["size"] * per_point_frame

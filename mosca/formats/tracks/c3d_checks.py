@@ -47,6 +47,14 @@ def fault_of(data: bytes) -> str:
         return "its parameters run past the end of their section"
 
 
+def frames_of_parameters(data: bytes) -> int:
+    """Return POINT:FRAMES of a file without a fault, 0 where it is not given as a 16-bit whole number."""
+    start = BLOCK * (data[0] - 1)
+    section, held = data[start : start + BLOCK * max(data[start + 2], 1)], dict[tuple[str, str], _Value]()
+    _fault_of_section(section, PROCESSORS[data[start + 3]], held)
+    return held["POINT", "FRAMES"].first
+
+
 class _Value(NamedTuple):
     """Type, number and first value (as a 16-bit whole number; 0 for others) of a parameter."""
 

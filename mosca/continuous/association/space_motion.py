@@ -1,0 +1,77 @@
+"""How fast targets move and turn in space, from the cameras' image tracks: what matching and tracking are set to.
+
+The settings' speed and acceleration are what a user expects; where the images show more, that is used.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mosca.continuous.association.image_motion import FEWEST, GATE_SIGMA, quantile_size
+from mosca.continuous.association.tracklets_2d import Tracklets
+from mosca.data.arrays import Array
+from mosca.data.rig import Rig, principal_distances_px
+from mosca.pipeline import PipelineSettings
+
+
+@dataclass(frozen=True)
+class SpaceMotion:
+    """Standard deviations an axis of the targets' speed [m/s] and acceleration [m/s^2], and of positions between
+    exposures [m].
+    """
+
+    speed_mps: float
+    acceleration_mps2: float
+    between_m: float
+
+
+def space_motion(paths: Sequence[Tracklets], rig: Rig) -> SpaceMotion:
+    """Return the motion that image tracks show at the distance of what the cameras are aimed at: of the camera that
+    shows most.
+    """
+    speed = acceleration = between = 0.0
+    for path, scale in zip(paths, _metres_per_pixel(rig), strict=True):
+        t, xy, left = path.time_s, path.xy_px, path.left
+        a = left[1:][left[1:] == left[:-1] + 1]
+        if len(a) < FEWEST:
+            continue
+        before, after = ((xy[a + k + 1] - xy[a + k]) / (t[a + k + 1] - t[a + k])[:, None] for k in (-1, 0))
+        change = (after - before) / (0.5 * (t[a + 1] - t[a - 1]))[:, None]
+        speed = max(speed, scale * quantile_size((after**2).sum(axis=1)))
+        acceleration = max(acceleration, scale * quantile_size((change**2).sum(axis=1)))
+        between = max(between, scale * path.interpolation_px)
+    return SpaceMotion(speed, acceleration, between)
+
+
+def quick_for(settings: PipelineSettings, motion: SpaceMotion, step_s: float) -> bool:
+    """Whether the motion leaves the settings' gate within ``step_s``, so that instants should be nearer."""
+    return GATE_SIGMA * motion.acceleration_mps2 * step_s**2 > settings.track.gate_m
+
+
+def settings_for(settings: PipelineSettings, motion: SpaceMotion, step_s: float) -> PipelineSettings:
+    """Return the settings with gates as wide as the motion needs at instants ``step_s`` apart."""
+    track, match = settings.track, settings.match
+    wide = GATE_SIGMA * float(np.hypot(motion.acceleration_mps2 * step_s**2, motion.between_m))
+    fast = motion.acceleration_mps2 > track.acceleration_mps2
+    track = replace(
+        track,
+        acceleration_mps2=max(track.acceleration_mps2, motion.acceleration_mps2),
+        speed_mps=max(track.speed_mps, motion.speed_mps),
+        # how long an acceleration lasts: of oscillations it is the time of a speed to change by itself
+        memory_s=min(track.memory_s, motion.speed_mps / motion.acceleration_mps2) if fast else track.memory_s,
+        gate_m=max(track.gate_m, 2.0 * wide),
+    )
+    worst = float(np.hypot(match.worst_sigma_m, GATE_SIGMA * motion.between_m))
+    return replace(settings, track=track, match=replace(match, worst_sigma_m=worst))
+
+
+def _metres_per_pixel(rig: Rig) -> Array:
+    """Return what a pixel of each camera (c,) is where the cameras' axes come nearest to each other."""
+    poses = [camera.world_from_camera for camera in rig.cameras]
+    axis, centre = np.array([p.rotation[:, 2] for p in poses]), np.array([p.translation for p in poses])
+    across = np.eye(3) - axis[:, :, None] * axis[:, None, :]
+    middle = np.linalg.lstsq(across.sum(axis=0), np.einsum("nij,nj->i", across, centre), rcond=None)[0]
+    distance = np.linalg.norm(middle - centre, axis=1)
+    focal = [float(np.mean(principal_distances_px(camera.lens))) for camera in rig.cameras]
+    return np.asarray(distance / np.array(focal))

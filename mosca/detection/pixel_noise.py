@@ -1,0 +1,173 @@
+"""The pixel noise of each camera, as detection takes it: told, or learned from its images.
+
+``var(I) = dark + gain (I - background)`` (EMVA 1288). The dark part is that of the background's pixels
+(``mosca.detection.local_background``): dark noise, quantisation and the photon noise of the background. The gain is
+learned by photon transfer from the residuals of fitted discs: squared residuals over the signal ``A e``, beside a
+share of ``(A e')^2`` that stands for a misfit of the disc's edge, by weighted least squares.
+"""
+
+from collections.abc import Collection, Sequence
+from dataclasses import replace
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from scipy.stats import norm
+
+from mosca.data.arrays import Array
+from mosca.data.settings import DetectionSettings
+from mosca.detection.disc_fit.camera_statistics import CameraStatistics
+from mosca.detection.disc_fit.light_offset import NOISE_SUMS, StatisticsSums
+from mosca.detection.local_background import ROUNDING_DN2, LocalBackground, cell_grid, measure_background
+from mosca.detection.settings import search_of
+
+SEARCH_SIGMAS = 4.0
+"""Pixels that are looked at lie so many standard deviations above the background: 3 in 100,000 without a target."""
+GUESSED_DARK_E = 12.0
+"""Dark noise [e] from which the gain of a camera without residuals is guessed, with a standard deviation of 100 %
+(EMVA 1288 sheets of CMOS sensors: 2 to 40)."""
+GAIN_STEP = 0.1
+"""Images without earlier statistics are searched twice where what they tell moves a gain by more than this share."""
+
+
+class PixelNoise(NamedTuple):
+    """Noise and background of n images of one size, in grey values [DN]."""
+
+    gains: Array
+    """(n,) DN an electron."""
+    levels: Array
+    """(n, rows, columns) background of each cell."""
+    variances: Array
+    """(n, rows, columns) variance of a pixel without light from a target [DN^2]."""
+    textures: Array
+    """(n, rows, columns) variance of the background itself about a smooth one [DN^2]."""
+    sigmas: float
+    """A target's brightest pixel lies so many standard deviations above the background."""
+
+
+@lru_cache
+def peak_sigmas(false_alarms: float, n_px: int) -> float:
+    """Return the limit that the noise of ``n_px`` pixels exceeds ``false_alarms`` times an image."""
+    return float(norm.isf(min(false_alarms / n_px, 0.5)))
+
+
+def gain_of(sums: StatisticsSums, k: int, dark_dn2: float) -> tuple[float, float]:
+    """Return the gain of camera k [DN/e] and its standard deviation, from a guess and the residuals so far."""
+    guess = np.sqrt(dark_dn2) / GUESSED_DARK_E
+    ss, sq, qq, rs, rq, _ = sums.tallies[k, NOISE_SUMS:].tolist()
+    ss, rs = ss + 1 / guess**2, rs + 1 / guess
+    det = ss * qq - sq * sq
+    misfit = (ss * rq - sq * rs) / det if det > 1e-12 * ss * qq else -1.0
+    if misfit > 0.0:
+        gain, information = (qq * rs - sq * rq) / det, det / qq
+        if gain > 0.0:
+            return gain, information**-0.5
+    return max(rs / ss, 1e-3 * guess), ss**-0.5
+
+
+def measured_backgrounds(
+    images: Sequence[Array],
+    subtracted: Sequence[Array | None],
+    names: tuple[str, ...],
+    settings: DetectionSettings,
+    known: CameraStatistics,
+    refresh: Collection[str] = (),
+) -> dict[str, LocalBackground]:
+    """Return the backgrounds that these images show, by camera: those not known yet and those to ``refresh``.
+
+    ``subtracted``: what is taken off an image (H, W) first. Values below zero count here, or half of the
+    noise is lost.
+    """
+    if settings.thresholds == "paper" and settings.read_noise_dn is not None:
+        return {}
+    return {
+        name: measure_background(
+            np.ascontiguousarray(image) if background is None else image.astype(np.int32) - background,
+            settings.maximum_size_px,
+        )
+        for image, background, name in zip(images, subtracted, names, strict=True)
+        if name in refresh
+        or name not in known.backgrounds
+        or known.backgrounds[name].level.shape != cell_grid(image.shape, settings.maximum_size_px)
+    }
+
+
+def gains_changed(before: CameraStatistics, added: CameraStatistics, settings: DetectionSettings) -> list[int]:
+    """Return the cameras whose background ``added`` has and whose gain it moves by more than ``GAIN_STEP`` of it.
+
+    By their numbers among those of ``added``; each for itself, whichever others are detected with it.
+    """
+    if settings.gain_dn_per_e is not None:
+        return []
+    after, changed = before.plus(added), []
+    for k, name in enumerate(added.names):
+        if name not in added.backgrounds:
+            continue
+        dark = float(np.median(after.backgrounds[name].variance))
+        one, two = (_gain_of(part, name, dark) for part in (before, after))
+        if abs(two - one) > GAIN_STEP * one:
+            changed.append(k)
+    return changed
+
+
+def _gain_of(statistics: CameraStatistics, name: str, dark_dn2: float) -> float:
+    """Return a camera's gain [DN/e], guessed where nothing is known."""
+    if name not in statistics.names:
+        return float(np.sqrt(dark_dn2)) / GUESSED_DARK_E
+    return gain_of(statistics.sums, statistics.names.index(name), dark_dn2)[0]
+
+
+def noise_of_set(
+    statistics: CameraStatistics, names: tuple[str, ...], settings: DetectionSettings, like: Array, full_dn: float
+) -> tuple[PixelNoise, list[Array]]:
+    """Return the noise of a frame set's images, and for each the grey values (H, W) above which pixels are looked at.
+
+    ``like``: one of the images, all of one size and type.
+    """
+    scale = (full_dn + 1.0) / 256.0
+    key = (names, settings, like.shape, like.dtype, full_dn)
+    return statistics.kept(key, lambda: _noise_of_set(statistics, names, settings, like, scale))
+
+
+def _noise_of_set(
+    statistics: CameraStatistics, names: tuple[str, ...], settings: DetectionSettings, like: Array, scale: float
+) -> tuple[PixelNoise, list[Array]]:
+    each = [_noise_of(statistics.of(name), name, settings, like, scale) for name in names]
+    gains, backgrounds, limits = zip(*each, strict=True)
+    noise = PixelNoise(
+        np.array(gains),
+        np.array([background.level for background in backgrounds]),
+        np.array([background.variance for background in backgrounds]),
+        np.array([background.texture for background in backgrounds]),
+        peak_sigmas(settings.false_alarms, like.size),
+    )
+    return noise, list(limits)
+
+
+def _noise_of(
+    statistics: CameraStatistics, name: str, settings: DetectionSettings, like: Array, scale: float
+) -> tuple[float, LocalBackground, Array]:
+    """Return gain, background and limits of one camera."""
+    key = (name, settings, like.shape, like.dtype, scale)
+    return statistics.kept(key, lambda: _made_noise(statistics, name, settings, like, scale))
+
+
+def _made_noise(
+    statistics: CameraStatistics, name: str, settings: DetectionSettings, like: Array, scale: float
+) -> tuple[float, LocalBackground, Array]:
+    cells = cell_grid(like.shape, settings.maximum_size_px)
+    background = statistics.backgrounds.get(
+        name, LocalBackground(np.zeros(cells), np.full(cells, ROUNDING_DN2), np.zeros(cells), 1)
+    )
+    if settings.read_noise_dn is not None:
+        told_dn2 = (settings.read_noise_dn * scale) ** 2 + ROUNDING_DN2
+        background = replace(background, variance=np.full(cells, told_dn2), _limits={})
+    if settings.gain_dn_per_e is not None:
+        gain = settings.gain_dn_per_e * scale
+    else:
+        gain = _gain_of(statistics, name, float(np.median(background.variance)))
+    if settings.thresholds == "paper":
+        limits = np.full(like.shape, search_of(settings, round(8 + np.log2(scale))).lowest + 1, like.dtype)
+    else:
+        limits = background.limits(SEARCH_SIGMAS, like.shape, like.dtype)
+    return gain, background, limits
