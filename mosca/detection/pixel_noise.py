@@ -17,7 +17,7 @@ from scipy.stats import norm
 from mosca.data.arrays import Array
 from mosca.data.settings import DetectionSettings
 from mosca.detection.disc_fit.camera_statistics import CameraStatistics
-from mosca.detection.disc_fit.light_offset import NOISE_SUMS, StatisticsSums
+from mosca.detection.disc_fit.light_offset import AMPLITUDE_SUMS, NOISE_SUMS, StatisticsSums
 from mosca.detection.local_background import ROUNDING_DN2, LocalBackground, cell_grid, measure_background
 from mosca.detection.settings import search_of
 
@@ -54,7 +54,7 @@ def peak_sigmas(false_alarms: float, n_px: int) -> float:
 def gain_of(sums: StatisticsSums, k: int, dark_dn2: float) -> tuple[float, float]:
     """Return the gain of camera k [DN/e] and its standard deviation, from a guess and the residuals so far."""
     guess = np.sqrt(dark_dn2) / GUESSED_DARK_E
-    ss, sq, qq, rs, rq, _ = sums.tallies[k, NOISE_SUMS:].tolist()
+    ss, sq, qq, rs, rq, _ = sums.tallies[k, NOISE_SUMS:AMPLITUDE_SUMS].tolist()
     ss, rs = ss + 1 / guess**2, rs + 1 / guess
     det = ss * qq - sq * sq
     misfit = (ss * rq - sq * rs) / det if det > 1e-12 * ss * qq else -1.0

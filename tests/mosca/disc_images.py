@@ -17,19 +17,26 @@ def transform_of_disc(diameter, f):
 
 
 @cache
-def fine_image(diameter, blur, circle=0.0, coma=0.0, across=None):
+def fine_image(diameter, blur, circle=0.0, coma=0.0, across=None, cutoff=None, squeeze=1.0):
     """A disc of brightness 1 seen through Gaussian blur, defocus, coma and pixels, by its Fourier transform.
 
     The disc's is D J1(pi D f) / 2 f, a pixel's sinc; coma as third-order displacements of a pupil's points, their
-    mean taken off. ``across``: edge of the image [px].
+    mean taken off. ``across``: edge of the image [px]. ``cutoff``: of a lens limited by diffraction [cycles a pixel],
+    pixel pitch over wavelength and f-number. ``squeeze``: minor over major axis of an ellipse, along (3, 2).
     """
     across = across or int(diameter + 8 * blur + circle + coma) // 2 * 2 + 10
     n = across * FINE
     f = np.fft.fftfreq(n, 1 / FINE)
     gauss = np.exp(-2 * (np.pi * blur * f) ** 2) * np.sinc(f)
-    spectrum = np.pi * diameter**2 / 4 * transform_of_disc(diameter, f) * gauss * gauss[:, None]
+    u, v = (3 * f[None, :] + 2 * f[:, None]) / 13**0.5, (3 * f[:, None] - 2 * f[None, :]) / 13**0.5
+    k = np.pi * diameter * np.hypot(squeeze * u, v)
+    k[0, 0] = 1e-9
+    spectrum = squeeze * np.pi * diameter**2 / 4 * 2 * j1(k) / k * gauss * gauss[:, None]
     if circle:
         spectrum = spectrum * transform_of_disc(circle, f)
+    if cutoff:
+        nu = np.minimum(np.hypot(f[None, :], f[:, None]) / cutoff, 1.0)
+        spectrum = spectrum * 2 / np.pi * (np.arccos(nu) - nu * np.sqrt(1 - nu**2))
     if coma:
         nodes, weights = np.polynomial.legendre.leggauss(12)
         rho2, angle = (1 + nodes[:, None]) / 2, 2 * np.pi * np.arange(32) / 32

@@ -12,11 +12,15 @@ matrix gives the covariance; where the residuals are significantly larger than u
 are hidden in part, images that are no discs), it is scaled by the ratio of their chi-squares. The centre is
 uncorrelated with the other four for a window that is symmetric about the target, so that they do not add to its
 variance. The blur has a prior from earlier frames, since radius and blur of a target of 2 px are nearly collinear.
-Saturated pixels and those of neighbours are left out.
+Saturated pixels and those of neighbours are left out. Where the blur is small beside a pixel, pixels are divided into
+parts (``mosca.detection.disc_fit.disc_image``), all unknowns are solved for together, and the shape of elliptic
+targets follows from the residuals (``mosca.detection.disc_fit.ellipse``).
 
 No point spread function is given. What is estimated from the frames, camera by camera (``CameraStatistics``):
 
 - the blur, as the mean over clean targets of the estimates from their own pixels, weighted by their information;
+- ln amplitude as a line of ln flux, with the spread of targets about it: the prior of those whose few pixels do not
+  tell a small bright target from a large dim one;
 - how far the fit lies from the *light's centroid*, as a smooth function of the position in the image and of the
   target's size. Centroids add under convolution, so the light's centroid is the target's own plus that of the
   lens' point spread function, whatever the target's size: a displacement that calibration takes for
@@ -36,8 +40,10 @@ from typing import Any, TypeVar
 import numpy as np
 
 from mosca.data.arrays import Array
-from mosca.detection.disc_fit.fit_regions import FIRST_ROUGHNESS, Priors
+from mosca.detection.disc_fit.fit_regions import AMPLITUDE_SIGMA_2, FIRST_ROUGHNESS, Priors
+from mosca.detection.disc_fit.gauss_newton import LEAST_BLUR, MOST_BLUR
 from mosca.detection.disc_fit.light_offset import (
+    AMPLITUDE_SUMS,
     BLUR_SUM,
     BLUR_WEIGHT,
     N_LIGHT,
@@ -58,6 +64,10 @@ SPREAD = 0.15
 FEW, ENOUGH, MEMORY = 3.0, 400.0, 20_000.0
 """Targets from which the blur is used, and of which the first guess of the misfit counts as many; centroids from
 which offsets are; targets after which older ones are weighted down."""
+LEAST_AMPLITUDE_SPREAD = 0.05
+"""Least standard deviation of the amplitude of a camera's targets, as a share, that is believed."""
+SLOPE_MEAN, SLOPE_SIGMA = 0.25, 0.25
+"""Of ln amplitude by ln flux, before any target is seen."""
 CHANCE = 12.0
 """Least chi-square of a term of the offset, per axis: false-positive rate below 1 / 2,000."""
 
@@ -161,7 +171,7 @@ def _priors(statistics: CameraStatistics) -> Priors:
     known = tallies[:, BLUR_WEIGHT] > 0
     weight = np.where(known, tallies[:, BLUR_WEIGHT], 1.0)
     mean = np.where(known, tallies[:, BLUR_SUM] / weight, FIRST_BLUR_PX)
-    mean = np.clip(mean, 0.3, 6.0)
+    mean = np.clip(mean, LEAST_BLUR, MOST_BLUR)
     surely = known & (tallies[:, N_TARGETS] >= FEW)
     spread = np.sqrt((np.where(surely, SPREAD, FIRST_SPREAD) * mean) ** 2 + np.where(known, 1 / weight, 0.0))
     usual = (tallies[:, ROUGH_SUM] + FEW * FIRST_ROUGHNESS) / (tallies[:, N_TARGETS] + FEW)
@@ -169,7 +179,22 @@ def _priors(statistics: CameraStatistics) -> Priors:
     enough = np.flatnonzero(tallies[:, N_LIGHT] >= ENOUGH)
     if len(enough):
         offsets[enough] = _offsets(normal[enough], right_side[enough])
-    return Priors(np.column_stack([mean, spread]), offsets, usual)
+    return Priors(np.column_stack([mean, spread]), offsets, usual, _amplitudes(tallies[:, AMPLITUDE_SUMS:]))
+
+
+def _amplitudes(sums: Array) -> Array:
+    """Return the lines (n, 5) of ``Priors.amplitudes`` from their sums (n, 7)."""
+    known = sums[:, 0] * AMPLITUDE_SIGMA_2 >= FEW
+    w, *rest = sums.T
+    f, ff, log, fl, ll, v = (part / np.where(known, w, 1.0) for part in rest)
+    ff, fl, ll = ff - f * f, fl - f * log, ll - log * log
+    # targets of one brightness have the slope 0, those of one size at different distances 1/2
+    n = np.maximum(w * AMPLITUDE_SIGMA_2, 1.0)
+    ridge = np.maximum(ll - v, LEAST_AMPLITUDE_SPREAD**2) / (n * SLOPE_SIGMA**2)
+    slope = (fl + ridge * SLOPE_MEAN) / (ff + ridge)
+    variance = np.maximum(ll - 2 * slope * fl + slope**2 * ff - v, LEAST_AMPLITUDE_SPREAD**2)
+    about = np.where(known, variance * (1 + 1 / n), np.inf)
+    return np.column_stack([f, log, slope, about, np.where(known, variance / n / (ff + ridge), 0.0)])
 
 
 def _offsets(normal: Array, right_side: Array) -> Array:

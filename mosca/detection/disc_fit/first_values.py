@@ -6,12 +6,13 @@ Compiled into the kernel in ``mosca.detection.disc_fit.fit_regions``.
 import math
 from typing import Any, NamedTuple
 
-from mosca.detection.disc_fit.gauss_newton import FAST, P0, P1, P2, P3, P4
+from mosca.detection.disc_fit.disc_image import FAST, P0, P1, P2, P3, P4, parts_of
 from mosca.numba_support.decorators import bare_step
 
-ROUND, ROUND_PX = 0.04, 1.5
+ROUND, ROUND_PX, ROUND_SHARP_PX = 0.04, 1.5, 5.0
 """A region of n pixels whose second moments differ by less than ``ROUND + ROUND_PX / n`` of their mean is taken for
-round: sampling and noise cause as much. Larger values correct fewer ellipses, smaller ones distort round targets."""
+round: sampling and noise cause as much, the last where edges are sharper than a pixel. Larger values correct fewer
+ellipses, smaller ones distort round targets."""
 MOST_STRETCHED = 0.85
 """Largest difference of moments that is corrected, as a share of their mean; beyond, pixels are too sparse."""
 LEAST_RADIUS = 0.4
@@ -88,14 +89,16 @@ def central_moments(sums_of_light: Any) -> tuple[float, float, float, float, flo
 
 
 @bare_step(fastmath=FAST)
-def stretch(xx: float, xy: float, yy: float, blur2: float, n: int) -> tuple[float, float, float]:
+def stretch(xx: float, xy: float, yy: float, blur: float, n: int) -> tuple[float, float, float]:
     """Return the symmetric matrix (xx, xy, yy) of determinant 1 that makes an elliptic target round.
 
     From its second moments less those of the blur; the unit matrix where sampling and noise explain the difference.
     """
+    blur2 = 0.5 * blur * blur
     size = max(0.5 * (xx + yy) - blur2, 0.5 * blur2)
+    allowed = ROUND_PX if parts_of(blur) == 1 else ROUND_SHARP_PX
     p, q = 0.5 * (xx - yy) / size, xy / size
-    if p * p + q * q < (ROUND + ROUND_PX / n) ** 2:
+    if p * p + q * q < (ROUND + allowed / n) ** 2:
         return 1.0, 0.0, 1.0
     e = min(math.sqrt(p * p + q * q), MOST_STRETCHED)
     k = e / math.sqrt(p * p + q * q)
@@ -115,9 +118,27 @@ def light_of(
     x, y, xx, xy, yy = central_moments(sums)
     pull_x, pull_y = (xx - yy) / (xx + yy), 2.0 * xy / (xx + yy)
     return Light(
-        peak, background, x, y, stretch(xx, xy, yy, 0.5 * blur * blur, region.n_px),
+        peak, background, x, y, stretch(xx, xy, yy, blur, region.n_px),
         math.sqrt(pull_x * pull_x + pull_y * pull_y), crowded, peak >= full_dn,
     )  # fmt: skip
+
+
+@bare_step(fastmath=FAST)
+def reshaped(light: Light, shape: tuple[float, float, float]) -> Light:
+    """Return the same with another shape."""
+    return Light(
+        light.peak, light.background, light.x, light.y, shape, light.pull, light.crowded, light.saturated
+    )  # fmt: skip
+
+
+@bare_step(fastmath=FAST)
+def turned(
+    x: float, y: float, before: tuple[float, float, float], now: tuple[float, float, float]
+) -> tuple[float, float]:
+    """Return a place in the map ``now`` that is (x, y) in the map ``before``."""
+    det = before[0] * before[2] - before[1] * before[1]
+    u, v = (before[2] * x - before[1] * y) / det, (before[0] * y - before[1] * x) / det
+    return now[0] * u + now[1] * v, now[1] * u + now[2] * v
 
 
 @bare_step(fastmath=FAST)

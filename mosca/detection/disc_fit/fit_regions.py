@@ -13,9 +13,12 @@ import numpy as np
 from mosca.data.arrays import Array
 from mosca.data.detections import MERGED, PARTIAL, SATURATED, UNREFINED
 from mosca.detection.centroid import DIAMETER, ELONGATION, PEAK, XX, XY, YY, X, Y
-from mosca.detection.disc_fit.first_values import Light, Region, first_disc, light_of
-from mosca.detection.disc_fit.gauss_newton import FAST, DiscFit, Model, f32, fit_disc
+from mosca.detection.disc_fit.disc_image import FAST, f32, parts_of
+from mosca.detection.disc_fit.ellipse import stretched
+from mosca.detection.disc_fit.first_values import Light, Region, first_disc, light_of, reshaped, turned
+from mosca.detection.disc_fit.gauss_newton import DiscFit, DiscPrior, Model, Workspace, fit_disc
 from mosca.detection.disc_fit.light_offset import (
+    AMPLITUDE_SUMS,
     BLUR_SUM,
     BLUR_WEIGHT,
     LIGHT_BLURS,
@@ -89,6 +92,15 @@ ROUGH_FACTOR, ROUGH_FLOOR = 4.0, 1e-4
 """A single target counts for the camera's usual misfit with at most so many times that, plus (1 %)^2."""
 BLUR_SIGMA_2 = 9e-4
 """Variance (0.03 px)^2 added to a target's own: no single target outweighs others by its brightness."""
+WELL_KNOWN_2, AMPLITUDE_SIGMA_2 = 0.0225, 0.04
+"""Variances of the logarithm of an amplitude: up to the first, (0.15)^2, a target's own pixels tell it well enough to
+learn from it; the second, (0.2)^2, is added to a target's own: no single one outweighs others."""
+FAR_AMPLITUDE = 2.0
+"""Standard deviations from the camera's line of amplitudes at which a target's weight is halved."""
+MOST_BRIGHTER = 2.5
+"""Times its brightest pixel that an amplitude may be to be learned from: more where a target covers 0.4 pixels."""
+SHAPE_STEPS, SHAPE_CHI2 = 3, 4.0
+"""Most steps of an elliptic target's shape; one whose chi-square (two degrees of freedom) is less is not taken."""
 EACH = 8
 """The light's centroid is computed for every so many targets."""
 MORE_PX = 30
@@ -104,6 +116,9 @@ class Priors(NamedTuple):
     """(n, N_TERMS, 2) terms of the offset [px] from the fitted centre to the light's centroid."""
     roughness: Array
     """(n,) usual misfit beyond the noise, as a share of the squared amplitude."""
+    amplitudes: Array
+    """(n, 5) of ln amplitude by ln flux of a camera's targets: means of both, slope, variance about the line and of
+    the mean, variance of the slope; the variances are infinite where nothing was learned."""
 
 
 class Buffers(NamedTuple):
@@ -116,8 +131,7 @@ class Buffers(NamedTuple):
     windows: RoundWindows
     marks: Array
     """(4, side^2) uint8."""
-    equations: Array
-    """(6, 7): normal equations."""
+    fit: Workspace
     terms: Array
     """(N_TERMS,): terms of the offset."""
 
@@ -156,9 +170,17 @@ def is_good(region: Region, light: Light, fit: DiscFit, centre: Centre) -> bool:
     middle = ((region.left + region.right + 1) // 2, (region.top + region.bottom + 1) // 2)
     shift = math.sqrt((centre.x - middle[0] - light.x) ** 2 + (centre.y - middle[1] - light.y) ** 2)
     good = fit.converged and shift < STRAY_PX + STRAY_SHARE * size
-    # with most pixels masked as a neighbour's, the fit may be less certain than the centroid
+    # with most pixels masked as a neighbour's, the fit may be less certain than the centroid, which is no measure of
+    # a place where pixels are coarse
     c = fit.covariance
-    return good and c[0] + c[2] < 2.0 * (WORST_FIT * TOUCHING * fit.radius) ** 2
+    coarse = parts_of(fit.blur) > 1 and not light.crowded
+    return good and (coarse or c[0] + c[2] < 2.0 * (WORST_FIT * TOUCHING * fit.radius) ** 2)
+
+
+@bare_step(fastmath=FAST)
+def misfit_by_chance(n: int) -> float:
+    """Return the chi-square per pixel that the fit of a disc to n of its pixels exceeds only if it is none."""
+    return MISFIT_MEAN + MISFIT_SIGMAS * math.sqrt(2.0 / n)
 
 
 @bare_step(fastmath=FAST)
@@ -187,7 +209,7 @@ def write_row(
     out[ELONGATION] = max(size_x, size_y) / min(size_x, size_y)
     out[FLAGS] = (SATURATED if light.saturated else 0) + (0 if good else UNREFINED + (MERGED if light.crowded else 0))
     out[BLUR_INFO] = out[BLUR] = 0.0
-    chance = MISFIT_MEAN + MISFIT_SIGMAS * math.sqrt(2.0 / n)
+    chance = misfit_by_chance(n)
     least = max(MISFIT_FACTOR * max(usual, FIRST_ROUGHNESS), MISFIT_LEAST)
     odd = good and not light.saturated and misfit > chance and rough > least
     if odd:
@@ -200,15 +222,113 @@ def write_row(
 
 
 @bare_step(fastmath=FAST)
-def add_blur(fit: DiscFit, blur: tuple[float, float], out: Array, tally: Array) -> None:
-    """Add to the sums what the data alone give the blur of a clean target, whose prior is ``blur``."""
+def disc_prior(k: int, priors: Priors, flux: float) -> DiscPrior:
+    """Return what is known of a target of camera k with this flux [DN px^2]."""
+    means, line = priors.amplitudes[k, :2], priors.amplitudes[k, 2:]
+    if not line[1] < math.inf:
+        return DiscPrior(priors.blurs[k, 0], priors.blurs[k, 1], 1.0, math.inf)
+    away = math.log(max(flux, 1.0)) - means[0]
+    amplitude = math.exp(means[1] + line[0] * away)
+    return DiscPrior(
+        priors.blurs[k, 0], priors.blurs[k, 1], amplitude, amplitude * math.sqrt(line[1] + line[2] * away * away)
+    )
+
+
+@bare_step(fastmath=FAST)
+def add_learned(fit: DiscFit, first: float, flux: float, prior: DiscPrior, out: Array, tally: Array) -> None:
+    """Add to the sums what the data alone give blur and amplitude of a clean target.
+
+    ``first``: first value of the amplitude; ``flux`` [DN px^2].
+    """
+    a, variance = fit.own_amplitude
+    if 0.0 < a < MOST_BRIGHTER * first and variance < WELL_KNOWN_2 * a * a:
+        variance /= a * a
+        w, log, f = 1.0 / (variance + AMPLITUDE_SIGMA_2), math.log(a), math.log(max(flux, 1.0))
+        if prior.amplitude_sigma < prior.amplitude:
+            # small sharp targets have false solutions, which are outliers
+            usual = prior.amplitude_sigma / prior.amplitude
+            w /= 1.0 + (math.log(a / prior.amplitude) / FAR_AMPLITUDE) ** 2 / (variance + usual * usual)
+        tally[AMPLITUDE_SUMS] += w
+        tally[AMPLITUDE_SUMS + 1] += w * f
+        tally[AMPLITUDE_SUMS + 2] += w * f * f
+        tally[AMPLITUDE_SUMS + 3] += w * log
+        tally[AMPLITUDE_SUMS + 4] += w * f * log
+        tally[AMPLITUDE_SUMS + 5] += w * log * log
+        tally[AMPLITUDE_SUMS + 6] += w * variance
     if fit.blur_variance < 1.0:
         information = 1.0 / (fit.blur_variance + BLUR_SIGMA_2)
-        posterior = 1.0 / (1.0 / fit.blur_variance + 1.0 / (blur[1] * blur[1]))
+        known = 1.0 / (prior.blur_sigma * prior.blur_sigma)
         out[BLUR_INFO] = information
-        out[BLUR] = (fit.blur / posterior - blur[0] / (blur[1] * blur[1])) * fit.blur_variance
+        out[BLUR] = (fit.blur * (1.0 / fit.blur_variance + known) - prior.blur * known) * fit.blur_variance
         tally[BLUR_SUM] += information * out[BLUR]
         tally[BLUR_WEIGHT] += information
+
+
+@bare_step(fastmath=FAST)
+def gather_mapped(
+    image: Array,
+    own: Array,
+    region: Region,
+    shape: tuple[float, float, float],
+    around: tuple[float, float],
+    reach: float,
+    model: Model,
+    buffers: Buffers,
+) -> int:
+    """Copy a region's pixels, without neighbours' and saturated ones, to ``buffers.pixels``; return how many.
+
+    ``own``: its runs; the others as in ``gather_unmarked``.
+    """
+    middle = ((region.left + region.right + 1) // 2, (region.top + region.bottom + 1) // 2)
+    side = 2 * min(half_side(shape, around, reach), buffers.side // 2) + 1
+    marked = mark_foreign(image, own, middle, region.floor, model.full_dn, side, buffers.marks)
+    n: int = gather_unmarked(image, middle, shape, around, reach, buffers.marks[0], marked, buffers.pixels)
+    pad(n, buffers.pixels)
+    m0, m1, m2 = shape
+    det, (slope_x, slope_y) = m0 * m2 - m1 * m1, region.slope
+    level_pixels(n, buffers.pixels, ((m2 * slope_x - m1 * slope_y) / det, (m0 * slope_y - m1 * slope_x) / det))
+    return n
+
+
+@bare_step(fastmath=FAST)
+def is_plain(shape: tuple[float, float, float]) -> bool:
+    """Return whether a target is taken for round."""
+    return shape[1] == 0.0 and shape[0] == shape[2]
+
+
+@bare_step(fastmath=FAST)
+def refit_ellipse(
+    image: Array,
+    own: Array,
+    region: Region,
+    light: Light,
+    fit: DiscFit,
+    prior: DiscPrior,
+    model: Model,
+    buffers: Buffers,
+) -> tuple[DiscFit, Light, int]:
+    """Fit a region again, with its shape from the residuals of ``fit``.
+
+    Returns fit, light with the shape, and how many pixels ``buffers.pixels`` holds. A round target that no ellipse
+    fits stays round.
+    """
+    first, round_light, plain = fit, light, is_plain(light.shape)
+    reach = min(fit.radius + 3.0 * fit.blur + 0.5, 0.5 * buffers.side - 2.0)
+    n, good = gather_mapped(image, own, region, light.shape, (fit.x, fit.y), reach, model, buffers), fit.converged
+    for _ in range(SHAPE_STEPS):
+        changed = stretched((n + 7) // 8 * 8, buffers.pixels, fit, model, light.shape, buffers.fit)
+        if not good or changed.chi2 < SHAPE_CHI2:
+            break
+        x0, y0 = turned(fit.x, fit.y, light.shape, changed.shape)
+        light = reshaped(light, changed.shape)
+        n = gather_mapped(image, own, region, light.shape, (x0, y0), reach, model, buffers)
+        start = (x0, y0, fit.amplitude, fit.background, fit.radius)
+        fit = fit_disc((n + 7) // 8 * 8, buffers.pixels, start, prior, model, True, light.shape, buffers.fit)
+        good = fit.converged
+    if plain and not (good and fit.chi2 < (n - 6) * misfit_by_chance(n)):
+        n = gather_mapped(image, own, region, round_light.shape, (first.x, first.y), reach, model, buffers)
+        return first, round_light, n
+    return fit, light, n
 
 
 @bare_step(fastmath=FAST)
@@ -227,12 +347,13 @@ def refine_region(
 
     ``takes_light``: to those of centroid and noise too.
     """
-    blur = (priors.blurs[region.image, 0], priors.blurs[region.image, 1])
+    k = region.image
+    blur = priors.blurs[k, 0]
     own = runs[region.first_run : region.end_run]
     most = 0.5 * buffers.side - 2.0  # what the buffers hold
     size = max(region.right - region.left + 1, region.bottom - region.top + 1)
     middle = ((region.left + region.right + 1) // 2, (region.top + region.bottom + 1) // 2)
-    reach = min(reach_of(size, blur[0]), most)
+    reach = min(reach_of(size, blur), most)
     # the whole of a lonely round target is copied once
     pixels = buffers.pixels
     if is_inside(image, middle, reach):
@@ -250,40 +371,45 @@ def refine_region(
     crowded = bright != region.n_px
     if crowded:
         peak, light_sums = region_sums(image, own, middle, background)
-    light = light_of(region, background, peak, light_sums, crowded, blur[0], model.full_dn)
+    flux = float(light_sums[0])
+    prior = disc_prior(k, priors, flux)
+    light = light_of(region, background, peak, light_sums, crowded, blur, model.full_dn)
     m0, m1, m2 = light.shape
-    plain = m1 == 0.0 and m0 == m2
-
-    amplitude, radius = first_disc(region, light, blur[0])
+    plain = is_plain(light.shape)
+    amplitude, radius = first_disc(region, light, blur)
     x0, y0 = m0 * light.x + m1 * light.y, m1 * light.x + m2 * light.y
-    if light.crowded or light.saturated or not plain:
-        reach = min(radius + 3.0 * blur[0] + 0.5, most)
-        side = 2 * min(half_side(light.shape, (x0, y0), reach), buffers.side // 2) + 1
-        marked = mark_foreign(image, own, middle, region.floor, model.full_dn, side, buffers.marks)
-        n = gather_unmarked(image, middle, light.shape, (x0, y0), reach, buffers.marks[0], marked, buffers.pixels)
-        pixels = buffers.pixels
-        pad(n, pixels)
-        det, (slope_x, slope_y) = m0 * m2 - m1 * m1, region.slope
-        level_pixels(n, pixels, ((m2 * slope_x - m1 * slope_y) / det, (m0 * slope_y - m1 * slope_x) / det))
-    start = (x0, y0, amplitude, light.background, radius)
     symmetric = not light.crowded and not light.saturated
-    fit = fit_disc((n + 7) // 8 * 8, pixels, start, blur, model, symmetric, buffers.equations)
+    if not symmetric or not plain:
+        reach = min(radius + 3.0 * blur + 0.5, most)
+        n = gather_mapped(image, own, region, light.shape, (x0, y0), reach, model, buffers)
+        pixels = buffers.pixels
+    start = (x0, y0, amplitude, light.background, radius)
+    padded = (n + 7) // 8 * 8
+    fit = fit_disc(padded, pixels, start, prior, model, symmetric, light.shape, buffers.fit)
+    # under a sharp edge second moments are no measure of a shape; small regions were taken for round
+    odd_shape = not plain or fit.chi2 > (n - 6) * misfit_by_chance(n)
+    if symmetric and odd_shape and parts_of(fit.blur) > 1:
+        fit, light, n = refit_ellipse(image, own, region, light, fit, prior, model, buffers)
+        pixels, padded = buffers.pixels, (n + 7) // 8 * 8
+        plain &= is_plain(light.shape)
     centre = centre_of(middle, light, fit)
     good = is_good(region, light, fit, centre)
 
-    usual = priors.roughness[region.image]
+    usual = priors.roughness[k]
     odd = write_row(region, light, fit, centre, (good, n, usual), model, out)
-    tally = sums.tallies[region.image]
+    tally = sums.tallies[k]
     if good and symmetric:
         tally[N_TARGETS] += 1.0
         tally[ROUGH_SUM] += min(out[ROUGH], ROUGH_FACTOR * usual + ROUGH_FLOOR)
-    if good and plain and symmetric:
-        add_blur(fit, blur, out, tally)
+    # long images teach where their edges are sharp: others may be smeared by motion
+    if good and symmetric and (plain or (parts_of(fit.blur) > 1 and not odd)):
+        add_learned(fit, amplitude, flux, prior, out, tally)
         if takes_light and not odd:
-            add_residuals((n + 7) // 8 * 8, pixels, fit, model, out[MISFIT], tally)
+            add_residuals(padded, pixels, fit, prior, model, light.shape, out[MISFIT], buffers.fit, tally)
+        if takes_light and plain and not odd:
             reach = min(centre.radius + LIGHT_BLURS * fit.blur, most)
             add_light(image, region, reach, fit, centre.radius, buffers.pixels, buffers.terms, sums)
-    offsets = priors.offsets[region.image]
+    offsets = priors.offsets[k]
     out[X], out[Y] = moved(image, centre.x, centre.y, centre.radius, offsets, buffers.terms)
 
 
@@ -317,7 +443,7 @@ def buffers_for(largest: int, blurs: Array) -> Buffers:
     )
     return Buffers(
         side, np.empty((5, side * side + OVER), f32), windows, np.empty((4, side * side), np.uint8),
-        np.empty((6, 7)), np.empty(N_TERMS),
+        Workspace(np.zeros((7, side * side + OVER), f32), np.empty((6, 8))), np.empty(N_TERMS),
     )  # fmt: skip
 
 

@@ -9,15 +9,19 @@ from typing import NamedTuple
 import numpy as np
 
 from mosca.data.arrays import Array
+from mosca.detection.disc_fit.disc_image import FAST, ONE, f32
 from mosca.detection.disc_fit.first_values import Region
-from mosca.detection.disc_fit.gauss_newton import FAST, ONE, DiscFit, f32
+from mosca.detection.disc_fit.gauss_newton import DiscFit
 from mosca.detection.disc_fit.pixels import V, X, Y, gather
 from mosca.numba_support.decorators import bare_step, step
 
 # What an image adds to its camera's statistics: counts and sums, see mosca.detection.disc_fit.camera_statistics.
 N_TARGETS, BLUR_SUM, BLUR_WEIGHT, ROUGH_SUM, N_LIGHT, NOISE_SUMS = range(6)
-N_TALLIES, N_TERMS = 11, 12
-"""From column NOISE_SUMS on: sums of the gain's least squares, see ``mosca.detection.disc_fit.residual_noise``."""
+AMPLITUDE_SUMS = 11
+N_TALLIES, N_TERMS = 18, 12
+"""From column NOISE_SUMS on: sums of the gain's least squares, see ``mosca.detection.disc_fit.residual_noise``. From
+column AMPLITUDE_SUMS on, of targets' l = ln amplitude, its variance v, and f = ln flux, with weights w:
+w, w f, w f f, w l, w f l, w l l, w v."""
 N_OFFSET_TERMS = 9
 """Terms of the offset that are added to the fitted centre; those in R are shading."""
 

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mosca.data.arrays import Array
-from mosca.detection.disc_fit.gauss_newton import FAST, ONE, ZERO, f32
+from mosca.detection.disc_fit.disc_image import FAST, ONE, ZERO, f32, parts_of
 from mosca.numba_support.decorators import bare_step
 from mosca.numba_support.intrinsics import array_at, copy_16
 
@@ -18,9 +18,10 @@ X, Y, SHARPER, THERE, V = range(5)
 """Rows of the pixels that a fit takes (5, n): offsets [px], factor by which the edge is sharper there, 1, or 0 for
 padding, and grey value [DN]. The last is written 16 at a time: at least as many elements must follow it."""
 OVER = 16
-EDGE_BLURS, EDGE_PX = 1.6, 0.5
+EDGE_BLURS, EDGE_PX, EDGE_SHARP_PX = 1.6, 0.5, 1.5
 """How far a fit's window reaches beyond half the region's box, in blurs and in pixels: the box itself goes past the
-disc's edge by about 1.2 blurs."""
+disc's edge by about 1.2 blurs. The last where edges are sharper than a pixel: small targets leave too few dark pixels
+otherwise."""
 CORNER_PX = 2
 """How far off a box's corners the background's first estimate is taken."""
 
@@ -131,7 +132,7 @@ def grey_values(image: Array, centre: int, half: Array, v: Array) -> None:
 @bare_step(fastmath=FAST)
 def reach_of(size: int, blur: float) -> float:
     """Return how far the fit of a region reaches: its box goes past the edge by about 1.2 blurs."""
-    return 0.5 * size + EDGE_BLURS * blur + EDGE_PX
+    return 0.5 * size + EDGE_BLURS * blur + (EDGE_PX if parts_of(blur) == 1 else EDGE_SHARP_PX)
 
 
 @bare_step(fastmath=FAST)

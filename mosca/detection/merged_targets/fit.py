@@ -9,7 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from mosca.data.arrays import Array
-from mosca.detection.disc_fit.gauss_newton import FAST, Model
+from mosca.detection.disc_fit.disc_image import FAST
+from mosca.detection.disc_fit.gauss_newton import Model
 from mosca.numba_support.decorators import bare_step, step
 
 TURNS = 25

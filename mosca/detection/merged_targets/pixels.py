@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from mosca.data.arrays import Array
-from mosca.detection.disc_fit.gauss_newton import FAST
+from mosca.detection.disc_fit.disc_image import FAST
 from mosca.numba_support.decorators import bare_step, step
 
 MARGIN_PX = 3

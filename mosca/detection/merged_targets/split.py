@@ -26,8 +26,9 @@ import numpy as np
 from mosca.data.arrays import Array
 from mosca.data.detections import MERGED, PARTIAL, SATURATED, UNREFINED
 from mosca.detection.centroid import DIAMETER, ELONGATION, PEAK, XX, XY, YY, X, Y
+from mosca.detection.disc_fit.disc_image import FAST
 from mosca.detection.disc_fit.fit_regions import BLUR, BLUR_INFO, FLAGS, MISFIT, PULL, ROUGH, Priors
-from mosca.detection.disc_fit.gauss_newton import FAST, Model
+from mosca.detection.disc_fit.gauss_newton import Model
 from mosca.detection.disc_fit.light_offset import N_TERMS, moved
 from mosca.detection.frame_set_kernel import Measured
 from mosca.detection.images import ImageSet, image_of

@@ -1,0 +1,77 @@
+"""Compiled refinement of an elliptic target's shape from the residuals of the disc that was fitted to it.
+
+A small stretch (1 + T) with T = [[p, q], [q, -p]] of the map in which the target is round changes a pixel's value by
+``-g r (p cos 2 phi + q sin 2 phi)``, g being the slope of its edge. Over a window all around the target that is
+uncorrelated with centre, radius, blur, amplitude and background, so that p and q are solved by themselves.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from mosca.data.arrays import Array
+from mosca.detection.disc_fit.disc_image import FAST, ZERO, disc_image, f32
+from mosca.detection.disc_fit.gauss_newton import DiscFit, Model, Workspace
+from mosca.numba_support.decorators import bare_step
+
+f64 = np.float64
+
+MOST_CHANGE = 0.3
+"""Largest stretch of one step."""
+
+
+class Stretch(NamedTuple):
+    """A step of an ellipse's shape."""
+
+    shape: tuple[float, float, float]
+    """Symmetric matrix (xx, xy, yy) of determinant 1 in which the target is round."""
+    chi2: float
+    """Squared length of the step over its error."""
+
+
+@bare_step(fastmath=FAST)
+def stretch_sums(n: int, pixels: Array, fit: DiscFit, model: Model, image: Array) -> Any:
+    """Return the normal equations (pp, pq, qq, p, q) of a stretch; ``image`` as from ``disc_image``."""
+    x, y, there, v = pixels[0], pixels[1], pixels[3], pixels[4]
+    share, by_x, by_y = image[0], image[1], image[2]
+    x0, y0, a, b = f32(fit.x), f32(fit.y), f32(fit.amplitude), f32(fit.background)
+    dark, a_gain = f32(model.dark_dn2), f32(model.gain_dn) * a
+    pp = pq = qq = cp = cq = ZERO
+    for i in range(n):
+        dx, dy, jx, jy = x[i] - x0, y[i] - y0, a * by_x[i], a * by_y[i]
+        jp, jq = jy * dy - jx * dx, -jx * dy - jy * dx
+        w = there[i] / (dark + a_gain * share[i])
+        d = w * (v[i] - b - a * share[i])
+        pp += w * jp * jp
+        pq += w * jp * jq
+        qq += w * jq * jq
+        cp += d * jp
+        cq += d * jq
+    return pp, pq, qq, cp, cq
+
+
+@bare_step(fastmath=FAST)
+def stretched(
+    n: int, pixels: Array, fit: DiscFit, model: Model, shape: tuple[float, float, float], work: Workspace
+) -> Stretch:
+    """Return the next shape of a target whose pixels, mapped by ``shape``, were fitted by a disc."""
+    image = work.image
+    disc_image(n, pixels, (f32(fit.x), f32(fit.y), f32(fit.radius), f32(fit.blur)), shape, image)
+    sums = stretch_sums(n, pixels, fit, model, image)
+    pp, pq, qq, cp, cq = f64(sums[0]), f64(sums[1]), f64(sums[2]), f64(sums[3]), f64(sums[4])
+    det = pp * qq - pq * pq
+    if not det > 0.0:
+        return Stretch(shape, 0.0)
+    p, q = (qq * cp - pq * cq) / det, (pp * cq - pq * cp) / det
+    chi2 = p * cp + q * cq
+    hold = min(1.0, MOST_CHANGE / max(math.sqrt(p * p + q * q), 1e-9))
+    p, q = hold * p, hold * q
+    # (1 + T) S maps to the same circle as the root of its square, which is symmetric (Cayley and Hamilton)
+    m0, m1, m2 = shape
+    a, b = m0 + p * m0 + q * m1, m1 + p * m1 + q * m2
+    c, d = m1 + q * m0 - p * m1, m2 + q * m1 - p * m2
+    xx, xy, yy = a * a + c * c, a * b + c * d, b * b + d * d
+    root = math.sqrt(xx * yy - xy * xy)
+    t = math.sqrt(xx / root + yy / root + 2.0)
+    return Stretch(((xx / root + 1.0) / t, xy / root / t, (yy / root + 1.0) / t), chi2)
