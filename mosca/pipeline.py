@@ -19,7 +19,7 @@ from mosca.data.rig import Rig
 from mosca.data.tracks import Points, Samples
 from mosca.detection.detect import DetectionSettings
 from mosca.detection.scheduler import FrameSetDetector, detect_ahead
-from mosca.diagnostics.camera_health import Health, HealthSettings
+from mosca.diagnostics.camera_health import Health
 from mosca.errors import InputError
 from mosca.synchronisation import Assembly, AssemblySettings, assemble
 from mosca.tracking.nearest_neighbour import NearestSettings, NearestTracker
@@ -148,7 +148,7 @@ def run_seen(
     For detections that come without their images: from a recording that holds no others, or from other machines.
     """
     settings = PipelineSettings() if settings is None else settings
-    health = Health(rig, HealthSettings(start_px=settings.match.camera_sigma_px)) if health is None else health
+    health = Health.of(rig, settings.match) if health is None else health
     low, high = settings.volume or ((-np.inf,) * 3, (np.inf,) * 3)
     volume = np.asarray(low, dtype=float), np.asarray(high, dtype=float)
     tracker = Tracker(settings.track) if settings.nearest is None else NearestTracker(settings.nearest)

@@ -80,7 +80,7 @@ def points() -> int:
             for c in rig.cameras
         }  # fmt: skip
         predicted = tracker.predict(pulse / RATE_HZ)
-        bundle = make_ray_table(rig, found, 0.05)
+        bundle = make_ray_table(rig, found, 0.05, "auto")
         made = match(bundle, predicted, MatchSettings(), room, 0.0)
         frame_set = FrameSet(pulse, round(pulse * 1e9 / RATE_HZ), {})
         samples += len(tracker.update(made, pulse, frame_set.time_ns))

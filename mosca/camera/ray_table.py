@@ -23,13 +23,14 @@ from mosca.data.rays import (
     NORMAL,
     RADIUS,
     ROTATION,
+    SHARE_SIGMA,
     SIGMA,
     SPREAD,
     VIEW,
     WHITE,
     RayTable,
 )
-from mosca.data.rig import Camera, Rig
+from mosca.data.rig import Camera, Lens, Pose, Rig
 from mosca.numba_support.decorators import inlined_step, kernel
 
 WIDTH, HEIGHT, CAMERA_ROW = RAY_ROW, RAY_ROW + 1, RAY_ROW + 2
@@ -40,11 +41,6 @@ TWO_LONG = 1.6
 """Ratio of a box's sides from which an image is taken for two targets (a small disc's box reaches 3 : 2)."""
 LEAST_DIAMETER_PX = 0.5
 """A target of one pixel has no measurable size; taken for this one."""
-BLUR_PX = 0.45
-"""Blur of lens and pixel (standard deviation) that enlarges images: of small targets the area by a third, by more
-where they are far, so that distant whole targets would mask the missing part of near ones."""
-SHARPEST = 0.1
-"""Share of its area that an image keeps at least when its blur is taken off."""
 REGION_MARGIN_PX = 1.1
 """A region reaches about a pixel past the disc that has its light."""
 LONG = 16
@@ -84,7 +80,8 @@ def make_ray_table(
         deviation an axis, of all cameras or of each (c,); its square is added to each detection's covariance.
     target
         "ball" frees each image of a ball's eccentricity, by its own size (``mosca.camera.eccentricity``); "point"
-        takes the image as it is.
+        takes the image as it is; "auto" frees those that are round: of a disc that faces the camera the eccentricity
+        is a ball's, of one at a slant it goes with a normal that nobody knows.
     """
     table = rig_table(rig)
     found = [detections.get(c.name) for c in rig.cameras]
@@ -94,10 +91,10 @@ def make_ray_table(
     extra = np.zeros(len(found))
     extra[:] = np.square(camera_sigma_px)
     rays, views, odd = fill_rays(
-        table.cameras, table.views, start, ball_fields(rig) if target == "ball" else NO_FIELDS,
+        table.cameras, table.views, start, NO_FIELDS if target == "point" else ball_fields(rig), target == "ball",
         np.concatenate([f.xy_px for f in there]), covariance, extra,
-        np.concatenate([f.diameter_px for f in there]), np.concatenate([f.elongation for f in there]),
-        np.concatenate([f.flags for f in there]),
+        (np.concatenate([f.diameter_px for f in there]), np.concatenate([f.diameter_sigma_px for f in there])),
+        np.concatenate([f.elongation for f in there]), np.concatenate([f.flags for f in there]),
     )  # fmt: skip
     return RayTable(rays, views, table.pairs, table.bases, start, covariance, extra, odd)
 
@@ -133,7 +130,14 @@ def _across(a: int, b: int, rotation: Array, origin: Array) -> Array:
 @lru_cache(maxsize=32)
 def ball_fields(rig: Rig) -> Array:
     """Return each camera's ``mosca.camera.eccentricity.ball_field``, (c, rows, columns, 2)."""
-    return np.array([ball_field(camera) for camera in rig.cameras])
+    return _fields(tuple((camera.lens, camera.width, camera.height) for camera in rig.cameras))
+
+
+@lru_cache(maxsize=32)
+def _fields(lenses: tuple[tuple[Lens, int, int], ...]) -> Array:
+    """Return the fields of lenses and their images' sizes: rigs that move keep them."""
+    still = Pose(np.eye(3), np.zeros(3))
+    return np.array([ball_field(Camera("", width, height, lens, still)) for lens, width, height in lenses])
 
 
 NO_FIELDS = np.zeros((0, 0, 0, 2))
@@ -162,12 +166,14 @@ def _ordered_pairs(rotation: Array, origin: Array) -> Array:
 
 
 @kernel
-def fill_rays(cameras, seen, start, fields, xy, covariance, extra, diameter, elongation, flags):
+def fill_rays(cameras, seen, start, fields, all_balls, xy, covariance, extra, size, elongation, flags):
     """Return the rays (n, COLUMNS) of detections, the views (c, VIEW), and how many images are odd (``RayTable``).
 
     ``cameras``, ``seen``: ``RigTable.cameras`` and ``.views``. ``fields``: (c, rows, columns, 2) the eccentricity of
     balls, or none of them: a ball's image of the angular diameter A is shifted by (A/2)^2 times the field.
+    ``all_balls``: whether long images are of balls, too. ``size``: diameter and its standard deviation.
     """
+    diameter, diameter_sigma = size
     rays, views = np.empty((xy.shape[0], COLUMNS)), np.empty((cameras.shape[0], VIEW))
     d, local, g = np.empty(3), np.empty((2, 3)), np.empty((2, 3))
     odd = 0
@@ -194,15 +200,16 @@ def fill_rays(cameras, seen, start, fields, xy, covariance, extra, diameter, elo
             gram = _gram(g)
             # px a radian across the ray: the geometric mean of both axes
             angle = across / np.sqrt(np.sqrt(gram[0] * gram[2] - gram[1] * gram[1]))
-            sharp = np.sqrt(max(1.0 - (2.0 * BLUR_PX / diameter[n]) ** 2, SHARPEST))
-            rays[n, RADIUS], rays[n, ANGLE] = 0.5 * across * sharp, angle * sharp
+            rays[n, RADIUS], rays[n, ANGLE] = 0.5 * across, angle
+            rays[n, SHARE_SIGMA] = 2.0 * diameter_sigma[n] / across
             shift_x = shift_y = 0.0
-            if fields.shape[0] > 0:
+            freed = fields.shape[0] > 0 and (all_balls or not long)
+            if freed:
                 ratio = 0.25 * angle * angle
                 shift_x, shift_y = _field(fields[c], own, xy[n, 0], xy[n, 1])
                 shift_x, shift_y = shift_x * ratio, shift_y * ratio
             _whiten(g, gram, (s00, s01, s11), shift_x, shift_y, rays, n)
-            if fields.shape[0] > 0:
+            if freed:
                 _whiten_at_shifted(rays, n)
             _normals(rays, n, seen[c, 0], seen[c, 1], seen[c, 2])
     return rays, views, odd

@@ -10,7 +10,7 @@ import numpy as np
 
 from mosca.camera.ray_table import LONG
 from mosca.data.detections import MERGED, PARTIAL, SATURATED, UNREFINED
-from mosca.data.rays import ANGLE, BONUS, FLAGS, RADIUS, SIGMA
+from mosca.data.rays import ANGLE, BONUS, FLAGS, RADIUS, SHARE_SIGMA, SIGMA
 from mosca.numba_support.decorators import inlined_step, step
 from mosca.numba_support.linalg3 import Symmetric3, cofactors3, determinant3
 from mosca.triangulation.triangulate import DEPTH, RANKS, TRUST, solve_rays
@@ -23,6 +23,8 @@ ODD_SHIFT = 1.05
 SIZE_DEADBAND, SIZE_NOISE = 0.07, 0.1
 """Missing shares of the area below this are noise of the measured sizes, and differences of images that are too large
 or whose brightest pixels are saturated."""
+SIZE_SIGMAS = 4.0
+"""Or below so many standard deviations of the image's own area: small images tell little of their sizes."""
 HALF_HIDDEN = 0.55
 """Missing share that only more than half a disc leaves, though sizes are noisy; two cameras do not make a point with
 such an image."""
@@ -228,7 +230,8 @@ def trust2_of(ray, size, whole, rays, judge):
     if judge > 0.0:
         share = (size / whole) ** 2
         odd = min(MOST_ODD, 1.0 - share) if share < 1.0 else min(MOST_LARGE, share - 1.0)
-        if odd <= (SIZE_DEADBAND if share < 1.0 and not flags & SATURATED else SIZE_NOISE):
+        usual = SIZE_DEADBAND if share < 1.0 and not flags & SATURATED else SIZE_NOISE
+        if odd <= max(usual, SIZE_SIGMAS * rays[ray, SHARE_SIGMA] * max(share, 1.0)):
             odd = 0.0
     if flags & PARTIAL:
         odd = max(odd, PARTIAL_ODD)

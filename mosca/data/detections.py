@@ -22,19 +22,23 @@ class Detections:
     covariance_px2: Array
     """(n, 2, 2) of their random error."""
     diameter_px: Array
-    """(n,) equivalent diameter of the region."""
+    """(n,) of the target's image, less the blur of lens and pixel where it was fitted."""
     peak: Array
     """(n,) largest grey value [DN]."""
     elongation: Array
     """(n,) longer over shorter side of the region's box (1 for a disc)."""
     flags: Array = field(default_factory=lambda: np.empty(0, np.uint8))
     """(n,) uint8, bits as above, 0 where nothing is odd (the default for all)."""
+    diameter_sigma_px: Array = field(default_factory=lambda: np.empty(0))
+    """(n,) standard deviation of the diameter; 0: not known (the default for all)."""
 
     def __post_init__(self) -> None:
         n = len(np.asarray(self.xy_px))
         set_read_only(self, xy_px=(None, 2), covariance_px2=(n, 2, 2), diameter_px=(n,), peak=(n,), elongation=(n,))
         flags = self.flags if len(self.flags) else np.zeros(n, np.uint8)
         object.__setattr__(self, "flags", read_only(flags, (n,), "flags", np.uint8))
+        sigma = self.diameter_sigma_px if len(self.diameter_sigma_px) else np.zeros(n)
+        object.__setattr__(self, "diameter_sigma_px", read_only(sigma, (n,), "diameter_sigma_px"))
 
     def __len__(self) -> int:
         return len(self.xy_px)

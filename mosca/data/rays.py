@@ -7,7 +7,7 @@ import numpy as np
 from mosca.data.arrays import Array
 
 DIRECTION, WHITE, SPREAD, NORMAL = 0, 3, 9, 15
-SIGMA, RADIUS, ANGLE, BONUS, FLAGS, COLUMNS = 24, 25, 26, 27, 28, 29
+SIGMA, RADIUS, ANGLE, BONUS, FLAGS, SHARE_SIGMA, COLUMNS = 24, 25, 26, 27, 28, 29, 30
 """Columns of ``RayTable.rays``."""
 ORIGIN, ROTATION, EDGES, DENSITY, VIEW = 0, 3, 12, 16, 17
 """Columns of ``RayTable.views``."""
@@ -25,9 +25,10 @@ class RayTable:
     - SPREAD (3 x 2): direction error of one standard deviation [rad] (pseudo-inverse of WHITE).
     - NORMAL (9): share in the normal equations, A'A (xx, xy, xz, yy, yz, zz) and A'A O.
     - SIGMA [px]: geometric mean of the error ellipse's axes; converts whitened errors to px.
-    - RADIUS [px]: of the target's image, and ANGLE [rad]: what its diameter subtends, both without blur.
+    - RADIUS [px]: of the target's image, and ANGLE [rad]: what its diameter subtends.
     - BONUS: its log-likelihood ratio, target against clutter (``mosca.correspondence.match``).
     - FLAGS: of the detection, and LONG (``mosca.camera.ray_table``).
+    - SHARE_SIGMA: relative standard deviation of the image's area.
     """
     views: Array
     """(c, VIEW), one row a camera: ORIGIN (3) centre of projection [m], ROTATION (3 x 3) world_from_camera,

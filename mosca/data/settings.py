@@ -127,8 +127,9 @@ class MatchSettings:
     judge_sizes: bool = True
     """Whether all targets are of one size, so that an image of odd size is partly hidden or merged and is trusted
     less; false for particles."""
-    target: Literal["point", "ball"] = "point"
-    """'ball' frees images of a ball's eccentricity; 'point' leaves them (small targets, discs)."""
+    target: Literal["auto", "point", "ball"] = "auto"
+    """'ball' frees images of a ball's eccentricity; 'point' leaves them (small targets, discs); 'auto' frees
+    round images: of balls and of discs that face the camera."""
 
 
 @dataclass(frozen=True, config=SETTINGS)

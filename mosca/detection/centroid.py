@@ -14,10 +14,10 @@ from mosca.detection.images import ImageSet, image_of
 from mosca.detection.search import DARK, END_RUN, FIRST_RUN, FLOOR, GAIN, IMAGE, THRESHOLD, FoundRegions, box_of
 from mosca.numba_support.decorators import bare_step, step
 
-X, Y, XX, XY, YY, DIAMETER, PEAK, ELONGATION = range(8)
+X, Y, XX, XY, YY, DIAMETER, PEAK, ELONGATION, DIAMETER_SIGMA = range(9)
 """Columns of a table of measured regions: centre [px], its covariance [px^2], diameter [px], largest grey value [DN],
-longer over shorter side of its box."""
-N_COLUMNS = 8
+longer over shorter side of its box, standard deviation of the diameter [px] or 0."""
+N_COLUMNS = 9
 
 
 class Noise(NamedTuple):
@@ -225,6 +225,7 @@ def measure(
     out[XX] = (dark * mask_xx + gain * above_xx + bg_dn2 * lever_x * lever_x) / flux2
     out[XY] = (dark * mask_xy + gain * above_xy + bg_dn2 * lever_x * lever_y) / flux2
     out[YY] = (dark * mask_yy + gain * above_yy + bg_dn2 * lever_y * lever_y) / flux2
+    out[DIAMETER_SIGMA] = 0.0
     out[DIAMETER] = disc_diameter(flux_dn, peak - bg, (above_xx + above_yy) / flux_dn)
     out[PEAK] = peak
 

@@ -14,6 +14,7 @@ from mosca.data.detections import MERGED, UNREFINED
 from mosca.detection.bright_runs import SearchBoxes, regions_within, scan_set
 from mosca.detection.centroid import (
     DIAMETER,
+    DIAMETER_SIGMA,
     ELONGATION,
     PEAK,
     XX,
@@ -126,22 +127,22 @@ def measure_unrefined(
 
 
 @short_kernel
-def columns(table: Array, image_of: Array, n_images: int) -> tuple[Array, Array, Array, Array, Array, Array, Array]:
+def columns(table: Array, image_of: Array, n_images: int) -> tuple[Array, ...]:
     """Return the columns of ``Detections`` of all images, concatenated, and where each image's begin (n + 1).
 
     Keeps the GIL: re-acquiring it would take longer than this does.
     """
     n = len(table)
     xy, covariance, flags = np.empty((n, 2)), np.empty((n, 2, 2)), np.empty(n, np.uint8)
-    diameter, peak, elongation = np.empty(n), np.empty(n), np.empty(n)
+    diameter, peak, elongation, sigma = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
     start = np.zeros(n_images + 1, np.int64)
     for i in range(n):
         xy[i, 0], xy[i, 1] = table[i, X], table[i, Y]
         covariance[i, 0, 0], covariance[i, 0, 1] = table[i, XX], table[i, XY]
         covariance[i, 1, 0], covariance[i, 1, 1] = table[i, XY], table[i, YY]
         diameter[i], peak[i], elongation[i] = table[i, DIAMETER], table[i, PEAK], table[i, ELONGATION]
-        flags[i] = int(table[i, FLAGS])
+        flags[i], sigma[i] = int(table[i, FLAGS]), table[i, DIAMETER_SIGMA]
         start[image_of[i] + 1] += 1
     for k in range(n_images):
         start[k + 1] += start[k]
-    return xy, covariance, diameter, peak, elongation, flags, start
+    return xy, covariance, diameter, peak, elongation, flags, sigma, start

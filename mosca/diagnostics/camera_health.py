@@ -23,6 +23,7 @@ from mosca.data.files.toml import SETTINGS, NotNegative, Positive
 from mosca.data.frames import FrameSet
 from mosca.data.rays import RayTable
 from mosca.data.rig import Rig
+from mosca.data.settings import MatchSettings
 from mosca.data.tracks import Points
 from mosca.diagnostics.noise_model import ImageNoise, NoiseModel
 from mosca.diagnostics.residual_sums import ImageErrors, PointColumns, RayColumns, Sampling, residual_sums
@@ -37,7 +38,7 @@ CLOCK_UPDATES = 1000
 class HealthSettings:
     """How often residuals are summed, and what is reported."""
 
-    every: PositiveInt = 2
+    every: PositiveInt = 1
     """Frame sets from one update to the next, in the first ``START_SETS``."""
     seldom: PositiveInt = 10
     """The same after those."""
@@ -47,8 +48,6 @@ class HealthSettings:
     """Updates after which an old one counts 1/e."""
     start_px: NotNegative = 0.06
     """Random error of image points besides detection noise until it is learned."""
-    least_px: NotNegative = 0.005
-    """The same at least."""
     least_images: NotNegative = 300.0
     """Images of a camera before its clock and its connections are reported."""
     farthest_m: Positive = 0.1
@@ -97,7 +96,7 @@ class Health:
         self._names = rig.names
         c = len(rig.cameras)
         one = self.settings
-        self._model = NoiseModel(rig, one.start_px, one.least_px, one.memory)
+        self._model = NoiseModel(rig, one.start_px, one.memory)
         self._sets = 0
         self._missing, self._detected, self._connected = np.zeros(c), np.zeros(c), np.zeros(c)
         self._before: tuple[float, Array] | None = None
@@ -106,6 +105,11 @@ class Health:
         self._blocks: dict[int, Array] = {}
         self.nameless = 0
         self.seconds = 0.0
+
+    @classmethod
+    def of(cls, rig: Rig, match: MatchSettings) -> "Health":
+        """Return the health of a rig with what matching is set to start from."""
+        return cls(rig, HealthSettings(start_px=match.camera_sigma_px))
 
     @property
     def noise(self) -> ImageNoise:

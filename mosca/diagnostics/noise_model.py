@@ -18,10 +18,11 @@ from mosca.data.arrays import Array
 from mosca.data.rig import Rig
 from mosca.diagnostics.residual_sums import ResidualSums
 
-ALIKE_WEIGHT, START_WEIGHT = 6.0, 0.5
-"""Weights of the prior, in equivalent number of updates: that cameras of a rig shake alike to about half, and that of
-the starting value. A body shakes all images of a set together: an update has one or two independent residuals a
-camera."""
+ALIKE_WEIGHT, START_WEIGHT = 1.0, 0.05
+"""Weights of the prior, in equivalent number of updates: that cameras of a rig shake alike to about half (their
+variances to about one), and that of the starting value. A body shakes all images of a set together: an update has one
+or two independent residuals a camera. The start is a guess of an order of magnitude: its weight falls with the number
+of updates, so that ten frame sets with an error 20 times smaller show that."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,18 +38,16 @@ class ImageNoise:
 class NoiseModel:
     """Estimates ``ImageNoise`` from sums of residuals, with exponential forgetting."""
 
-    def __init__(self, rig: Rig, start_px: float, least_px: float, memory: float) -> None:
-        """``start_px``: error until it is learned; ``least_px``: at least; ``memory``: updates that count."""
+    def __init__(self, rig: Rig, start_px: float, memory: float) -> None:
+        """``start_px``: error until it is learned; ``memory``: updates that count."""
         c = len(rig.cameras)
         self.noise = ImageNoise(np.full(c, start_px), 0.0)
-        self._start_px, self._least_px = start_px, least_px
+        self._start_px = start_px
         self._keep = math.exp(-1.0 / memory)
         # points absorb most of the lens's misfit: little of it shows in residuals
         self._lens_px = np.array([camera.residual_px for camera in rig.cameras])
         self._updates = 0.0
         self._normal, self._right = np.zeros((c + 1, c + 1)), np.zeros(c + 1)
-        self._prior = np.zeros((c + 1, c + 1))
-        self._prior[:c, :c] = ALIKE_WEIGHT * (np.eye(c) - 1.0 / c) + START_WEIGHT * np.eye(c)
 
     def update(self, sums: ResidualSums) -> None:
         """Take the sums over the points of a frame set and solve for the variances."""
@@ -64,10 +63,20 @@ class NoiseModel:
         seen = own > 0
         if not seen.any():
             return
-        weight = float(own[seen].mean()) / self._updates
-        normal, right = self._normal + weight * self._prior, self._right.copy()
-        right[:c] += weight * START_WEIGHT * self._start_px**2
-        size = np.sqrt(np.maximum(normal.diagonal(), 1e-300))
-        found = nnls(normal / size / size[:, None], right / size)[0] / size
-        sigma = np.sqrt(np.maximum(found[:c], self._least_px**2) + self._lens_px**2)
+        # what an update tells of each camera: of a noisy one as much of its variance's logarithm as of a quiet one
+        update = np.where(seen, own, own[seen].mean()) / self._updates
+        first = _with_prior(self._normal, self._right, START_WEIGHT / self._updates * update, self._start_px**2)
+        found = _with_prior(self._normal, self._right, ALIKE_WEIGHT * update, float(first[:c].mean()))
+        sigma = np.sqrt(found[:c] + self._lens_px**2)
         self.noise = ImageNoise(sigma, math.sqrt(found[c]))
+
+
+def _with_prior(normal: Array, right: Array, weight: Array, variance: float) -> Array:
+    """Return the variances (c + 1,), none below zero, that solve the normal equations with a prior."""
+    c = len(weight)
+    whole, side = normal.copy(), right.copy()
+    whole[range(c), range(c)] += weight
+    side[:c] += weight * variance
+    size = np.sqrt(np.maximum(whole.diagonal(), 1e-300))
+    result: Array = nnls(whole / size / size[:, None], side / size)[0] / size
+    return result

@@ -43,7 +43,8 @@ A ``mosca.detections.v1`` message, little-endian, without padding::
     u8, u16            reserved, 0
     u32 n, the number of detections
     i64 pulse of the frame set, i64 index, i64 time [ns], i64 exposure [ns], i64 row time [ns] of the frame
-    n x 8 f64          x, y [px], covariance xx, xy, yy [px2], diameter [px], peak [DN], elongation
+    n x 9 f64          x, y [px], covariance xx, xy, yy [px2], diameter [px], peak [DN], elongation, standard
+                       deviation of the diameter [px] (8 without it: recordings of version 0.2)
     n x u8             flags (1 saturated, 2 merged, 4 partly hidden, 8 unrefined)
 """
 
@@ -73,7 +74,7 @@ _SUMS = struct.Struct("<II")
 _HEADER = struct.Struct("<BBBBIIqqqqI")
 _SUM = struct.Struct("<I")
 _DETECTIONS = struct.Struct("<BBHIqqqqq")
-_ROW_BYTES, _NUMBERS = 65, 8
+_NUMBERS = 9
 _CODECS = {"lz4": (blosc2.Codec.LZ4, 5), "zstd": (blosc2.Codec.ZSTD, 1)}
 
 
@@ -188,7 +189,8 @@ def _unpacked(payload: bytes, height: int, width: int, pixel: int) -> np.ndarray
 def pack_detections(pulse: int, frame: Frame, found: Detections) -> bytes:
     """Return the message of what was found in ``frame`` of the frame set ``pulse``."""
     xx, xy, yy = found.covariance_px2[:, 0, 0], found.covariance_px2[:, 0, 1], found.covariance_px2[:, 1, 1]
-    numbers = np.column_stack((found.xy_px, xx, xy, yy, found.diameter_px, found.peak, found.elongation))
+    size = found.diameter_px, found.peak, found.elongation, found.diameter_sigma_px
+    numbers = np.column_stack((found.xy_px, xx, xy, yy, *size))
     event = EVENTS.index(frame.stamp_event)
     times = (frame.index, frame.time_ns, frame.exposure_ns, frame.row_time_ns)
     header = _DETECTIONS.pack(event, 0, 0, len(found), pulse, *times)
@@ -202,9 +204,13 @@ def unpack_detections(camera: str, message: bytes) -> tuple[int, Detections]:
     if len(message) < start or zlib.crc32(memoryview(message)[_SUM.size :]) != _SUM.unpack_from(message)[0]:
         raise DamagedMessage("wrong checksum, or cut short")
     _, _, _, n, pulse, *_ = _DETECTIONS.unpack_from(message, _SUM.size)
-    if len(message) != start + n * _ROW_BYTES:
+    # older recordings hold no standard deviation of the diameter
+    columns = next((k for k in (_NUMBERS, _NUMBERS - 1) if len(message) == start + n * (8 * k + 1)), 0)
+    if not columns:
         raise DamagedMessage(f"{n} detections announced in {len(message)} bytes")
-    numbers = np.frombuffer(message, "<f8", n * _NUMBERS, start).reshape(n, _NUMBERS)
-    flags = np.frombuffer(message, np.uint8, n, start + n * (_ROW_BYTES - 1))
+    numbers = np.frombuffer(message, "<f8", n * columns, start).reshape(n, columns)
+    flags = np.frombuffer(message, np.uint8, n, start + n * 8 * columns)
     covariance = numbers[:, [2, 3, 3, 4]].reshape(n, 2, 2)
-    return pulse, Detections(camera, numbers[:, :2], covariance, numbers[:, 5], numbers[:, 6], numbers[:, 7], flags)
+    diameter, peak, elongation = numbers[:, 5:8].T
+    sigma = numbers[:, 8] if columns == _NUMBERS else np.empty(0)
+    return pulse, Detections(camera, numbers[:, :2], covariance, diameter, peak, elongation, flags, sigma)

@@ -12,7 +12,7 @@ import numpy as np
 from mosca.data.arrays import Array
 from mosca.data.files.whole_file import check_writable
 from mosca.data.tracks import Samples
-from mosca.diagnostics.camera_health import Health, HealthSettings
+from mosca.diagnostics.camera_health import Health
 from mosca.errors import InputError
 from mosca.formats.tracks.tracks_file import TracksLog
 from mosca.live import run_live
@@ -69,10 +69,7 @@ def run_live_command(options: LiveOptions, report: Callable[[str], None]) -> lis
         warm_up()  # a compiler's seconds would count as latency
         if smoother is not None:
             FixedLag(LagSettings(lag=1)).step(0, _one_sample())
-        assembly, health = (
-            Assembly(),
-            Health(source.rig, HealthSettings(start_px=source.settings.match.camera_sigma_px)),
-        )
+        assembly, health = (Assembly(), Health.of(source.rig, source.settings.match))
         steps = stack.enter_context(_Steps(source, assembly, health, options))
         stages, elapsed = _follow(steps, assembly, smoother, log, options, report)
         lines = _summary(steps.count, elapsed, stages, assembly)

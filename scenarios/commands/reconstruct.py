@@ -14,6 +14,7 @@ from mosca.data.files.rig_file import read_rig
 from mosca.data.files.toml import Table, check, read_toml
 from mosca.data.rig import Camera, Rig
 from mosca.detection.detect import mean_background, minimum_background
+from mosca.diagnostics.camera_health import Health
 from mosca.errors import InputError
 from mosca.formats.tracks.tracks_file import check_tracks_file, write_tracks
 from mosca.pipeline import PipelineSettings, check_source, run, run_seen
@@ -89,16 +90,16 @@ def reconstruct_recording(
     LOG.info("%s: rig of %d cameras; background: %s", recording, len(rig.cameras), spec.background.kind)
     backgrounds = recorded_backgrounds(recording, rig, fps, spec.background)
     LOG.info("frames to tracks")
-    assembly = Assembly()
+    assembly, health = Assembly(), Health.of(rig, settings.match)
     counts = np.zeros(3)
     with open_recording(recording, rig, fps) as source, between_steps() as stop:
         rate = source.cameras[0].frame_rate_hz
         if isinstance(source, McapRecording) and source.holds == "detections":
             check_source(source, rig)
             found = counted(source.detection_sets(), source.cameras, assembly)
-            steps = run_seen(found, rig, settings)
+            steps = run_seen(found, rig, settings, health=health)
         else:
-            steps = run(source, rig, settings, assembly, backgrounds)
+            steps = run(source, rig, settings, assembly, backgrounds, health=health)
         for step in steps:
             stop()
             postprocessor.take(step.frame_set.pulse, step.samples)
@@ -120,6 +121,7 @@ def reconstruct_recording(
         lines.append(f"reprojection error {np.sqrt(np.mean(tracks.residual_px**2)):.3f} px rms")
     else:
         lines.append(_why_no_tracks(counts, settings))
+    lines += health.findings()
     lines += more
     lines += [
         f"{name}: {c.dropped} dropped, {c.corrupt} corrupt, {c.late} late, {c.doubled} doubled"

@@ -12,7 +12,7 @@ from mosca.data.files.whole_file import check_folder
 from mosca.data.frames import FrameSource
 from mosca.data.rig import Rig
 from mosca.data.tracks import Samples, table
-from mosca.diagnostics.camera_health import Health, HealthSettings
+from mosca.diagnostics.camera_health import Health
 from mosca.pipeline import PipelineSettings, Step, run
 from mosca.recording import RecordingWriter
 from mosca.synchronisation import Assembly
@@ -58,10 +58,7 @@ def collected_of(
     stop = stack.enter_context(between_steps())
     keeper = RigKeeper(rig) if spec.pipeline.watch else None
     zones = zones_of(spec, rig)
-    healths = [
-        Health(one, HealthSettings(start_px=settings.match.camera_sigma_px))
-        for one in ([zone.rig for zone in zones] or [rig])
-    ]
+    healths = [Health.of(one, settings.match) for one in ([zone.rig for zone in zones] or [rig])]
     if zones:
         steps = zone_steps(read, zones, rig, settings, assembly, healths)
     else:

@@ -43,7 +43,7 @@ def detections(name, xy, rng):
     nowhere=st.booleans(),
     coincident=st.booleans(),
     track_m2=st.sampled_from([0.0, 1e-12, 1e-4, 1e6, 1e300, np.inf, np.nan]),
-    target=st.sampled_from(["point", "ball"]),
+    target=st.sampled_from(["auto", "point", "ball"]),
     seed=st.integers(0, 2**32 - 1),
 )
 def test_a_frame_set_of_any_content(counts, clutter, spread_m, nowhere, coincident, track_m2, target, seed):

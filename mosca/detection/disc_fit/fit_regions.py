@@ -12,7 +12,7 @@ import numpy as np
 
 from mosca.data.arrays import Array
 from mosca.data.detections import MERGED, PARTIAL, SATURATED, UNREFINED
-from mosca.detection.centroid import DIAMETER, ELONGATION, PEAK, XX, XY, YY, X, Y
+from mosca.detection.centroid import DIAMETER, DIAMETER_SIGMA, ELONGATION, PEAK, XX, XY, YY, X, Y
 from mosca.detection.disc_fit.disc_image import FAST, f32, parts_of
 from mosca.detection.disc_fit.ellipse import stretched
 from mosca.detection.disc_fit.first_values import Light, Region, first_disc, light_of, reshaped, turned
@@ -66,11 +66,11 @@ from mosca.detection.search import (
 from mosca.numba_support.decorators import bare_step, step
 from mosca.numba_support.intrinsics import array_at
 
-FLAGS, BLUR, BLUR_INFO, MISFIT, ROUGH, PULL = range(8, 14)
+FLAGS, BLUR, BLUR_INFO, MISFIT, ROUGH, PULL = range(9, 15)
 """Columns of the table after those of ``mosca.detection.centroid``: flags, the blur that the target's own pixels
 give [px] and its information [px^-2], chi-square per degree of freedom, its excess over the noise as a share of the
 squared amplitude, and the difference of the region's principal moments over their sum."""
-N_COLUMNS = 14
+N_COLUMNS = 15
 
 TOUCHING = 0.03
 """Standard deviation of a centroid biased by a neighbour's light, as a share of the diameter (measured)."""
@@ -145,7 +145,7 @@ class Centre(NamedTuple):
     xy: float
     yy: float
     radius: float
-    """Of the disc that has the flux of this blurred edge."""
+    """With the blur."""
 
 
 @bare_step(fastmath=FAST)
@@ -203,7 +203,7 @@ def write_row(
     rough = max(misfit - 1.0, 0.0) * variance / contrast_2
     out[MISFIT], out[ROUGH], out[PULL] = misfit, rough, light.pull
     out[XX], out[XY], out[YY] = centre.xx, centre.xy, centre.yy
-    out[DIAMETER] = 2.0 * centre.radius
+    out[DIAMETER], out[DIAMETER_SIGMA] = 2.0 * fit.radius, 2.0 * math.sqrt(fit.radius_variance)
     out[PEAK] = light.peak
     size_x, size_y = region.right - region.left + 1, region.bottom - region.top + 1
     out[ELONGATION] = max(size_x, size_y) / min(size_x, size_y)

@@ -61,6 +61,8 @@ class DiscFit(NamedTuple):
     chi2: float
     blur_variance: float
     """Of the blur, from the data alone [px^2]."""
+    radius_variance: float
+    """[px^2]."""
     own_amplitude: tuple[float, float]
     """Amplitude [DN] from the data alone, and its variance [DN^2]; infinite where it was not computed."""
     converged: bool
@@ -119,6 +121,7 @@ class DiscStep(NamedTuple):
     chi2: float
     """After the step, to first order."""
     blur_variance: float
+    radius_variance: float
     own_amplitude: tuple[float, float]
     solved: bool
 
@@ -152,7 +155,7 @@ def step_of(
         hxx, hxy, hyy = float(place[0]), float(place[1]), float(place[2])
         det = hxx * hyy - hxy * hxy
         cxx, cxy, cyy = hyy / det, -hxy / det, hxx / det
-        da, db, dr, ds, blur_variance, sign = solve_shape(
+        da, db, dr, ds, blur_variance, radius_variance, sign = solve_shape(
             (
                 float(h[0]), float(h[1]), float(h[2]), float(h[3]), float(h[4]),
                 float(h[5]), float(h[6]), float(h[7]), float(h[8]), float(h[9]),
@@ -168,18 +171,20 @@ def step_of(
         else:
             cross = cross_sums_divided(n, pixels, at32, dark, gain, work.image)
         solved = factor_all(place, h, cross, c, (information, off), (known, usual - a), work.equations)
-        dx, dy, da, db, dr, ds, cxx, cxy, cyy, blur_variance, variance = solve_all(work.equations, information)
+        dx, dy, da, db, dr, ds, cxx, cxy, cyy, blur_variance, variance, radius_variance = solve_all(
+            work.equations, information
+        )
         if s + ds < LEAST_BLUR:
             # the others as if the blur stayed at its limit
             solved &= factor_all(place, h, cross, c, (HELD, LEAST_BLUR - s), (known, usual - a), work.equations)
-            dx, dy, da, db, dr, ds, cxx, cxy, cyy, _, variance = solve_all(work.equations, HELD)
+            dx, dy, da, db, dr, ds, cxx, cxy, cyy, _, variance, radius_variance = solve_all(work.equations, HELD)
         own_variance = 1.0 / max(1.0 / variance - known, 1e-12)
         own = ((a + da) / variance - usual * known) * own_variance
     moved = (cyy * dx * dx - 2.0 * cxy * dx * dy + cxx * dy * dy) / (cxx * cyy - cxy * cxy)
     gained = da * float(c[0]) + db * float(c[1]) + dr * float(c[2]) + ds * float(c[3])
     return DiscStep(
         dx, dy, da, db, dr, ds, (cxx, cxy, cyy), moved, chi2 - dx * px - dy * py - gained, blur_variance,
-        (own, own_variance), solved,
+        radius_variance, (own, own_variance), solved,
     )  # fmt: skip
 
 
@@ -230,14 +235,16 @@ def fit_disc(
     """
     x0, y0, a, b, radius = first
     s = prior.blur
-    covariance, own, chi2, blur_variance = (0.0, 0.0, 0.0), (0.0, math.inf), 0.0, math.inf
+    covariance, own, chi2 = (0.0, 0.0, 0.0), (0.0, math.inf), 0.0
+    blur_variance = radius_variance = math.inf
     good = False
     last = (0.0, 0.0, 0.0)
     for turn in range(MOST_STEPS):
         step = step_of(n, pixels, (x0, y0, a, b, radius, s), first, prior, model, symmetric, shape, work)
         if not step.solved:
             break
-        covariance, own, chi2, blur_variance = step.covariance, step.own_amplitude, step.chi2, step.blur_variance
+        covariance, own, chi2 = step.covariance, step.own_amplitude, step.chi2
+        blur_variance, radius_variance = step.blur_variance, step.radius_variance
         far, most = max(abs(step.x), abs(step.y)), 0.5 * radius + 0.3
         hold, share = min(1.0, most / far) if far > most else 1.0, 1.0
         if parts_of(s) > 1:
@@ -256,4 +263,4 @@ def fit_disc(
         good = is_settled(turn, step, share, before, s)
         if good:
             break
-    return DiscFit(x0, y0, a, b, radius, s, covariance, chi2, blur_variance, own, good)
+    return DiscFit(x0, y0, a, b, radius, s, covariance, chi2, blur_variance, radius_variance, own, good)

@@ -9,11 +9,11 @@ from mosca.numba_support.decorators import bare_step
 
 
 @bare_step(fastmath=FAST)
-def solve_shape(h: Any, c: Any, prior: float, pull: float) -> tuple[float, float, float, float, float, float]:
+def solve_shape(h: Any, c: Any, prior: float, pull: float) -> tuple[float, float, float, float, float, float, float]:
     """Solve for amplitude, background, radius and blur; the blur is held by a prior of this information.
 
     ``pull``: prior mean less the present blur. Returns the four corrections, the variance that the data alone
-    give the blur, or infinity, and the determinant's sign (0 where the equations have no solution).
+    give the blur, or infinity, that of the radius, and the determinant's sign (0 where there is no solution).
     """
     haa, hab, har, has, hbb, hbr, hbs, hrr, hrs, hss = h
     ca, cb, cr, cs = c
@@ -26,7 +26,7 @@ def solve_shape(h: Any, c: Any, prior: float, pull: float) -> tuple[float, float
     n3 = (hrs - l2 * has - m2 * m3 * d1) / d2
     data = hss - l3 * has - m3 * m3 * d1 - n3 * n3 * d2
     if not (d0 > 0.0 and d1 > 0.0 and d2 > 0.0 and data + prior > 0.0):
-        return 0.0, 0.0, 0.0, 0.0, math.inf, 0.0
+        return 0.0, 0.0, 0.0, 0.0, math.inf, math.inf, 0.0
     z1 = cb - l1 * ca
     z2 = cr - l2 * ca - m2 * z1
     z3 = cs - l3 * ca - m3 * z1 - n3 * z2
@@ -34,7 +34,7 @@ def solve_shape(h: Any, c: Any, prior: float, pull: float) -> tuple[float, float
     r = z2 / d2 - n3 * s
     b = z1 / d1 - m2 * r - m3 * s
     a = ca / d0 - l1 * b - l2 * r - l3 * s
-    return a, b, r, s, 1.0 / max(data, 1e-12), 1.0
+    return a, b, r, s, 1.0 / max(data, 1e-12), 1.0 / d2 + n3 * n3 / (data + prior), 1.0
 
 
 @bare_step(fastmath=FAST)
@@ -87,7 +87,7 @@ def solve_all(work: Array, blur_information: float) -> tuple[Any, ...]:
     """Solve what ``factor_all`` left in ``work``.
 
     Returns the corrections (x, y, amplitude, background, radius, blur), the centre's covariance (xx, xy, yy), the
-    variance of the blur less its prior's information, and that of the amplitude.
+    variance of the blur less its prior's information, and those of amplitude and radius.
     """
     # of the inverse factor the last three columns
     u3, u4, u5 = 1.0 / work[3, 3], 1.0 / work[4, 4], 1.0 / work[5, 5]
@@ -102,6 +102,11 @@ def solve_all(work: Array, blur_information: float) -> tuple[Any, ...]:
     a4 = -(work[4, 0] * a0 + work[4, 1] * a1 + work[4, 2] * a2 + work[4, 3] * a3) * u4
     a5 = -(work[5, 0] * a0 + work[5, 1] * a1 + work[5, 2] * a2 + work[5, 3] * a3 + work[5, 4] * a4) * u5
     of_amplitude = (a0 * a0 + a1 * a1 + a2 * a2 + a3 * a3 + a4 * a4 + a5 * a5) * work[0, 7] * work[0, 7]
+    r2 = 1.0 / work[2, 2]
+    r3 = -work[3, 2] * r2 * u3
+    r4 = -(work[4, 2] * r2 + work[4, 3] * r3) * u4
+    r5 = -(work[5, 2] * r2 + work[5, 3] * r3 + work[5, 4] * r4) * u5
+    of_radius = (r2 * r2 + r3 * r3 + r4 * r4 + r5 * r5) * work[2, 7] * work[2, 7]
     for i in range(5, -1, -1):
         for q in range(i + 1, 6):
             work[i, 6] -= work[q, i] * work[q, 6]
@@ -110,5 +115,5 @@ def solve_all(work: Array, blur_information: float) -> tuple[Any, ...]:
     return (
         work[4, 6] * s4, work[5, 6] * s5, work[0, 6] * work[0, 7], work[1, 6] * work[1, 7], work[2, 6] * work[2, 7],
         work[3, 6] * work[3, 7], (u4 * u4 + u54 * u54) * s4 * s4, u54 * u5 * s4 * s5, u5 * u5 * s5 * s5,
-        1.0 / max(1.0 / own - blur_information, 1e-12), of_amplitude,
+        1.0 / max(1.0 / own - blur_information, 1e-12), of_amplitude, of_radius,
     )  # fmt: skip
