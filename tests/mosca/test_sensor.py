@@ -219,11 +219,10 @@ def test_faint_targets_are_counted_and_told_of():
     sensors = told([image(rng, GRID[:15] + faint, read=0.2) for _ in range(10)])
     (one,) = sensors.cameras()
     count = one.left_out["faint"]
-    # where one pixel alone is looked at, it may be bright enough
-    assert one.left_out == NOTHING | {"faint": count, "small": one.left_out["small"]}
-    assert count >= 8
-    # 50 spots, of which a smooth one may fall to pieces
-    assert 10 <= one.left_out["small"] + count + one.found - 150 <= 60
+    assert count >= 6
+    assert one.left_out["large"] == one.left_out["cut"] == 0
+    # 50 spots: some are not looked at at all, smooth ones may fall to pieces, single pixels of them be bright enough
+    assert 10 <= sum(one.left_out.values()) + one.found - 150 <= 60
     (line,) = sensors.findings()
     assert line.startswith("camera 'cam': ")
     assert "below 5.3 standard deviations of the noise" in line
