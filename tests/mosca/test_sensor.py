@@ -225,7 +225,8 @@ def test_faint_targets_are_counted_and_told_of():
     assert 10 <= sum(one.left_out.values()) + one.found - 150 <= 60
     (line,) = sensors.findings()
     assert line.startswith("camera 'cam': ")
-    assert "below 5.3 standard deviations of the noise" in line
+    limit = stats.norm.isf(0.01 / (H * W))
+    assert f"below {limit:.1f} standard deviations of the noise" in line
 
 
 def sensor(found, images=100, **counts):
