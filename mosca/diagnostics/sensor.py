@@ -89,7 +89,7 @@ class LearnedSensor:
     """Noise of a pixel without light from a target, less rounding; an upper bound alone (``low`` is 0) where it is
     not measurable, None where it was not measured."""
     gain_dn_per_e: Estimate | None
-    """System gain K; None: no target taught it."""
+    """System gain K; None: no target taught it, or their misfits hide it."""
     blur_px: Estimate | None
     background_dn: float | None
     """Median grey value without targets."""
@@ -242,15 +242,18 @@ class _Camera:
 def gain_estimate(blocks: Array) -> Estimate | None:
     """Return the gain [DN/e-] from the photon-transfer sums (b, 5) ss, sq, qq, rs, rq of blocks of frame sets.
 
-    None where no residual taught it. The share of q stays in where it comes out below zero, as it does by chance
-    every other time where discs fit: to leave it out then, as ``mosca.detection.pixel_noise.gain_of`` does to be safe
-    from single images, would make the gain too small on average.
+    None where no residual taught it, and where it comes out below zero: then misfits of the discs, of which q holds
+    those of the edge alone, outweigh the photon noise. The share of q stays in where that comes out below zero, as by
+    chance it does every other time where discs fit: to leave it out then, which
+    ``mosca.detection.pixel_noise.gain_of`` does to be safe with single images, makes the gain too small on average.
     """
     ss, sq, qq, rs, rq = blocks.T
     if ss.sum() * qq.sum() - sq.sum() ** 2 > 1e-12 * ss.sum() * qq.sum():
         normal = np.stack([np.stack([ss, sq], axis=1), np.stack([sq, qq], axis=1)], axis=1)
-        return _weighted(normal, np.stack([rs, rq], axis=1))
-    return _weighted(ss[:, None, None], rs[:, None])
+        gain = _weighted(normal, np.stack([rs, rq], axis=1))
+    else:
+        gain = _weighted(ss[:, None, None], rs[:, None])
+    return gain if gain is not None and gain.value > 0.0 else None
 
 
 def _weighted(normal: Array, right_side: Array) -> Estimate | None:

@@ -116,6 +116,14 @@ def test_what_a_frame_set_has_in_common_widens_the_interval():
     assert naive / 200 < 0.7
 
 
+def test_a_gain_below_zero_is_none():
+    # residuals that fall where the signal rises: the discs do not fit
+    s, q = np.linspace(1, 100, 50), np.linspace(0, 30, 50)[::-1]
+    sums = [(a * b).sum() for a, b in ((s, s), (s, q), (q, q), (s, 50 * q - 0.1 * s), (q, 50 * q - 0.1 * s))]
+    assert gain_estimate(np.tile(sums, (20, 1))) is None
+    assert gain_estimate(np.zeros((20, 5))) is None
+
+
 def test_blocks_are_joined_and_lose_nothing():
     rng = np.random.default_rng(4)
     shown = image(rng, GRID[:3])
