@@ -61,7 +61,7 @@ NOTABLE = 0.05
 """Share of what was seen in a camera's images that may be left out without a word."""
 BY_CHANCE = 1e-3
 """Chance at which noise alone makes so many that a person is told of them."""
-SAMPLED_PX = 65_536
+SAMPLED_PX = 8_192
 """Pixels of an image, about, whose bits are looked at."""
 
 
@@ -133,7 +133,8 @@ class Sensors:
     def __init__(self, cameras: Sequence[CameraInfo], settings: DetectionSettings = DEFAULTS) -> None:
         self._settings = settings
         self._cameras = {info.name: _Camera(info) for info in cameras}
-        self._waiting: list[tuple[Mapping[str, Detections], CameraStatistics]] = []
+        self._waiting: list[tuple[dict[str, Array], tuple[str, ...], Array, Mapping[str, LocalBackground]]] = []
+        """Largest grey values of each camera's targets, and of what frame sets add names, tallies and backgrounds."""
 
     def attend(self, frame_set: FrameSet, detections: Mapping[str, Detections], added: CameraStatistics) -> None:
         """Take a frame set's images, their detections, and what they add to the cameras' statistics, in order."""
@@ -141,7 +142,8 @@ class Sensors:
             for name, frame in frame_set.frames.items():
                 if frame.image is not None and name in self._cameras:
                     self._cameras[name].look_at(frame.image)
-        self._waiting.append((detections, added))
+        peaks = {name: found.peak for name, found in detections.items()}
+        self._waiting.append((peaks, added.names, added.sums.tallies, added.backgrounds))
         if len(self._waiting) >= DIGEST_SETS:
             self._digest()
 
@@ -167,9 +169,9 @@ class Sensors:
         waiting, self._waiting = self._waiting, []
         for name, camera in self._cameras.items():
             own = [
-                (detections[name], added.sums.tallies[added.names.index(name)], added.backgrounds.get(name))
-                for detections, added in waiting
-                if name in added.names and name in detections
+                (peaks[name], tallies[names.index(name)], backgrounds.get(name))
+                for peaks, names, tallies, backgrounds in waiting
+                if name in names and name in peaks
             ]
             if own:
                 camera.add(*zip(*own, strict=True))
@@ -191,14 +193,14 @@ class _Camera:
 
     def look_at(self, image: Array) -> None:
         """Note which bits the pixels of an image (H, W) have."""
-        every = max(1, round(math.sqrt(image.size / SAMPLED_PX)))
-        self._bits |= int(np.bitwise_or.reduce(image[::every, ::every], axis=None))
+        rows = np.ascontiguousarray(image[:: max(1, image.size // SAMPLED_PX)])
+        self._bits |= int(np.bitwise_or.reduce(rows.ravel()))
 
     def add(
-        self, found: Sequence[Detections], tallies: Sequence[Array], backgrounds: Sequence[LocalBackground | None]
+        self, found: Sequence[Array], tallies: Sequence[Array], backgrounds: Sequence[LocalBackground | None]
     ) -> None:
-        """Add images' detections, tallies (N_TALLIES,) and backgrounds."""
-        peaks = np.concatenate([one.peak for one in found]).astype(np.int64)
+        """Add the largest grey values (n,) of images' targets, tallies (N_TALLIES,) and backgrounds."""
+        peaks = np.concatenate(found).astype(np.int64)
         self.images += len(found)
         self._found += len(peaks)
         most = len(self._peaks)
