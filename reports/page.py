@@ -81,26 +81,22 @@ def _sensor_row(name: str, one: Mapping[str, Any]) -> tuple[str, ...]:
     """Return a row of the sensors' table: name, noise, gain, blur, saturation, images, targets left out."""
     stated = one["stated"] or {}
     left_out = [f"{n} {reason}" for reason, n in one["left_out"].items() if n]
-    noise = "not measured" if one["noise_dn"] is None else _interval(one["noise_dn"], stated.get("noise_dn"))
-    gain = (
-        "not learned"
-        if one["gain_dn_per_e"] is None
-        else _interval(one["gain_dn_per_e"], stated.get("gain_dn_per_e"))
-    )
-    saturation = f"{one['largest_dn']} not saturated" if one["saturation_dn"] is None else str(one["saturation_dn"])
+    most = "saturates at" if one["saturation_dn"] is not None else "largest"
     return (
         name,
-        noise,
-        gain,
-        "not learned" if one["blur_px"] is None else _interval(one["blur_px"]),
-        f"{saturation} of {one['bits']} bits",
+        _interval(one["noise_dn"], stated.get("noise_dn")),
+        _interval(one["gain_dn_per_e"], stated.get("gain_dn_per_e")),
+        _interval(one["blur_px"]),
+        f"{one['bits']} bits, {most} {one['largest_dn']}",
         f"{one['images']} images, {one['targets']} targets",
         f"{one['found']} found" + (f"; left out: {', '.join(left_out)}" if left_out else ""),
     )
 
 
-def _interval(estimate: Sequence[float], stated: float | None = None) -> str:
+def _interval(estimate: Sequence[float] | None, stated: float | None = None) -> str:
     """Return value, 95 % interval and stated value in words; an upper bound where the interval begins at zero."""
+    if estimate is None:
+        return "not learned"
     value, low, high = estimate
     text = f"below {high:.3g}" if low == 0.0 else f"{value:.3g} ({low:.3g} to {high:.3g})"
     return text if stated is None else f"{text}, stated {stated:.3g}"
