@@ -16,6 +16,7 @@ from mosca.data.arrays import Array
 from mosca.data.frames import FrameSet, FrameSource
 from mosca.data.rig import Rig
 from mosca.diagnostics.camera_health import Health
+from mosca.diagnostics.sensor import Sensors
 from mosca.errors import InputError
 from mosca.pipeline import Keeper, PipelineSettings, Step, check_source, run_sets
 from mosca.synchronisation import Assembly, AssemblySettings, assemble
@@ -102,6 +103,7 @@ def run_live(
     keeper: Keeper | None = None,
     health: Health | None = None,
     queued: int = QUEUED_SETS,
+    sensors: Sensors | None = None,
 ) -> Iterator[Step]:
     """Turn a live source's frames into tracks, newest first at need; as ``mosca.pipeline.run``.
 
@@ -112,7 +114,7 @@ def run_live(
     settings = replace(settings, split=LIVE_SPLIT) if settings.split is None else settings
     sets = LiveSets(source, assembly, queued, settings.assembly)
     try:
-        for step in run_sets(sets, source.cameras, rig, settings, backgrounds, keeper, health):
+        for step in run_sets(sets, source.cameras, rig, settings, backgrounds, keeper, health, sensors):
             yield replace(step, seconds={**step.seconds, "wait": sets.waited_s})
     finally:
         sets.close()

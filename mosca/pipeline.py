@@ -20,6 +20,7 @@ from mosca.data.tracks import Points, Samples
 from mosca.detection.detect import DetectionSettings
 from mosca.detection.scheduler import FrameSetDetector, detect_ahead
 from mosca.diagnostics.camera_health import Health
+from mosca.diagnostics.sensor import Sensors
 from mosca.errors import InputError
 from mosca.synchronisation import Assembly, AssemblySettings, assemble
 from mosca.tracking.nearest_neighbour import NearestSettings, NearestTracker
@@ -83,6 +84,7 @@ def run(
     backgrounds: Mapping[str, Array] | None = None,
     keeper: Keeper | None = None,
     health: Health | None = None,
+    sensors: Sensors | None = None,
 ) -> Iterator[Step]:
     """Turn a source's frames into tracks, pulse by pulse.
 
@@ -105,11 +107,13 @@ def run(
         Monitors the rig and may correct it while running.
     health
         Of the cameras, filled while running.
+    sensors
+        What the images tell of the cameras' sensors, filled while running.
     """
     check_source(source, rig)
     settings = PipelineSettings() if settings is None else settings
     sets = assemble(source, source.cameras, settings.assembly, assembly)
-    yield from run_sets(sets, source.cameras, rig, settings, backgrounds, keeper, health)
+    yield from run_sets(sets, source.cameras, rig, settings, backgrounds, keeper, health, sensors)
 
 
 def run_sets(
@@ -120,6 +124,7 @@ def run_sets(
     backgrounds: Mapping[str, Array] | None = None,
     keeper: Keeper | None = None,
     health: Health | None = None,
+    sensors: Sensors | None = None,
 ) -> Iterator[Step]:
     """Turn frame sets of ``cameras`` into tracks; else as ``run``. Sets may be missing, never reordered."""
     settings = PipelineSettings() if settings is None else settings
@@ -131,9 +136,9 @@ def run_sets(
                 "give the cameras the same names in both"
             )
     look = FrameSetDetector(settings.detection, {info.name: info.bit_depth for info in cameras}, backgrounds)
-    yield from run_seen(
-        detect_ahead(look, sets, settings.workers, settings.split or 1), rig, settings, keeper, health
-    )
+    attend = None if sensors is None else sensors.attend
+    seen = detect_ahead(look, sets, settings.workers, settings.split or 1, attend)
+    yield from run_seen(seen, rig, settings, keeper, health)
 
 
 def run_seen(

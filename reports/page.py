@@ -52,6 +52,7 @@ def write_page(path: Path, record: RunRecord, evidence: Evidence) -> None:
             for name, one in record.cameras.items()
             if "residual_px" in one
         ],
+        sensors=[_sensor_row(name, one["sensor"]) for name, one in record.cameras.items() if one.get("sensor")],
         free_cameras=[
             (name, f"{one['arrived']} of {one['expected']}", str(one["unusable"]), f"{one['span_s']:.2f} s")
             for name, one in record.cameras.items()
@@ -74,6 +75,31 @@ def _camera_row(name: str, one: Mapping[str, Any], expected: int | None) -> tupl
         f"{100 * one['missing']:.1f} % missing" if expected is None else f"{one['delivered']} of {expected}",
         clock,
     )
+
+
+def _sensor_row(name: str, one: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return a row of the sensors' table: name, noise, gain, blur, saturation, images, targets left out."""
+    stated = one["stated"] or {}
+    left_out = [f"{n} {reason}" for reason, n in one["left_out"].items() if n]
+    most = "saturates at" if one["saturation_dn"] is not None else "largest"
+    return (
+        name,
+        _interval(one["noise_dn"], stated.get("noise_dn")),
+        _interval(one["gain_dn_per_e"], stated.get("gain_dn_per_e")),
+        _interval(one["blur_px"]),
+        f"{one['bits']} bits, {most} {one['largest_dn']}",
+        f"{one['images']} images, {one['targets']} targets",
+        f"{one['found']} found" + (f"; left out: {', '.join(left_out)}" if left_out else ""),
+    )
+
+
+def _interval(estimate: Sequence[float] | None, stated: float | None = None) -> str:
+    """Return value, 95 % interval and stated value in words; an upper bound where the interval begins at zero."""
+    if estimate is None:
+        return "not learned"
+    value, low, high = estimate
+    text = f"below {high:.3g}" if low == 0.0 else f"{value:.3g} ({low:.3g} to {high:.3g})"
+    return text if stated is None else f"{text}, stated {stated:.3g}"
 
 
 def write_comparison_page(path: Path, records: Sequence[RunRecord], labels: Sequence[str] = ()) -> None:

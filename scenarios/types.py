@@ -21,8 +21,10 @@ if TYPE_CHECKING:
     from mosca.continuous.moving_cameras.body_worn import Worn
     from mosca.continuous.reconstruct import Reconstructed
     from mosca.diagnostics.camera_health import CameraHealth
+    from mosca.diagnostics.sensor import LearnedSensor
     from mosca.synchronisation import Assembly
     from reports.evidence import CameraView
+    from scenarios.score.sensor import StatedSensor
     from twin.cameras.expected_image import Expected
     from twin.cameras.virtual_camera import VirtualCamera
     from twin.scenes.scene import Scene
@@ -104,6 +106,10 @@ class Collected:
     detections: Mapping[int, Mapping[str, Detections]]
     """Pulse -> camera -> detections, of the pulses for which the Cramer-Rao bound is computed."""
     cameras: tuple[CameraHealth, ...] = ()
+    sensors: tuple[LearnedSensor, ...] = ()
+    """What the images tell of the cameras' sensors."""
+    stated: Mapping[str, StatedSensor] = field(default_factory=dict)
+    """Camera -> what the scenario states of its sensor."""
     account: Mapping[str, Any] = field(default_factory=dict)
     """The source's own account of what it received."""
     frames: Mapping[str, CameraFrames] = field(default_factory=dict)

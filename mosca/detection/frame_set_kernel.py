@@ -29,12 +29,12 @@ from mosca.detection.centroid import (
 )
 from mosca.detection.centroid import N_COLUMNS as N_MEASURED
 from mosca.detection.disc_fit.fit_regions import FLAGS, N_COLUMNS, TOUCHING, Priors, refine_regions
-from mosca.detection.disc_fit.light_offset import StatisticsSums, no_sums_compiled
+from mosca.detection.disc_fit.light_offset import LEFT_OUT, StatisticsSums, no_sums_compiled
 from mosca.detection.images import ImageSet, image_of
 from mosca.detection.merged_targets.pixels import region_mean, region_moments
 from mosca.detection.noise_regions import decide_in_set, set_noise
 from mosca.detection.pixel_noise import PixelNoise
-from mosca.detection.search import DARK, END_RUN, FIRST_RUN, FLOOR, GAIN, IMAGE, THRESHOLD, FoundRegions, Search
+from mosca.detection.search import CUT, DARK, END_RUN, FIRST_RUN, FLOOR, GAIN, IMAGE, THRESHOLD, FoundRegions, Search
 from mosca.detection.threshold_regions import find_regions_in_set
 from mosca.numba_support.decorators import kernel, short_kernel, step
 
@@ -74,8 +74,9 @@ def detect_frame_set(
     Returns the sums for the cameras' statistics too, zeros where nothing was refined.
     """
     bright = scan_set(images, boxes)
+    left_out = np.zeros((len(images.addresses), 6))
     if task.by_noise:
-        found = decide_in_set(images, bright, task.search, noise)
+        found = decide_in_set(images, bright, task.search, noise, left_out)
     else:
         found = find_regions_in_set(bright, task.search)
         set_noise(found, noise)
@@ -95,8 +96,13 @@ def detect_frame_set(
                 table[n, k] = measured[n, k]
             table[n, FLAGS] = UNREFINED
     image_of_row = np.empty(len(table), np.int32)
+    # regions that are not measured touch the border
+    for r in range(len(found.regions)):
+        left_out[found.regions[r, IMAGE], CUT] += 1.0
     for n in range(len(table)):
         image_of_row[n] = found.regions[region_of[n], IMAGE]
+        left_out[image_of_row[n], CUT] -= 1.0
+    sums.tallies[:, LEFT_OUT:] = left_out[:, :5]
     return found, Measured(table, region_of, image_of_row), sums
 
 

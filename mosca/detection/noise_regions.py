@@ -15,7 +15,23 @@ from mosca.detection.images import ImageSet, image_of
 from mosca.detection.local_background import nearest_cell, plane_at
 from mosca.detection.pixel_noise import SEARCH_SIGMAS, PixelNoise
 from mosca.detection.region_growth import grow_regions
-from mosca.detection.search import DARK, END, FIRST, GAIN, IMAGE, PLACE, ROW, SLOPE_X, SLOPE_Y, FoundRegions, Search
+from mosca.detection.search import (
+    DARK,
+    END,
+    FAINT,
+    FIRST,
+    GAIN,
+    IMAGE,
+    LARGE,
+    PLACE,
+    ROW,
+    SLOPE_X,
+    SLOPE_Y,
+    SMALL,
+    UNEVEN,
+    FoundRegions,
+    Search,
+)  # fmt: skip
 from mosca.detection.threshold_regions import blobs_of, passes_below, runs_above, survey, write_grown, write_whole
 from mosca.numba_support.decorators import bare_step, step
 
@@ -23,9 +39,9 @@ CUT_SHARE = 1 / 16
 """Share of a blob's contrast below which its pixels are left out: the skirts of a lens' point spread function, which
 join the images of targets that stand apart. At 1/10 the outlines of oblique discs, whose shape comes from the
 region's moments, cost 7 % in position."""
-NONE, WHOLE, UNCERTAIN = range(3)
-"""Verdicts on a part: no target, one target, to be examined."""
-FAINT = 4.0
+NOISE, WHOLE, UNCERTAIN = range(5, 8)
+"""Verdicts on a part, besides the reasons ``FAINT`` and ``SMALL``: noise alone, one target, to be examined."""
+NEAR_LIMIT = 4.0
 """Targets with up to so many times the least contrast must have it over the pixels around them too, since the
 background is known as planes between cells only."""
 LEAST_MARGIN_PX = 2
@@ -77,6 +93,8 @@ class Place(NamedTuple):
     """(r, 5)."""
     noise: Array
     """(r, 4)."""
+    left_out: Array
+    """(6,) how many of the image's parts were left out, by ``LEFT_OUT_REASONS``, and of noise alone."""
 
 
 @bare_step
@@ -187,14 +205,20 @@ def ring_level(image: Array, box: tuple[int, int, int, int], margin: int) -> flo
 
 @bare_step
 def verdict_of(part: BlobPart, blob: Blob, search: Search, gain: float, sigmas: float) -> Any:
-    """Return whether a connected part of a cut blob is one target, as far as a glance at it tells."""
+    """Return whether a connected part of a cut blob is one target, as far as a glance at it tells, or why not.
+
+    What is both short and faint is noise: single pixels exceed ``SEARCH_SIGMAS`` in any image.
+    """
     over, least = part.peak - blob.level, sigmas * blob.spread
-    if part.longer <= search.smallest_px or over <= least:
-        return NONE
+    short, faint = part.longer <= search.smallest_px, over <= least
+    if short and faint:
+        return NOISE
     contrast = contrast_of(float(part.peak), blob.level, blob.variance, gain, sigmas)
     if part.peak < blob.peak and part.peak - blob.cut <= contrast:
-        return NONE  # noise in the skirt of a brighter one
-    certain = over > FAINT * least and part.longer < search.largest_px and part.dip <= contrast + 1
+        return NOISE  # in the skirt of a brighter one
+    if short or faint:
+        return SMALL if short else FAINT
+    certain = over > NEAR_LIMIT * least and part.longer < search.largest_px and part.dip <= contrast + 1
     return WHOLE if certain else UNCERTAIN
 
 
@@ -221,10 +245,11 @@ def examine(
     """Write the targets of a part whose verdict is uncertain, from run n and region r on; return where both end."""
     box = (part.left, part.right, runs[0, ROW], runs[-1, ROW] + 1)
     least, gain = noise.sigmas * blob.spread, noise.gains[place.image]
-    if part.peak - blob.level <= FAINT * least:
+    if part.peak - blob.level <= NEAR_LIMIT * least:
         around = ring_level(place.pixels, box, max(part.longer, LEAST_MARGIN_PX))
         if part.peak - around <= least:
-            return n, r  # a part of an uneven background
+            place.left_out[UNEVEN] += 1.0
+            return n, r
     contrast = contrast_of(float(part.peak), blob.level, blob.variance, gain, noise.sigmas)
     whole = part.longer < search.largest_px
     if whole and part.dip > contrast + 1:
@@ -238,6 +263,8 @@ def examine(
     grown_thresholds, grown_runs = grow_regions(runs, values, falling_thresholds(part.peak, blob.cut, step), finer)
     first = r
     n, r = write_grown(grown_thresholds, grown_runs, (place.image, blob.cut), place.found, place.regions, n, r)
+    if r == first:
+        place.left_out[LARGE if part.longer >= search.largest_px else SMALL] += 1.0
     for q in range(first, r):
         write_noise(blob, gain, place.noise[q])
     return n, r
@@ -263,6 +290,8 @@ def decide(
                     n, r = write_target(cut[:m], blob, gain, place, n, r)
                 elif verdict == UNCERTAIN:
                     n, r = examine(cut[:m], part, values, blob, search, noise, place, n, r)
+                else:
+                    place.left_out[verdict] += 1.0
                 continue
         parts, part_start = blobs_of(runs_above(own, values, blob.cut))
         for q in range(len(part_start) - 1):
@@ -273,12 +302,19 @@ def decide(
                 n, r = write_target(one, blob, gain, place, n, r)
             elif verdict == UNCERTAIN:
                 n, r = examine(one, part, values, blob, search, noise, place, n, r)
+            else:
+                place.left_out[verdict] += 1.0
     return n, r
 
 
 @step
-def decide_in_set(images: ImageSet, bright: BrightPixels, search: Search, noise: PixelNoise) -> FoundRegions:
-    """Find the targets of all images of a frame set among the pixels above their limits."""
+def decide_in_set(
+    images: ImageSet, bright: BrightPixels, search: Search, noise: PixelNoise, left_out: Array
+) -> FoundRegions:
+    """Find the targets of all images of a frame set among the pixels above their limits.
+
+    Adds to ``left_out`` (n, 6) how many parts were none, see ``Place``.
+    """
     values, run_start, value_start = bright.values, bright.run_start, bright.value_start
     found, regions = np.empty((len(values), 3), np.int32), np.empty((len(values), 5), np.int32)
     of_regions = np.empty((len(values), 4))
@@ -286,7 +322,7 @@ def decide_in_set(images: ImageSet, bright: BrightPixels, search: Search, noise:
     for k in range(len(run_start) - 1):
         own_runs = bright.runs[run_start[k] : run_start[k + 1]]
         own_values = values[value_start[k] : value_start[k + 1]]
-        place = Place(k, image_of(images, k), found, regions, of_regions)
+        place = Place(k, image_of(images, k), found, regions, of_regions, left_out[k])
         n, r = decide(own_runs, own_values, search, noise, place, n, r)
     return FoundRegions(found[:n], regions[:r], of_regions[:r])
 

@@ -2,7 +2,7 @@
 
 from bisect import bisect_right
 from collections import deque
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, field
@@ -30,6 +30,13 @@ REFRESH_PERIOD = 128
 
 Detected = tuple[dict[str, Detections], CameraStatistics, float]
 """Detections by camera, what the set adds to the cameras' statistics, and computing time [s]."""
+
+Attend = Callable[[FrameSet, Mapping[str, Detections], CameraStatistics], None]
+"""Called with a set, its detections and what it adds to the cameras' statistics."""
+
+
+def _nobody(frame_set: FrameSet, detections: Mapping[str, Detections], added: CameraStatistics) -> None:
+    """Attend to nothing."""
 
 
 def _phase(camera: str) -> int:
@@ -88,15 +95,17 @@ class FrameSetDetector:
 
 
 def detect_ahead(
-    detector: FrameSetDetector, sets: Iterable[FrameSet], workers: int, split: int = 1
+    detector: FrameSetDetector, sets: Iterable[FrameSet], workers: int, split: int = 1, attend: Attend | None = None
 ) -> Iterator[tuple[FrameSet, dict[str, Detections], float]]:
     """Yield each frame set with its detections and the computing time that they took [s], in order.
 
     ``workers``: threads that detect in sets ahead of the one that is yielded, beside the caller's own, which works on
     one itself rather than wait; 0: one set after the other, its cameras divided among ``split`` threads.
+    ``attend`` is called with each set, its detections and what it adds to the statistics, in order.
     """
+    attend = attend or _nobody
     if workers <= 0:
-        yield from _one_by_one(detector, sets, split)
+        yield from _one_by_one(detector, sets, split, attend)
         return
     delayed = _DelayedSums()
     queue: deque[_Ahead] = deque()
@@ -104,7 +113,9 @@ def detect_ahead(
     def first() -> tuple[FrameSet, dict[str, Detections], float]:
         detections, added, seconds = _await_first(detector, queue)
         delayed.add(added)
-        return queue.popleft().frame_set, detections, seconds
+        frame_set = queue.popleft().frame_set
+        attend(frame_set, detections, added)
+        return frame_set, detections, seconds
 
     with ThreadPoolExecutor(workers, "detect") as pool:
         try:
@@ -145,7 +156,7 @@ def _await_first(detector: FrameSetDetector, queue: Sequence[_Ahead]) -> Detecte
 
 
 def _one_by_one(
-    detector: FrameSetDetector, sets: Iterable[FrameSet], split: int
+    detector: FrameSetDetector, sets: Iterable[FrameSet], split: int, attend: Attend
 ) -> Iterator[tuple[FrameSet, dict[str, Detections], float]]:
     delayed = _DelayedSums()
     with ExitStack() as stack:
@@ -156,6 +167,7 @@ def _one_by_one(
             yield frame_set, detections, seconds
             # off the latency path: the solve takes long
             delayed.add(added)
+            attend(frame_set, detections, added)
             used = delayed.for_frame_set(number + 1)
             used.solve()
 

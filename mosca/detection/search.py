@@ -24,6 +24,14 @@ DARK, GAIN, SLOPE_X, SLOPE_Y = range(4)
 [DN/px]."""
 
 
+LEFT_OUT_REASONS = ("faint", "small", "large", "uneven", "cut")
+"""Why adjoining bright pixels are no target: the brightest lies below the limit of a target, though several are above
+that of the search; it lies above, but their box is too short; the box is too long; what surrounds them is as bright;
+they touch the image's border."""
+FAINT, SMALL, LARGE, UNEVEN, CUT = range(5)
+"""Columns of a table of how many were left out."""
+
+
 class Search(NamedTuple):
     """What is searched, in grey values of the image [DN] and pixels; symbols as in ``mosca.detection.detect``."""
 

@@ -13,6 +13,7 @@ from mosca.data.arrays import Array
 from mosca.data.files.whole_file import check_writable
 from mosca.data.tracks import Samples
 from mosca.diagnostics.camera_health import Health
+from mosca.diagnostics.sensor import Sensors
 from mosca.errors import InputError
 from mosca.formats.tracks.tracks_file import TracksLog
 from mosca.live import run_live
@@ -23,7 +24,7 @@ from reports.record import RunRecord, write_record
 from scenarios.commands.live_sources import LiveOptions, LiveSource, opened_live
 from scenarios.run.interrupt import first_ctrl_c
 from scenarios.run.provenance import provenance
-from scenarios.run.record import health_record
+from scenarios.run.record import health_record, sensor_record
 
 EVERY_S = 1.0
 
@@ -70,15 +71,17 @@ def run_live_command(options: LiveOptions, report: Callable[[str], None]) -> lis
         if smoother is not None:
             FixedLag(LagSettings(lag=1)).step(0, _one_sample())
         assembly, health = (Assembly(), Health.of(source.rig, source.settings.match))
-        steps = stack.enter_context(_Steps(source, assembly, health, options))
+        sensors = Sensors(source.frames.cameras, source.settings.detection)
+        steps = stack.enter_context(_Steps(source, assembly, health, sensors, options))
         stages, elapsed = _follow(steps, assembly, smoother, log, options, report)
         lines = _summary(steps.count, elapsed, stages, assembly)
         if log is not None:
             tracks = log.finish(source.frames.cameras[0].frame_rate_hz)
             lines.append(f"{tracks} tracks with {log.samples} samples in {options.out}")
-        lines += health.findings()
+        lines += [*health.findings(), *sensors.lines(), *sensors.findings()]
         if options.record is not None:
-            write_record(_record(options, steps.count, elapsed, stages, assembly, health, log), options.record)
+            record = _record(options, steps.count, elapsed, stages, assembly, (health, sensors), log)
+            write_record(record, options.record)
             lines.append(f"{options.record}")
     return lines
 
@@ -86,12 +89,14 @@ def run_live_command(options: LiveOptions, report: Callable[[str], None]) -> lis
 class _Steps:
     """The steps of a live run; a context that ends the source, at Ctrl-C as well."""
 
-    def __init__(self, source: LiveSource, assembly: Assembly, health: Health, options: LiveOptions) -> None:
+    def __init__(
+        self, source: LiveSource, assembly: Assembly, health: Health, sensors: Sensors, options: LiveOptions
+    ) -> None:
         self._source = source
         self.over = threading.Event()
         self.count = 0
         self.steps = run_live(
-            source.frames, source.rig, source.settings, assembly, health=health, queued=options.queued
+            source.frames, source.rig, source.settings, assembly, None, None, health, options.queued, sensors
         )
 
     def __enter__(self) -> "_Steps":
@@ -192,10 +197,12 @@ def _record(
     elapsed: float,
     stages: Mapping[str, list[float]],
     assembly: Assembly,
-    health: Health,
+    watched: tuple[Health, Sensors],
     log: TracksLog | None,
 ) -> RunRecord:
     """Return the record: counts, how each camera did, and for each stage mean, 99 % and most of its times [s]."""
+    health, sensors = watched
+    learned = {one.name: sensor_record(one) for one in sensors.cameras()}
     timings = {"total": elapsed, "health_mean": health.seconds / max(sets, 1)}
     for stage, values in stages.items():
         if values:
@@ -228,7 +235,7 @@ def _record(
             "queued": options.queued,
             "notes": dict(assembly.notes),
         },
-        cameras={one.name: health_record(one) for one in health.cameras()},
+        cameras={one.name: health_record(one) | {"sensor": learned.get(one.name)} for one in health.cameras()},
         timings=timings,
         provenance=provenance(),
     )

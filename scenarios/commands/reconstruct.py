@@ -15,6 +15,7 @@ from mosca.data.files.toml import Table, check, read_toml
 from mosca.data.rig import Camera, Rig
 from mosca.detection.detect import mean_background, minimum_background
 from mosca.diagnostics.camera_health import Health
+from mosca.diagnostics.sensor import Sensors
 from mosca.errors import InputError
 from mosca.formats.tracks.tracks_file import check_tracks_file, write_tracks
 from mosca.pipeline import PipelineSettings, check_source, run, run_seen
@@ -94,12 +95,13 @@ def reconstruct_recording(
     counts = np.zeros(3)
     with open_recording(recording, rig, fps) as source, between_steps() as stop:
         rate = source.cameras[0].frame_rate_hz
+        sensors = Sensors(source.cameras, settings.detection)
         if isinstance(source, McapRecording) and source.holds == "detections":
             check_source(source, rig)
             found = counted(source.detection_sets(), source.cameras, assembly)
             steps = run_seen(found, rig, settings, health=health)
         else:
-            steps = run(source, rig, settings, assembly, backgrounds, health=health)
+            steps = run(source, rig, settings, assembly, backgrounds, health=health, sensors=sensors)
         for step in steps:
             stop()
             postprocessor.take(step.frame_set.pulse, step.samples)
@@ -128,6 +130,7 @@ def reconstruct_recording(
         for name, c in assembly.cameras.items()
         if c.dropped or c.corrupt or c.late or c.doubled
     ]
+    lines += [*sensors.lines(), *sensors.findings()]
     lines += [f"{kind}: {note}" for kind, note in assembly.notes.items()]
     if assembly.skipped_sets:
         lines.append(f"{assembly.skipped_sets} frame sets are missing in the recording")

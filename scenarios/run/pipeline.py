@@ -13,6 +13,7 @@ from mosca.data.frames import FrameSource
 from mosca.data.rig import Rig
 from mosca.data.tracks import Samples, table
 from mosca.diagnostics.camera_health import Health
+from mosca.diagnostics.sensor import Sensors
 from mosca.pipeline import PipelineSettings, Step, run
 from mosca.recording import RecordingWriter
 from mosca.synchronisation import Assembly
@@ -59,10 +60,11 @@ def collected_of(
     keeper = RigKeeper(rig) if spec.pipeline.watch else None
     zones = zones_of(spec, rig)
     healths = [Health.of(one, settings.match) for one in ([zone.rig for zone in zones] or [rig])]
+    sensors = Sensors(read.cameras, settings.detection)
     if zones:
-        steps = zone_steps(read, zones, rig, settings, assembly, healths)
+        steps = zone_steps(read, zones, rig, settings, assembly, healths, sensors)
     else:
-        steps = run(read, rig, settings, assembly, keeper=keeper, health=healths[0])
+        steps = run(read, rig, settings, assembly, keeper=keeper, health=healths[0], sensors=sensors)
     for done, step in enumerate(steps, start=1):
         stop()
         samples.append(step.samples)
@@ -82,7 +84,8 @@ def collected_of(
             assembly.notes[f"rig {k + 1}"] = incident.message
     if nameless := sum(health.nameless for health in healths):
         assembly.notes["nameless"] = f"{nameless} samples at the end had no identity yet and are left out"
-    for k, line in enumerate(line for health in healths for line in health.findings()):
+    found = [line for health in healths for line in health.findings()]
+    for k, line in enumerate((*found, *sensors.findings())):
         assembly.notes[f"camera {k + 1}"] = line
     if latency:
         seconds["health"] = sum(health.seconds for health in healths)
@@ -92,7 +95,7 @@ def collected_of(
     if zones:
         tracks = tracks_of_all(tracks, zones, assembly)
     cameras = tuple(one for health in healths for one in health.cameras())
-    return Collected(tracks, views, view_pulse, assembly, seconds, detections, cameras)
+    return Collected(tracks, views, view_pulse, assembly, seconds, detections, cameras, sensors.cameras())
 
 
 def _rerun_log(

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, replace
+from dataclasses import asdict, astuple, replace
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,7 @@ from mosca.data.arrays import Array
 from mosca.data.rig import Rig
 from mosca.data.truth import Truth
 from mosca.diagnostics.camera_health import CameraHealth
+from mosca.diagnostics.sensor import Estimate, LearnedSensor
 from reports.evidence import CameraView, ErrorTable, Evidence, MarkerCounts
 from reports.metrics import METRICS
 from reports.record import Metric, MetricBlocks, RunRecord
@@ -18,6 +19,7 @@ from scenarios.build.cameras import Calibrated, deliveries
 from scenarios.run.provenance import provenance
 from scenarios.score.delivery import expected_sets, expected_share, frame_losses, losses, weakest
 from scenarios.score.limits import loose_limits
+from scenarios.score.sensor import StatedSensor
 from scenarios.score.tracks import limits_met
 from scenarios.spec.scenario import Scenario
 from scenarios.types import Collected, Score, Scored
@@ -148,10 +150,26 @@ def _cameras(collected: Collected) -> dict[str, dict[str, Any]]:
     if collected.frames:
         return {name: asdict(one) | {"complete": one.share} for name, one in collected.frames.items()}
     counts = collected.assembly.cameras
+    sensors = {one.name: {"sensor": sensor_record(one, collected.stated.get(one.name))} for one in collected.sensors}
     return {
-        one.name: health_record(one) | (asdict(counts[one.name]) if one.name in counts else {})
+        one.name: health_record(one)
+        | (asdict(counts[one.name]) if one.name in counts else {})
+        | sensors.get(one.name, {})
         for one in collected.cameras
     }
+
+
+def sensor_record(one: LearnedSensor, stated: StatedSensor | None = None) -> dict[str, Any]:
+    """Return for the record what a camera's images tell of its sensor; an interval is [value, low, high].
+
+    ``stated``: what a data sheet states of it, where that is known.
+    """
+    values = {
+        key: [float(f"{part:.5g}") for part in astuple(value)] if isinstance(value, Estimate) else value
+        for key, value in vars(one).items()
+    }
+    del values["name"]
+    return values | {"saturation_dn": one.saturation_dn, "stated": stated and asdict(stated)}
 
 
 def health_record(one: CameraHealth) -> dict[str, Any]:

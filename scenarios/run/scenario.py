@@ -37,6 +37,7 @@ from scenarios.score.continuous import as_worn
 from scenarios.score.delivery import camera_frames, expected_sets, frames_complete, sets_complete
 from scenarios.score.reference import requested_truth
 from scenarios.score.score_run import scored
+from scenarios.score.sensor import sensor_findings, stated_sensors
 from scenarios.score.without_truth import self_checks
 from scenarios.session.estimated import SessionCalibration, calibrate_in_session
 from scenarios.spec.scenario import Scenario
@@ -111,6 +112,7 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
         with _timed(timings, "frames_to_tracks"):
             collected, continuous = _tracked(opened, believed, spec, options, stack)
             collected = replace(collected, account=account(opened.source))
+        collected = _beside_data_sheets(collected, spec, built)
         if continuous is not None:
             gathered = (continuous.reconstructed if isinstance(continuous, Worn) else continuous).gathered
             nominal = opened.twin is not None
@@ -187,6 +189,23 @@ def _own_calibration(
     if own.calibration.refused and spec.expect != "caught":
         raise CalibrationError(f"{name}: {reported[0][0]}: {reported[0][1]}")
     return own, reported
+
+
+def _beside_data_sheets(collected: Collected, spec: Scenario, built: _Built) -> Collected:
+    """Return the learned sensors beside what the scenario states of them; what does not fit goes into the notes.
+
+    A scenario states the sensors of its virtual cameras, of real ones only those that it names.
+    """
+    named = {one.name for one in spec.camera if one.sensor.name is not None}
+    sheets = {
+        one.camera.name: one.sensor
+        for one in built.cameras
+        if built.scene is not None or spec.sensor.name is not None or one.camera.name in named
+    }
+    stated = stated_sensors(collected.sensors, sheets)
+    for k, line in enumerate(sensor_findings(collected.sensors, stated)):
+        collected.assembly.notes[f"sensor {k + 1}"] = line
+    return replace(collected, stated=stated)
 
 
 def _opened(spec: Scenario, built: _Built, options: RunOptions) -> _Opened:

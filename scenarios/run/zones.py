@@ -9,6 +9,7 @@ from mosca.data.rig import Rig
 from mosca.data.tracks import Tracks
 from mosca.detection.scheduler import FrameSetDetector, detect_ahead
 from mosca.diagnostics.camera_health import Health
+from mosca.diagnostics.sensor import Sensors
 from mosca.errors import InputError
 from mosca.pipeline import PipelineSettings, Step, check_source
 from mosca.stitching.run import Zone, check_zones, of_zones, run_zones
@@ -42,12 +43,14 @@ def zone_steps(
     settings: PipelineSettings,
     assembly: Assembly,
     healths: Sequence[Health],
+    sensors: Sensors,
 ) -> Iterator[Step]:
     """Reconstruct tracks from a source's frames, zone by zone; ``rig``: of all cameras."""
     check_source(source, rig)
     sets = assemble(source, source.cameras, settings.assembly, assembly)
     look = FrameSetDetector(settings.detection, {info.name: info.bit_depth for info in source.cameras})
-    yield from run_zones(detect_ahead(look, sets, settings.workers, settings.split or 1), zones, settings, healths)
+    seen = detect_ahead(look, sets, settings.workers, settings.split or 1, sensors.attend)
+    yield from run_zones(seen, zones, settings, healths)
 
 
 def tracks_of_all(tracks: Tracks, zones: Sequence[Zone], assembly: Assembly) -> Tracks:

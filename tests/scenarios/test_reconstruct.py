@@ -146,6 +146,15 @@ def test_without_backgrounds_nothing_changes(lab):
     np.testing.assert_array_equal(points(None), points(black))
 
 
+def test_each_camera_s_sensor_is_told_of(lab):
+    lines = reconstruct_recording(lab / "take", lab / "rig.toml", lab / "t.csv", 100.0, lab / "settings.toml", ())
+    told = [line for line in lines if "learned from" in line]
+    assert [line.split(":")[0] for line in told] == [f"camera '{name}'" for name in PLACES]
+    # the pictures have no noise, and the brightest grey value is 160
+    assert all("noise below 0.5 DN" in line and f"from {FRAMES} images" in line for line in told)
+    assert all("8 bits, largest value" in line and "DN, not saturated" in line for line in told)
+
+
 def test_a_cut_image_is_named_and_counted_and_the_run_goes_on(lab):
     victim = lab / "take" / "middle" / "0002.tif"
     victim.write_bytes(victim.read_bytes()[:1000])

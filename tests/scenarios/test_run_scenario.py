@@ -17,6 +17,12 @@ def test_keys_are_changed_by_a_mapping_and_by_keywords():
     assert result.truth is not None
     assert result.truth.xyz.shape == (20, 12, 3)
     assert len(np.unique(result.tracks.track)) == 12
+    sensor = result.record.cameras["cam1"]["sensor"]
+    assert (sensor["images"], sensor["bits"], sensor["step_dn"]) == (20, 8, 1)
+    # the twin's by its data sheet: 251 DN for 20,000 e-, dark noise of 10 e- and 200 e- of background
+    assert sensor["stated"]["gain_dn_per_e"] == pytest.approx(251 / 20_000)
+    assert sensor["stated"]["noise_dn"] == pytest.approx(251 / 20_000 * 300**0.5, rel=0.05)
+    assert sensor["noise_dn"] == [0.5, 0.0, 0.5]
 
 
 @pytest.mark.parametrize(

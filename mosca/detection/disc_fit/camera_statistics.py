@@ -46,6 +46,7 @@ from mosca.detection.disc_fit.light_offset import (
     AMPLITUDE_SUMS,
     BLUR_SUM,
     BLUR_WEIGHT,
+    LEFT_OUT,
     N_LIGHT,
     N_TARGETS,
     N_TERMS,
@@ -179,7 +180,7 @@ def _priors(statistics: CameraStatistics) -> Priors:
     enough = np.flatnonzero(tallies[:, N_LIGHT] >= ENOUGH)
     if len(enough):
         offsets[enough] = _offsets(normal[enough], right_side[enough])
-    return Priors(np.column_stack([mean, spread]), offsets, usual, _amplitudes(tallies[:, AMPLITUDE_SUMS:]))
+    return Priors(np.column_stack([mean, spread]), offsets, usual, _amplitudes(tallies[:, AMPLITUDE_SUMS:LEFT_OUT]))
 
 
 def _amplitudes(sums: Array) -> Array:
