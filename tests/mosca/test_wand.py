@@ -11,6 +11,7 @@ from mosca.calibration.initial.projective import fundamental
 from mosca.calibration.uncalibrated.end_order import ordered
 from mosca.calibration.uncalibrated.wand import calibrate_wand
 from mosca.data.calibration import Calibration
+from mosca.data.rig import OpenCVLens
 from mosca.data.wands import Wand
 from mosca.errors import CalibrationError, InputError
 
@@ -212,3 +213,16 @@ def test_fundamental_matrix_is_opencvs_in_spite_of_blunders():
     assert found.inliers[50:].mean() > 0.95
     clean = clean / np.linalg.norm(clean)
     assert np.abs(found.matrix * np.sign((found.matrix * clean).sum()) - clean).max() < 1e-6
+
+
+def test_pixels_that_are_not_square_are_found_in_opencvs_model():
+    # by 0.1 % as sensors' data sheets allow: a third of a pixel at the image's edge if it were not found
+    true = tuple(
+        replace(c, lens=OpenCVLens(640.0 + 5 * k, (640.0 + 5 * k) * 1.001, 327.0 + k, 246.0, -0.1, 0.05))
+        for k, c in enumerate(rig(4, seed=6))
+    )
+    sightings = seen(true, waved(250, seed=6), 0.01, blunders=0.0, seed=6)
+    found = calibrate_wand(sightings, WAND, np.random.default_rng(0), [OpenCVLens(1.0, 1.0, 0.0, 0.0)] * 4)
+    for camera in found.rig.cameras:
+        assert camera.lens.fy_px / camera.lens.fx_px == pytest.approx(1.001, abs=2e-4)
+    assert found.sigma0 == pytest.approx(1.0, abs=0.1)
