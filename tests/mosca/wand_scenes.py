@@ -105,8 +105,8 @@ def seen(cameras, world, noise_px=NOISE_PX, blunders=0.03, seed=2, share=0.95) -
 def behind_bars(cameras, world, sightings, most_m) -> Sightings:
     """Return the sightings with balls moved away from bars that point at the camera, by up to ``most_m`` [m].
 
-    As Mitsuba renders balls of 40 mm on a bar of 8 mm: nothing up to a cosine of 0.1 between bar and line of sight, all from
-    0.6 on. Bars join neighbouring balls.
+    As Mitsuba renders balls of 40 mm on a bar of 8 mm: nothing up to a cosine of 0.1 between bar and line of sight,
+    all from 0.6 on. Bars join neighbouring balls.
     """
     xy = np.array(sightings.xy_px)
     for k, one in enumerate(cameras):

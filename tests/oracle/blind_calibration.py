@@ -2,11 +2,11 @@
 
     python -m tests.oracle.blind_calibration wand field board --renders 4 --draws 5
 
-A session is calibrated by the code behind ``mosca calibrate`` with its default settings; nothing is said of sensor or
-optics. Renders of one kind differ in cameras and motion, draws in the sensor's noise. A test field or a board is its own
-world, so that the rig found is compared as it is; of a wand the best rigid motion is removed, since its covariance is that of the
-network in itself. Statistics are freed of that motion by the null space of its slopes, in any datum alike (Baarda
-1973, S-transformations).
+A session is calibrated by the code behind ``mosca calibrate`` with its default settings; nothing is said of sensor
+or optics. Renders of one kind differ in cameras and motion, draws in the sensor's noise. A test field or a board is
+its own world, so that the rig found is compared as it is; of a wand the best rigid motion is removed, since its
+covariance is that of the network in itself. Statistics are freed of that motion by the null space of its slopes, in
+any datum alike (Baarda 1973, S-transformations).
 """
 
 import argparse
@@ -25,11 +25,11 @@ from scipy.stats import chi2
 from mosca.calibration.common.robust_fit import rigid
 from mosca.calibration.quality.accuracy_map import triangulated_points
 from mosca.calibration.session import EstimateSettings, Shown, calibrate_session
+from mosca.camera.projection import project as camera_pixels
 from mosca.data.boards import Board
 from mosca.data.calibration import Calibration
-from mosca.data.files.rig_file import read_rig
 from mosca.data.files.target_file import read_target_file
-from mosca.data.rig import Camera, Pose, Rig
+from mosca.data.rig import Pose
 from mosca.data.targets import TestField
 from mosca.data.wands import LFrame
 from mosca.recording import open_recording
@@ -53,12 +53,12 @@ GRID = 9
 class Verdict:
     """How far a calibrated rig is from the true one.
 
-    ``rays_px``, ``worst_px``: rms and largest distance of the images of points in the calibrated volume; ``scale``: lengths found over
-    true ones, less 1; ``volume_m`` longest edge of the volume, ``point_rms_m`` of points measured without noise;
-    ``nees``: squared error of all projection centres by their covariance over its ``degrees`` of freedom; ``centre_sigmas``: the
-    largest error of one centre by its own covariance, as a normal deviate of three dimensions; ``covered``: share of
-    points within the ellipsoid of 95 % of the calibration's covariance; ``seen_px``, ``seen_nees``: rms an axis of
-    image points against the true ones, and their mean squared error over their stated variance (1: as stated).
+    ``rays_px``, ``worst_px``: rms and largest distance of the images of points in the calibrated volume; ``scale``:
+    lengths found over true ones, less 1; ``volume_m`` longest edge of the volume, ``point_rms_m`` of points measured
+    without noise; ``nees``: squared error of all projection centres by their covariance, of ``degrees`` of freedom;
+    ``centre_sigmas``: the largest error of one centre by its own covariance, as a normal deviate; ``covered``: share
+    of points within the ellipsoid of 95 % of the calibration's covariance; ``seen_px``, ``seen_nees``: rms an axis
+    of image points against the true ones, and their mean squared error over their stated variance (1: as stated).
     """
 
     rays_px: float
@@ -87,7 +87,7 @@ class Verdict:
 
 
 def scene_of_kind(name: str, variant: int) -> WitnessScene:
-    """Return a scene of ``witness/scenes`` with other cameras and another motion for each ``variant``; 0: as it is."""
+    """Return a scene of ``witness/scenes``, with other cameras and another motion for each ``variant`` but 0."""
     path = SCENES / f"{name}.toml"
     table = tomllib.loads(path.read_text(encoding="utf-8"))
     if variant:
@@ -110,12 +110,13 @@ def calibrated_blind(folder: Path, axes: Path | None, settings: EstimateSettings
     """Return the calibration that ``mosca calibrate`` makes of a recording and the L-frame's, if any."""
 
     def shown(path: Path) -> Shown[Any]:
-        opened = lambda rig: open_recording(path, rig, None, times_matter=False)  # noqa: E731
-        return Shown(read_target_file(path / "target.toml"), opened)
+        return Shown(
+            read_target_file(path / "target.toml"), lambda rig: open_recording(path, rig, None, times_matter=False)
+        )
 
     l_frame = None if axes is None else shown(axes)
     assert l_frame is None or isinstance(l_frame.target, LFrame)
-    return calibrate_session(shown(folder), settings or EstimateSettings(), axes=l_frame)[0]
+    return calibrate_session(shown(folder), settings or EstimateSettings(choose_lens=True), axes=l_frame)[0]
 
 
 def judged(calibration: Calibration, scene: WitnessScene, folder: Path, values: dict[str, Any]) -> Verdict:
@@ -124,38 +125,40 @@ def judged(calibration: Calibration, scene: WitnessScene, folder: Path, values: 
     own_world = isinstance(target, TestField | Board)
     cameras = [next(c for c in scene.cameras if c.name == name) for name in calibration.rig.names]
     shown = _shown_points(target, values)
-    world = Pose(np.eye(3), np.zeros(3))
-    if own_world:
-        first = int(calibration.sightings.frame[calibration.placement < 0].min())
-        world = Pose(values["body_rotation"][first, 0], values["body_position"][first, 0]).inverse()
     # what the true cameras image of the volume, the rig measures
     grid = _volume(shown.reshape(-1, 3))
     true_px = np.stack([np.where(in_image(c, p := project(c, grid), 0.0)[:, None], p, np.nan) for c in cameras], 1)
     point, camera = np.nonzero(np.isfinite(true_px).all(axis=2))
     seen = true_px[point, camera]
     found = triangulated_points(calibration, camera, point, seen, np.tile(np.eye(2), (len(point), 1, 1)))
-    truth = world.transform(grid[found.key])
-    gauge = world if own_world else rigid(found.xyz, truth).inverse()
-    rig = calibration.rig if own_world else _carried(calibration.rig, rigid(found.xyz, truth))
-    into = world if own_world else Pose(np.eye(3), np.zeros(3))
-    off = [_off(one, into.transform(grid[point[camera == k]]), seen[camera == k]) for k, one in enumerate(rig.cameras)]
-    apart = np.linalg.norm(np.concatenate(off), axis=1)
-    true_in_rig = truth if own_world else gauge.transform(truth)
-    centres = np.array([c.position_m for c in cameras])
-    true_centres = world.transform(centres) if own_world else gauge.transform(centres)
-    nees, degrees, worst = _of_centres(calibration, true_centres, own_world)
-    free = np.eye(3 * len(truth)) if own_world else _without_motion(true_in_rig)
+    if own_world:
+        first = int(calibration.sightings.frame[calibration.placement < 0].min())
+        rig_from_world = Pose(values["body_rotation"][first, 0], values["body_position"][first, 0]).inverse()
+    else:
+        rig_from_world = rigid(grid[found.key], found.xyz)
+    edge = float(np.ptp(grid, axis=0).max())
+    grid = rig_from_world.transform(grid)
+    truth = grid[found.key]
+    apart = np.concatenate(
+        [
+            camera_pixels(one, grid[point[camera == k]]) - seen[camera == k]
+            for k, one in enumerate(calibration.rig.cameras)
+        ]
+    )
+    centres = rig_from_world.transform(np.array([c.position_m for c in cameras]))
+    nees, degrees, worst = _of_centres(calibration, centres, own_world)
+    free = np.eye(3 * len(truth)) if own_world else _without_motion(truth)
     image_off, covariance = _image_errors(calibration, cameras, shown)
     return Verdict(
-        float(np.sqrt(np.mean(apart**2))),
-        float(apart.max()),
+        float(np.sqrt(np.mean((apart**2).sum(axis=1)))),
+        float(np.linalg.norm(apart, axis=1).max()),
         _scale(found.xyz, truth),
-        float(np.ptp(grid, axis=0).max()),
-        float(np.sqrt(np.mean(((found.xyz - true_in_rig) ** 2).sum(axis=1)))),
+        edge,
+        float(np.sqrt(np.mean(((found.xyz - truth) ** 2).sum(axis=1)))),
         nees,
         degrees,
         worst,
-        _covered(found.xyz - true_in_rig, found.by_parameter, calibration.covariance, free),
+        _covered(found.xyz - truth, found.by_parameter, calibration.covariance, free),
         calibration.sigma0,
         float(np.sqrt(np.mean(image_off**2))),
         float(np.mean(np.einsum("ni,nij,nj->n", image_off, np.linalg.inv(covariance), image_off)) / 2),
@@ -179,20 +182,6 @@ def _volume(points: Array) -> Array:
     return np.asarray(grid[Delaunay(points).find_simplex(grid) >= 0])
 
 
-def _carried(rig: Rig, motion: Pose) -> Rig:
-    return Rig(
-        tuple(
-            Camera(c.name, c.width, c.height, c.lens, motion @ c.world_from_camera) for c in rig.cameras
-        )
-    )
-
-
-def _off(camera: Camera, points: Array, seen_px: Array) -> Array:
-    from mosca.camera.projection import project as imaged
-
-    return np.asarray(imaged(camera, points) - seen_px)
-
-
 def _scale(found: Array, truth: Array) -> float:
     """Return lengths found over true ones, less 1."""
     a, b = found - found.mean(axis=0), truth - truth.mean(axis=0)
@@ -208,7 +197,7 @@ def _without_motion(points: Array) -> Array:
 
 
 def _of_centres(calibration: Calibration, truth: Array, own_world: bool) -> tuple[float, int, float]:
-    """Return nees of all centres, its degrees of freedom, and the worst centre's error as a deviate of 3 dimensions."""
+    """Return nees of all centres, its degrees of freedom, and the worst centre's error as a normal deviate."""
     names = {name: k for k, name in enumerate(calibration.parameters)}
     columns = [names[f"{camera}.{axis}_m"] for camera in calibration.rig.names for axis in "XYZ"]
     found = np.array([c.world_from_camera.translation for c in calibration.rig.cameras])
@@ -283,6 +272,3 @@ def main() -> None:
 
 if __name__ == "__main__":
     main()
-
-
-__all__ = ["KINDS", "Verdict", "calibrated_blind", "judged", "read_rig", "recorded", "scene_of_kind", "sessions"]

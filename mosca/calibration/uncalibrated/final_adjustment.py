@@ -74,6 +74,11 @@ def finished(start: Network, tracks: PointViews, only: Free | None = None) -> Ne
     return network(one.tracks, one.cameras, free, last, points=one.points)
 
 
+def lens_parameters(model: str) -> Free:
+    """Return all parameters of a lens model that a wand can determine."""
+    return _joined(BASIC[model], EXTRA[model])
+
+
 def _joined(free: Free, groups: tuple[Free, ...]) -> Free:
     """Return the free lens parameters with those of a group, if any."""
     for group in groups:

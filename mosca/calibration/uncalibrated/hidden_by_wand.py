@@ -1,11 +1,11 @@
 """Image points of balls that their own wand hides in part.
 
-A bar that comes out of a ball towards the camera covers a part of its image, and the centre that is found lies
-up to a hundredth of the diameter away from the bar; a bar that goes away from the camera lies behind the ball. The
-error is alike in all frames with the wand at one tilt, so that it does not average out: it stretches the wand
-and with it the scale. Which bar a wand has is not known. The residuals tell it (additional parameters, Brown 1976): a shift h along
-the bar, a piecewise linear function of the cosine between bar and line of sight, zero where the bar points away; and
-what that leaves, as variance components by the same cosine (Koch 1999, section 3.6).
+A bar that comes out of a ball towards the camera covers a part of its image, and the centre that is found lies up to
+a hundredth of the diameter away from the bar; a bar that goes away from the camera lies behind the ball. The error is
+alike in all frames with the wand at one tilt, so that it does not average out: it stretches the wand and with it the
+scale. Which bar a wand has is not known. The residuals tell it (additional parameters, Brown 1976): a shift along the
+bar, a piecewise linear function of the cosine between bar and line of sight, zero where the bar points away; and what
+that leaves, as variance components by the same cosine (Koch 1999, section 3.6).
 """
 
 from collections.abc import Callable
@@ -27,15 +27,15 @@ LEAST_REDUNDANCY = 40
 SIGNIFICANT = 1e-3
 """Level of the tests: of the shift, and of each class's variance against that of the quietest class."""
 ROUNDS, SETTLED = 12, 0.1
-"""Most adjustments; change of image points, in standard deviations, and of these, in themselves, at which they end."""
+"""Most adjustments; change of image points, in standard deviations, and of these, relative, at which they end."""
 
 
 @dataclass(frozen=True, eq=False)
 class BarDirections:
     """How the bar nearest to the line of sight lies at n image points.
 
-    ``cosine`` (n,): 1 where it points from its ball at the camera; ``along`` (n, 2) [px/m]: the image of a metre across the line
-    of sight in the bar's direction. NaN where ball or wand have no position.
+    ``cosine`` (n,): 1 where it points from its ball at the camera; ``along`` (n, 2) [px/m]: the image of a metre
+    across the line of sight in the bar's direction. NaN where ball or wand have no position.
     """
 
     cosine: Array

@@ -46,7 +46,7 @@ def calibrate_wand(
     """
     balls = len(wand.along_m)
     sightings = ordered(sightings, balls, lenses, rng)
-    tracks = point_views(sightings, balls, lenses, _rods(wand, sightings.frames))
+    tracks = point_views(sightings, balls, lenses, rods_of(wand, sightings.frames))
     check_links(tracks)
     some = tracks.thinned(MOST_WHILE_GROWING * len(tracks.names), rng)
     bend = common_bend(some, rng)
@@ -64,7 +64,7 @@ def calibrate_wand(
 def _of_centres(tracks: PointViews, cameras: Mapping[int, Camera], radius_m: float) -> PointViews:
     """Return the image points of the balls' centres: those of their outlines less the eccentricity.
 
-    It is a share (r / R)^2 of the distance from the principal point, R the ball's distance, so that rough cameras will do.
+    It is a share (r / R)^2 of the distance from the principal point, R the ball's distance: rough cameras will do.
     """
     points, xy = intersected(tracks, cameras), np.array(tracks.xy_px)
     for k, camera in cameras.items():
@@ -94,7 +94,7 @@ def _check_shape(tracks: PointViews, cameras: Mapping[int, Camera], wand: Wand) 
         )
 
 
-def _rods(wand: Wand, frames: int) -> Distances:
+def rods_of(wand: Wand, frames: int) -> Distances:
     """Return the distances of all balls of all frames; ball k of frame f is the object point f * balls + k.
 
     What is wrong with the wand is wrong in all frames alike, and comes on top of the covariance; here it only
