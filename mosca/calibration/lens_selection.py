@@ -123,20 +123,23 @@ def held_out(
     part[view >= 0] = (np.searchsorted(views, view[view >= 0]) * FOLDS) // len(views)
     placed = np.isfinite(calibration.marks_m[see.mark]).all(axis=1)
     sigma = np.maximum(see.sigma_px, LEAST_SIGMA_PX) * max(calibration.sigma0, 1.0)
-    views_of = np.searchsorted(views, view)
     out = []
     for model in models:
         cameras = tuple(_with_model(camera, choice.of(camera.name), model) for camera in calibration.rig.cameras)
         free = FREE[model] if rods is None else lens_parameters(model)
         unknowns = tuple(CameraUnknowns(camera, free=free) for camera in cameras)
         missed = np.full(len(see), np.nan)
-        for fold in range(FOLDS):
-            fitted = solve(_problem(calibration, unknowns, placed & (part != fold), sigma, rods), QUICK)
-            test = placed & (part == fold)
-            missed[test] = _missed_px(calibration, fitted.cameras, test, sigma, rods)[test]
+        try:
+            for fold in range(FOLDS):
+                fitted = solve(_problem(calibration, unknowns, placed & (part != fold), sigma, rods), QUICK)
+                test = placed & (part == fold)
+                missed[test] = _missed_px(calibration, fitted.cameras, test, sigma, rods)[test]
+        except CalibrationError:
+            # a camera that saw the target in one part only: nothing is known without that
+            return ()
         known = np.isfinite(missed)
         missed = np.minimum(missed[known], GROSS_SIGMAS * sigma[known])
-        squares = np.bincount(views_of[known], (missed / sigma[known]) ** 2, len(views))
+        squares = np.bincount(np.searchsorted(views, view[known]), (missed / sigma[known]) ** 2, len(views))
         out.append(HeldOut(model, float(np.sqrt(np.mean(missed**2) / 2)), squares))
     return tuple(out)
 

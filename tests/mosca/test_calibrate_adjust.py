@@ -13,12 +13,7 @@ from scipy.optimize import root
 from scipy.stats import chi2
 
 from mosca.calibration.single_camera.adjust import AdjustmentSettings, adjust_camera
-from mosca.calibration.single_camera.interior_orientation import (
-    CameraViews,
-    LensChoice,
-    TargetView,
-    starting_camera,
-)
+from mosca.calibration.single_camera.interior_orientation import CameraViews, LensChoice, TargetView, starting_camera
 from mosca.camera.projection import project
 from mosca.data.rig import MoscaLens
 from mosca.errors import CalibrationError, InputError
@@ -149,12 +144,13 @@ def test_decentring_is_held_where_other_parameters_imitate_it():
         assert ("P1_per_mm, P2_per_mm" in names) == shown
 
 
-@pytest.mark.parametrize("seed", range(6))
-def test_six_points_are_adjusted_or_refused(seed):
-    # twelve coordinates, and thirteen unknowns with decentring and what competes with it
+@pytest.mark.parametrize("n", [6, 7, 8])
+@pytest.mark.parametrize("seed", range(10, 16))
+def test_few_points_are_adjusted_or_refused(n, seed):
+    # six have twelve coordinates; decentring and what competes with it have thirteen unknowns
     rng = np.random.default_rng(seed)
-    points = rng.uniform(-1, 1, (6, 3)) * [1.0, 0.8, 0.8]
-    xy = opencv_pixels(points, DISTORTION) + rng.normal(0, 0.01, (6, 2))
+    points = rng.uniform(-1, 1, (n, 3)) * [1.0, 0.8, 0.8]
+    xy = opencv_pixels(points, DISTORTION) + rng.normal(0, 0.01, (n, 2))
     try:
         done = adjust("mosca", xy, points, max_sigma0_px=5.0, prism=False)
     except CalibrationError:

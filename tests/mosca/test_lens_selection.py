@@ -65,6 +65,14 @@ def test_an_order_is_obeyed():
         calibrate_sightings(sightings, BOARD, replace(CHOOSE, free=("c_mm",)))
 
 
+def test_a_camera_that_saw_the_target_at_the_end_only_is_calibrated_all_the_same():
+    _, sightings = boards("mosca")
+    late = (sightings.camera != 2) | (sightings.frame >= 44)
+    found = calibrate_sightings(sightings.only(late), BOARD, CHOOSE)
+    assert {camera.lens.model for camera in found.rig.cameras} == {"mosca"}
+    assert found.sigma0 == pytest.approx(1.0, abs=0.1)
+
+
 def test_wands_show_it_too():
     lens = OpenCVLens(420.0, 420.5, *MIDDLE, -0.28, 0.09, 0.0, 0.0, -0.012)
     cameras = tuple(replace(camera, lens=lens) for camera in wand_rig(4, seed=3, radius=2.0))
