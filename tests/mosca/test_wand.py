@@ -259,5 +259,5 @@ def test_large_balls_are_seen_eccentrically():
     true, world = rig(4, seed=8), waved(250, along, seed=8)
     sightings = outlined(true, world, seen(true, world, 0.01, blunders=0.0, seed=8), 0.1)
     found = calibrated(true, sightings, Wand(along, 0.2))
-    # (r / R)^2 = 600 ppm, most of which would go into the scale
-    assert abs(normalised_errors(found, true, world)[1]) < 1e-4
+    # (r / R)^2 = 600 ppm, which would go into the principal distances: 45 standard deviations
+    assert np.abs(normalised_errors(found, true, world)[0]).max() < 4.5
