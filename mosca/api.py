@@ -224,7 +224,7 @@ def calibrate(
     recording: File,
     target: File,
     *,
-    lens: Literal["mosca", "opencv", "fisheye"] = "mosca",
+    lens: Literal["mosca", "opencv", "fisheye"] | None = None,
     known: Rig | File | None = None,
     axes: tuple[File, File] | None = None,
     lengths: tuple[File, File] | None = None,
@@ -240,7 +240,7 @@ def calibrate(
     target :
         Target file (TOML): test field, board, wand or rigid body of markers.
     lens :
-        Lens model to estimate.
+        Lens model to estimate; default: the one that predicts held-out views best.
     known :
         Earlier rig, or its file, which the new one is compared with.
     axes : (recording, target file)
@@ -261,7 +261,7 @@ def calibrate(
     box = None if volume is None else (tuple(np.asarray(volume[0], float)), tuple(np.asarray(volume[1], float)))
     calibration, _evidence = calibrate_session(
         Shown(shown, lambda given: open_recording(Path(recording), given, fps)),
-        EstimateSettings(LensChoice(lens), volume=box),
+        EstimateSettings(LensChoice(lens or "mosca"), lens is None, volume=box),
         axes=None if axes is None else _shown(axes, LFrame, fps),
         lengths=None if lengths is None else _shown(lengths, ScaleBar, fps),
         known=rig,

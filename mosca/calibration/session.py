@@ -7,6 +7,7 @@ from typing import Generic, TypeGuard, TypeVar
 
 import numpy as np
 
+from mosca.calibration.lens_selection import calibrated_with_best
 from mosca.calibration.quality.checks import check_calibration
 from mosca.calibration.quality.findings import warn
 from mosca.calibration.quality.limits import QualityLimits
@@ -19,7 +20,7 @@ from mosca.calibration.single_camera.interior_orientation import LensChoice, pla
 from mosca.calibration.targets.read_session import Progress, read_sightings
 from mosca.calibration.targets.reader import reader_of
 from mosca.calibration.uncalibrated.end_order import ordered
-from mosca.calibration.uncalibrated.wand import calibrate_wand
+from mosca.calibration.uncalibrated.wand import calibrate_wand, rods_of
 from mosca.calibration.world_frame.l_frame import in_axes, world_from_l_frame
 from mosca.data.arrays import Array
 from mosca.data.boards import Board
@@ -49,7 +50,9 @@ class EstimateSettings:
     """Settings of a calibration from frames."""
 
     lens: LensChoice = field(default_factory=LensChoice)
-    """Model to estimate."""
+    """Model to estimate; with ``choose_lens`` the first that is tried."""
+    choose_lens: bool = False
+    """Take another model where it predicts held-out views better."""
     free: tuple[str, ...] | None = None
     """Its parameters; None: all, or for a wand those that the data determine."""
     exterior_only: bool = False
@@ -179,23 +182,35 @@ def calibrate_sightings(
 def _calibrated(
     sightings: Sightings, target: CalibrationTarget, settings: EstimateSettings, known: Rig | None
 ) -> Calibration:
-    if is_rigid(target):
-        rigid = RigidSettings(
-            settings.lens, settings.free, exterior_only=settings.exterior_only, reference=settings.reference
-        )
-        return calibrate_rigid(sightings, rigid_target(target), rigid, known)
-    if isinstance(target, Wand):
+    def with_model(model: str) -> Calibration:
+        lens = replace(settings.lens, model=model)
+        if is_rigid(target):
+            rigid = RigidSettings(
+                lens, settings.free, exterior_only=settings.exterior_only, reference=settings.reference
+            )
+            return calibrate_rigid(sightings, rigid_target(target), rigid, known)
+        assert isinstance(target, Wand)
         lenses = [
-            plain_lens(settings.lens.of(name), 1.0, (int(w), int(h)))
+            plain_lens(lens.of(name), 1.0, (int(w), int(h)))
             for name, (w, h) in zip(sightings.cameras, sightings.sizes, strict=True)
         ]
         return calibrate_wand(sightings, target, np.random.default_rng(SEED), lenses, settings.free)
-    raise InputError(f"a {type(target).__name__} does not calibrate cameras; give a test field, a board or a wand")
+
+    if not (is_rigid(target) or isinstance(target, Wand)):
+        raise InputError(
+            f"a {type(target).__name__} does not calibrate cameras; give a test field, a board or a wand"
+        )
+    if not settings.choose_lens:
+        return with_model(settings.lens.model)
+    rods = rods_of(target, sightings.frames) if isinstance(target, Wand) else None
+    return calibrated_with_best(with_model, settings.lens, rods)
 
 
 def _check(target: CalibrationTarget, settings: EstimateSettings) -> None:
     if isinstance(target, Wand) and settings.exterior_only:
         raise InputError("a wand does not give exterior orientation alone; show the test field or the board again")
+    if settings.choose_lens and (settings.exterior_only or settings.free is not None):
+        raise InputError("lens parameters are named, or lenses kept: name their model, too")
     if settings.free is not None:
         if settings.exterior_only:
             raise InputError("'free' names lens parameters, and exterior orientation alone has none; leave it out")

@@ -19,7 +19,7 @@ from scenarios.cli.progress import Progress
 @click.option(
     "--lens",
     type=click.Choice(["mosca", "opencv", "fisheye"]),
-    help="lens model  [default: mosca, or what the file of measured points says]",
+    help="lens model  [default: the one that predicts held-out views best; of measured points what their file says]",
 )
 @click.option(
     "--free",

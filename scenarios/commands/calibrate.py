@@ -54,6 +54,7 @@ class CalibrateOptions:
         lens = LensChoice(self.lens or "mosca", self.pixel_pitch_mm)
         return EstimateSettings(
             lens,
+            self.lens is None and free is None and not self.exterior_only,
             free,
             self.exterior_only,
             self.every,

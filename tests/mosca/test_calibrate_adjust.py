@@ -13,6 +13,7 @@ from scipy.optimize import root
 from scipy.stats import chi2
 
 from mosca.calibration.single_camera.adjust import AdjustmentSettings, adjust_camera
+from mosca.calibration.single_camera.interior_orientation import CameraViews, LensChoice, TargetView, starting_camera
 from mosca.camera.projection import project
 from mosca.data.rig import MoscaLens
 from mosca.errors import CalibrationError, InputError
@@ -141,6 +142,34 @@ def test_decentring_is_held_where_other_parameters_imitate_it():
         xy = cv2.projectPoints(points, cv2.Rodrigues(TURN)[0], -TURN @ ORIGIN, matrix, distortion)[0][:, 0]
         names = [n for n, _ in adjust("mosca", xy + rng.normal(0, 0.1, xy.shape), points).chosen]
         assert ("P1_per_mm, P2_per_mm" in names) == shown
+
+
+@pytest.mark.parametrize("n", [6, 7, 8])
+@pytest.mark.parametrize("seed", range(10, 16))
+def test_few_points_are_adjusted_or_refused(n, seed):
+    # six have twelve coordinates; decentring and what competes with it have thirteen unknowns
+    rng = np.random.default_rng(seed)
+    points = rng.uniform(-1, 1, (n, 3)) * [1.0, 0.8, 0.8]
+    xy = opencv_pixels(points, DISTORTION) + rng.normal(0, 0.01, (n, 2))
+    try:
+        done = adjust("mosca", xy, points, max_sigma0_px=5.0, prism=False)
+    except CalibrationError:
+        return
+    assert not {"P1_per_mm", "P2_per_mm"} & set(done.parameters)
+
+
+def test_a_start_does_not_hang_on_the_view_with_most_marks():
+    points, rng = grid(4), np.random.default_rng(2)
+    xy = opencv_pixels(points, DISTORTION) + rng.normal(0, 0.02, (len(points), 2))
+    # most marks, but half of them are others: no camera fits
+    wrong = xy.copy()
+    wrong[::2] = rng.permutation(wrong[::2])
+    mark = np.arange(len(points))
+    views = [TargetView(mark, wrong), TargetView(mark[:-8], xy[:-8])]
+    found = starting_camera(CameraViews("c", (W, H), views, points), LensChoice("opencv"), rng)
+    assert found.lens.fx_px == pytest.approx(900.0, rel=0.01)
+    with pytest.raises(CalibrationError, match="camera 'c'"):
+        starting_camera(CameraViews("c", (W, H), views[:1], points), LensChoice("opencv"), rng)
 
 
 def test_precision_is_what_it_says():

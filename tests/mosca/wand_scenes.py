@@ -1,5 +1,7 @@
 """Scenes for the tests of wand calibration: rigs, waved wands, and what cameras see of them."""
 
+from dataclasses import replace
+
 import numpy as np
 from rigs import looking_at
 
@@ -98,6 +100,32 @@ def seen(cameras, world, noise_px=NOISE_PX, blunders=0.03, seed=2, share=0.95) -
         np.tile(np.eye(2) * noise_px**2, (n, 1, 1)),
         np.full(n, 8.0),
     )
+
+
+def behind_bars(cameras, world, sightings, most_m) -> Sightings:
+    """Return the sightings with balls moved away from bars that point at the camera, by up to ``most_m`` [m].
+
+    As Mitsuba renders balls of 40 mm on a bar of 8 mm: nothing up to a cosine of 0.1 between bar and line of sight,
+    all from 0.6 on. Bars join neighbouring balls.
+    """
+    xy = np.array(sightings.xy_px)
+    for k, one in enumerate(cameras):
+        mine = np.flatnonzero(sightings.camera == k)
+        frame, ball = sightings.frame[mine], sightings.mark[mine]
+        at = world[frame, ball]
+        sight = one.world_from_camera.translation - at
+        sight /= np.linalg.norm(sight, axis=1, keepdims=True)
+        for step in (-1, 1):
+            other = ball + step
+            there = (other >= 0) & (other < world.shape[1])
+            bar = world[frame, np.clip(other, 0, world.shape[1] - 1)] - at
+            bar /= np.maximum(np.linalg.norm(bar, axis=1, keepdims=True), 1e-9)
+            cosine = np.einsum("ni,ni->n", bar, sight)
+            across = bar - cosine[:, None] * sight
+            across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-9)
+            away = np.where(there, most_m * np.clip((cosine - 0.1) / 0.5, 0.0, 1.0), 0.0)
+            xy[mine] += project(one, at - away[:, None] * across) - project(one, at)
+    return replace(sightings, xy_px=xy)
 
 
 def similarity(source, target, stretch=True):

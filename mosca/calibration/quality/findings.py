@@ -19,6 +19,7 @@ CODES: dict[str, str] = {
     "blunders": "many image points do not fit",
     "target-shape": "the target's marks are elsewhere on it than its file says",
     "left-out": "cameras that saw too little are not in the rig, as was asked for",
+    "lens-choice": "which lens model predicts views best that took no part in its estimation",
     "lens-model": "residuals have a pattern that the lens model cannot follow",
 }
 

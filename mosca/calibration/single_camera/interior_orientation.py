@@ -91,9 +91,9 @@ def plain_lens(lens: LensChoice, f_px: float, size: tuple[int, int]) -> Lens:
 
 def _from_solid(shown: CameraViews, lens: LensChoice, rng: np.random.Generator) -> Camera:
     name, size = shown.name, shown.size
-    best = max(shown.views, key=lambda seen: len(seen.mark), default=None)
-    count = 0 if best is None else len(best.mark)
-    if best is None or count < FEWEST_MARKS:
+    views = sorted(shown.views, key=lambda seen: -len(seen.mark))
+    count = len(views[0].mark) if views else 0
+    if count < FEWEST_MARKS:
         raise CalibrationError(
             f"few-views: camera '{name}': {count} marks of the target in its best view, at least {FEWEST_MARKS} are "
             "wanted; show it more of the target",
@@ -101,8 +101,19 @@ def _from_solid(shown: CameraViews, lens: LensChoice, rng: np.random.Generator) 
         )
     # a thin prism found in one view would stay: the adjustment of all views holds it
     settings = AdjustmentSettings(prism=False, pixel_pitch_mm=lens.pixel_pitch_mm, max_sigma0_px=5.0)
-    adjusted = adjust_camera(name, size, lens.model, best.xy_px, shown.marks_m[best.mark], rng, settings)
-    return Camera(name, *size, adjusted.camera.lens, Pose(np.eye(3), np.zeros(3)))
+    first: CalibrationError | None = None
+    for seen in views:
+        if len(seen.mark) < FEWEST_MARKS:
+            break
+        try:
+            adjusted = adjust_camera(name, size, lens.model, seen.xy_px, shown.marks_m[seen.mark], rng, settings)
+        except CalibrationError as error:
+            # with 20 marks for 16 unknowns some may agree on a wrong camera: the next view has others
+            first = first or error
+        else:
+            return Camera(name, *size, adjusted.camera.lens, Pose(np.eye(3), np.zeros(3)))
+    assert first is not None  # the best view has enough marks
+    raise first
 
 
 def _from_plane(shown: CameraViews, lens: LensChoice) -> Camera:

@@ -123,6 +123,8 @@ def _imitated(camera: Camera, xy: Array, world: Array) -> bool:
     """
     free = _free(camera.lens.model, [*COMPETING, DECENTRING])
     design = linearised(camera, free, xy, world)[1].reshape(2 * len(xy), -1)
+    if len(design) < design.shape[1]:
+        return True
     triangular = np.linalg.qr(design / np.linalg.norm(design, axis=0), mode="r")
     singular = np.linalg.svd(triangular, compute_uv=False)
     if singular[-1] < 1e-9 * singular[0]:

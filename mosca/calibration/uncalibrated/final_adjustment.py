@@ -8,6 +8,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from mosca.calibration.bundle.solver import FOCAL, BundleSettings
+from mosca.calibration.uncalibrated.hidden_by_wand import without_hidden
 from mosca.calibration.uncalibrated.image_points import PointViews
 from mosca.calibration.uncalibrated.partial_adjustment import CLEAR_SIGMAS, Network, cleaned, imaged, network
 from mosca.camera.projection import fit_lens, lens_directions
@@ -22,9 +23,11 @@ BASIC: dict[str, Free] = {
     "opencv": (FOCAL, "cx_px", "cy_px", "k1", "k2"),
 }
 """Lens parameters that are always estimated, and held by the solver where the data are weak."""
+PIXEL_SHAPE = ("fx_px", "fy_px")
+"""Takes the place of the common focal length: pixels need not be square."""
 EXTRA: dict[str, tuple[Free, ...]] = {
     "mosca": (("P1_per_mm", "P2_per_mm"), ("my_mm_per_px", "a"), ("K3_per_mm6",)),
-    "opencv": (("p1", "p2"), ("k3",)),
+    "opencv": (("p1", "p2"), PIXEL_SHAPE, ("k3",)),
 }
 """Those that join, group by group for all cameras, where they lower the sum of squares significantly."""
 FOCAL_NAME = {"mosca": "c_mm", "opencv": FOCAL}
@@ -58,14 +61,29 @@ def finished(start: Network, tracks: PointViews, only: Free | None = None) -> Ne
         usable = fewer
         one = network(usable, one.cameras, free, plain, points=one.points)
     for step in range(max(len(EXTRA[m]) for m in model.values()) if only is None else 0):
-        richer = {k: free[k] + EXTRA[model[k]][step] if step < len(EXTRA[model[k]]) else free[k] for k in free}
+        richer = {k: _joined(free[k], EXTRA[model[k]][step : step + 1]) for k in free}
         trial = network(usable, one.cameras, richer, plain, points=one.points)
         joined = sum(len(richer[k]) - len(free[k]) for k in free)
         gain = (one.adjustment.cost - trial.adjustment.cost) / trial.adjustment.sigma0**2
         if trial.adjustment.converged and not _held_more(trial, one) and chi2.sf(gain, joined) < SIGNIFICANT:
             one, free = trial, richer
+    judged = replace(plain, precision=True)
+    one = network(usable, one.cameras, free, judged, points=one.points)
+    one = without_hidden(one, lambda now, tracks: network(tracks, now.cameras, free, judged, points=now.points))
     last = BundleSettings(blunder_significance=BLUNDER_SIGNIFICANCE)
-    return network(usable, one.cameras, free, last, points=one.points)
+    return network(one.tracks, one.cameras, free, last, points=one.points)
+
+
+def lens_parameters(model: str) -> Free:
+    """Return all parameters of a lens model that a wand can determine."""
+    return _joined(BASIC[model], EXTRA[model])
+
+
+def _joined(free: Free, groups: tuple[Free, ...]) -> Free:
+    """Return the free lens parameters with those of a group, if any."""
+    for group in groups:
+        free = tuple(name for name in free if name != FOCAL or group != PIXEL_SHAPE) + group
+    return free
 
 
 def _without_others(camera: Camera, only: Free) -> Camera:

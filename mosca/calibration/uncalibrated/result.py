@@ -130,10 +130,10 @@ def calibration_of(
     assert precision is not None  # finished() asks for it
     rig = Rig(tuple(one.cameras[k] for k in sorted(one.cameras)))
     n = len(sightings)
-    used, residual = np.zeros(n, dtype=bool), np.full((n, 2), np.nan)
+    used, residual, xy = np.zeros(n, dtype=bool), np.full((n, 2), np.nan), np.array(sightings.xy_px)
     residual[tracks.row] = residuals(tracks, one.cameras, one.points)
     residual[one.tracks.row] = one.residuals_px
-    used[one.tracks.row] = adjusted.used
+    used[one.tracks.row], xy[one.tracks.row] = adjusted.used, one.tracks.xy_px
     marks = np.full(n, -1)
     marks[tracks.row] = tracks.point
     body, inflation = _shake(one)
@@ -147,7 +147,7 @@ def calibration_of(
     return Calibration(
         rig,
         "wand",
-        replace(sightings, mark=np.where(marks >= 0, marks, len(places) - 1)),
+        replace(sightings, mark=np.where(marks >= 0, marks, len(places) - 1), xy_px=xy),
         adjusted.parameters,
         covariance,
         residual,

@@ -1,6 +1,7 @@
 """A rig from a wand that is waved through the volume: focal lengths found, scale from the wand's length."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from mosca.calibration.uncalibrated.initial_pair import wand_start
 from mosca.calibration.uncalibrated.partial_adjustment import CLEAR_SIGMAS, cleaned, intersected
 from mosca.calibration.uncalibrated.result import calibration_of, check
 from mosca.calibration.uncalibrated.view_graph import FEWEST_COMMON, check_links, common_bend
+from mosca.camera.eccentricity import ball_eccentricity_px
 from mosca.data.calibration import Calibration
 from mosca.data.rig import Camera, Lens
 from mosca.data.sightings import Sightings
@@ -44,18 +46,31 @@ def calibrate_wand(
     """
     balls = len(wand.along_m)
     sightings = ordered(sightings, balls, lenses, rng)
-    tracks = point_views(sightings, balls, lenses, _rods(wand, sightings.frames))
+    tracks = point_views(sightings, balls, lenses, rods_of(wand, sightings.frames))
     check_links(tracks)
     some = tracks.thinned(MOST_WHILE_GROWING * len(tracks.names), rng)
     bend = common_bend(some, rng)
     start = grow(wand_start(some, bend, rng), some, bend, rng)
     _check_shape(cleaned(tracks, start.cameras, CLEAR_SIGMAS * start.spread), start.cameras, wand)
+    tracks = _of_centres(tracks, start.cameras, wand.diameter_m / 2)
     final = finished(start, tracks, free)
     check(final, tracks)
     length = wand.along_m[-1] - wand.along_m[0]
     return calibration_of(
         final, tracks, sightings, f"the wand's length {length:g} m", wand.sigma_m * np.sqrt(2) / length
     )
+
+
+def _of_centres(tracks: PointViews, cameras: Mapping[int, Camera], radius_m: float) -> PointViews:
+    """Return the image points of the balls' centres: those of their outlines less the eccentricity.
+
+    It is a share (r / R)^2 of the distance from the principal point, R the ball's distance: rough cameras will do.
+    """
+    points, xy = intersected(tracks, cameras), np.array(tracks.xy_px)
+    for k, camera in cameras.items():
+        mine = tracks.camera == k
+        xy[mine] -= np.nan_to_num(ball_eccentricity_px(camera, points[tracks.point[mine]], radius_m))
+    return replace(tracks, xy_px=xy)
 
 
 def _check_shape(tracks: PointViews, cameras: Mapping[int, Camera], wand: Wand) -> None:
@@ -79,7 +94,7 @@ def _check_shape(tracks: PointViews, cameras: Mapping[int, Camera], wand: Wand) 
         )
 
 
-def _rods(wand: Wand, frames: int) -> Distances:
+def rods_of(wand: Wand, frames: int) -> Distances:
     """Return the distances of all balls of all frames; ball k of frame f is the object point f * balls + k.
 
     What is wrong with the wand is wrong in all frames alike, and comes on top of the covariance; here it only

@@ -1,0 +1,136 @@
+"""Image points of balls that their own wand hides in part.
+
+A bar that comes out of a ball towards the camera covers a part of its image, and the centre that is found lies up to
+a hundredth of the diameter away from the bar; a bar that goes away from the camera lies behind the ball. The error is
+alike in all frames with the wand at one tilt, so that it does not average out: it stretches the wand and with it the
+scale. Which bar a wand has is not known. The residuals tell it (additional parameters, Brown 1976): a shift along the
+bar, a piecewise linear function of the cosine between bar and line of sight, zero where the bar points away; and what
+that leaves, as variance components by the same cosine (Koch 1999, section 3.6).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.stats import chi2
+from scipy.stats import f as f_distribution
+
+from mosca.calibration.uncalibrated.image_points import PointViews
+from mosca.calibration.uncalibrated.partial_adjustment import Network
+from mosca.camera.projection import project_with_jacobians
+from mosca.data.arrays import Array
+
+KNOTS = 5
+"""Knots of the shift above a cosine of 0, and classes of variances there."""
+LEAST_REDUNDANCY = 40
+"""Of a class that is judged by itself."""
+SIGNIFICANT = 1e-3
+"""Level of the tests: of the shift, and of each class's variance against that of the quietest class."""
+ROUNDS, SETTLED = 12, 0.1
+"""Most adjustments; change of image points, in standard deviations, and of these, relative, at which they end."""
+
+
+@dataclass(frozen=True, eq=False)
+class BarDirections:
+    """How the bar nearest to the line of sight lies at n image points.
+
+    ``cosine`` (n,): 1 where it points from its ball at the camera; ``along`` (n, 2) [px/m]: the image of a metre
+    across the line of sight in the bar's direction. NaN where ball or wand have no position.
+    """
+
+    cosine: Array
+    along: Array
+
+
+def without_hidden(start: Network, adjusted: Callable[[Network, PointViews], Network]) -> Network:
+    """Return the network adjusted without what the wand's bars shift, the rest in the standard deviations.
+
+    ``start``: with precision; ``adjusted``: adjusts a network again with other image points, with precision. A wand
+    that hides nothing leaves the network as it is.
+    """
+    base, one = start.tracks, start
+    bars = bar_directions(start)
+    shift = np.zeros(KNOTS)
+    for k in range(ROUNDS):
+        more, gain = _shifts(one, bars)
+        if k == 0 and chi2.sf(gain / max(one.adjustment.sigma0**2, 1e-12), len(shift)) > SIGNIFICANT:
+            return start
+        shift = shift + more
+        xy = base.xy_px - np.nan_to_num((_hats(bars.cosine) @ shift)[:, None] * bars.along)
+        factor = _variance_factors(one, one.tracks.xy_px - xy, base, bars.cosine)
+        sigma = np.asarray(base.sigma_px) * np.sqrt(factor)
+        moved = np.linalg.norm(xy - one.tracks.xy_px, axis=1) / sigma
+        change = max(moved.max(initial=0.0), np.abs(sigma / one.tracks.sigma_px - 1).max(initial=0.0))
+        one = adjusted(one, replace(base, xy_px=xy, sigma_px=sigma))
+        if change <= SETTLED:
+            break
+    return one
+
+
+def bar_directions(one: Network) -> BarDirections:
+    """Return how the wand's bars lie at each image point of a network."""
+    tracks, points, rods = one.tracks, one.points, one.tracks.rods
+    start = np.concatenate([rods.first, rods.second])
+    bar = points[np.concatenate([rods.second, rods.first])] - points[start]
+    known = np.flatnonzero(np.isfinite(bar).all(axis=1))
+    order = known[np.argsort(start[known], kind="stable")]
+    start, bar = start[order], bar[order] / np.linalg.norm(bar[order], axis=1, keepdims=True)
+    first, last = (np.searchsorted(start, tracks.point, side=side) for side in ("left", "right"))
+    n = len(tracks)
+    cosine, along = np.full(n, -np.inf), np.full((n, 2), np.nan)
+    for k, camera in one.cameras.items():
+        mine = np.flatnonzero((tracks.camera == k) & (last > first))
+        at = points[tracks.point[mine]]
+        sight = camera.world_from_camera.translation - at
+        sight /= np.linalg.norm(sight, axis=1, keepdims=True)
+        slope = project_with_jacobians(camera, at).by_point
+        # a ball has as many bars as the wand has other balls, in two directions at the most
+        for which in range(int((last - first)[mine].max(initial=0))):
+            there = np.flatnonzero((last - first)[mine] > which)
+            direction = bar[first[mine[there]] + which]
+            towards = np.einsum("ni,ni->n", direction, sight[there])
+            nearer = towards > cosine[mine[there]]
+            there, direction, towards = there[nearer], direction[nearer], towards[nearer]
+            across = direction - towards[:, None] * sight[there]
+            across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-9)
+            cosine[mine[there]] = towards
+            along[mine[there]] = np.einsum("nij,nj->ni", slope[there], across)
+    return BarDirections(np.where(np.isfinite(cosine), cosine, np.nan), along)
+
+
+def _hats(cosine: Array) -> Array:
+    """Return the weights (n, KNOTS) of the knots above zero in a piecewise linear function of the cosine."""
+    place = np.clip(np.nan_to_num(cosine), 0.0, 1.0)[:, None] * (KNOTS)
+    return np.asarray(np.maximum(0.0, 1.0 - np.abs(place - np.arange(1, KNOTS + 1))))
+
+
+def _shifts(one: Network, bars: BarDirections) -> tuple[Array, float]:
+    """Return the shift [m] at each knot that the residuals show, and by how much it lowers the sum of squares."""
+    design = _hats(bars.cosine)[:, :, None] * bars.along[:, None, :] / one.tracks.sigma_px[:, None, None]
+    residual = one.residuals_px / one.tracks.sigma_px[:, None]
+    good = one.adjustment.used & np.isfinite(design).all(axis=(1, 2)) & np.isfinite(residual).all(axis=1)
+    a, r = np.swapaxes(design[good], 1, 2).reshape(-1, KNOTS), residual[good].ravel()
+    shift = np.linalg.lstsq(a, r)[0]
+    return shift, float(r @ r - ((r - a @ shift) ** 2).sum())
+
+
+def _variance_factors(one: Network, moved_px: Array, base: PointViews, cosine: Array) -> Array:
+    """Return the factor (n,) of the variances of ``base`` that makes them as right as where bars point away.
+
+    ``moved_px`` (n, 2): by how much the image points were moved since the network was adjusted, residuals less.
+    """
+    assert one.adjustment.precision is not None
+    squares, stated = ((one.residuals_px - moved_px) ** 2).sum(axis=1), np.asarray(base.sigma_px) ** 2
+    # the adjustment leaves of an error what redundancy is there: little where few others are as good
+    left = one.adjustment.precision.redundancy_numbers.sum(axis=1)
+    known = np.isfinite(cosine) & np.isfinite(squares) & np.isfinite(left)
+    # class 0: bars that point away
+    of = np.ceil(np.clip(np.nan_to_num(cosine), 0.0, 1.0) * KNOTS).astype(int)
+    redundancy = np.bincount(of[known], left[known], KNOTS + 1)
+    ratio = np.bincount(of[known], (squares / stated)[known], KNOTS + 1) / np.maximum(redundancy, 1e-9)
+    if not (redundancy[0] >= LEAST_REDUNDANCY and ratio[0] > 0):
+        return np.ones(len(base))
+    factor = ratio / ratio[0]
+    chance = f_distribution.sf(factor, redundancy, redundancy[0])
+    differs = (redundancy >= LEAST_REDUNDANCY) & (np.minimum(chance, 1 - chance) < SIGNIFICANT / 2)
+    return np.where(known & differs[of], factor[of], 1.0)

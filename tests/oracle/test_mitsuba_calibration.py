@@ -1,0 +1,32 @@
+"""Rigs calibrated blind from recordings that Mitsuba rendered are as accurate as they state; renders are kept."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.oracle.blind_calibration import sessions
+from witness.mitsuba.__main__ import cache_folder
+
+surfaces = pytest.importorskip("witness.mitsuba.surfaces")
+try:
+    surfaces.load_mitsuba()
+except ImportError as error:
+    pytest.skip(f"no Mitsuba: {error}; pip install -e '.[witness]'", allow_module_level=True)
+
+pytestmark = pytest.mark.slow
+MOST_RAYS_PX = 0.03
+"""A half of what a lens model leaves of real images."""
+MOST_OF_SPACE = {"board": 1.5e-4}
+"""Points measured without noise, over the longest edge of the volume: the paper's 0.01 % unless said; a board whose
+corners are found to 0.03 px does not always reach that."""
+MOST_CENTRE_SIGMAS = 4.0
+"""Of sixteen centres of a kind one lies beyond 3 by chance in 4 % of the nights."""
+
+
+@pytest.mark.parametrize("kind", ["wand", "two_balls", "field", "board"])
+def test_rigs_calibrated_blind_are_the_rendered_ones(kind: str) -> None:
+    found = [verdict for *_, verdict in sessions(kind, renders=2, draws=2, cache=Path(cache_folder()))]
+    assert np.max([one.rays_px for one in found]) < MOST_RAYS_PX
+    assert np.max([one.point_rms_m / one.volume_m for one in found]) < MOST_OF_SPACE.get(kind, 1e-4)
+    assert np.max([one.centre_sigmas for one in found]) < MOST_CENTRE_SIGMAS
