@@ -18,9 +18,9 @@ from mosca.data.arrays import Array
 from mosca.data.rig import Rig
 from mosca.diagnostics.residual_sums import ResidualSums
 
-ALIKE_WEIGHT, START_WEIGHT = 1.0, 0.05
-"""Weights of the prior, in equivalent number of updates: that cameras of a rig shake alike to about half (their
-variances to about one), and that of the starting value. A body shakes all images of a set together: an update has one
+ALIKE_WEIGHT, START_WEIGHT = 3.0, 0.05
+"""Weights of the prior, in equivalent number of updates: that cameras of a rig shake alike to about a third (their
+variances to 0.6), and that of the starting value. A body shakes all images of a set together: an update has one
 or two independent residuals a camera. The start is a guess of an order of magnitude: its weight falls with the number
 of updates, so that ten frame sets with an error 20 times smaller show that."""
 

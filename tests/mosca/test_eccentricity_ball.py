@@ -1,5 +1,7 @@
 """Eccentricity of balls: the closed form, and outlines traced through the lens point by point."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -95,11 +97,16 @@ def test_balls_are_measured_where_they_are(name):
             np.ones(3),
         )
     errors = {}
-    for target in ("point", "ball"):
+    long = {name: replace(one, elongation=np.full(3, 1.3)) for name, one in found.items()}
+    for case, target, images in (("point", "point", found), ("ball", "ball", long), ("auto", "auto", found),
+                                 ("slanted", "auto", long)):  # fmt: skip
         settings = MatchSettings(camera_sigma_px=0.05, target=target)
-        bundle = make_ray_table(rig, found, settings.camera_sigma_px, settings.target)
+        bundle = make_ray_table(rig, images, settings.camera_sigma_px, settings.target)
         xyz = match(bundle, Predicted.nothing(), settings).xyz
         away = np.linalg.norm(xyz[:, None] - balls[None], axis=2)
-        errors[target] = away.min(axis=0).max()
+        errors[case] = away.min(axis=0).max()
     assert errors["ball"] < 5e-6
     assert errors["ball"] < 0.2 * errors["point"]
+    # round images are of balls, or of discs that face the camera; long ones are left as they are
+    assert errors["auto"] == pytest.approx(errors["ball"])
+    assert errors["slanted"] == pytest.approx(errors["point"])

@@ -56,6 +56,22 @@ def test_small_large_and_blurred_targets_reach_the_bound(diameter, blur, apart):
     assert 0.8 < np.mean(error**2 / variance) < 1.2
 
 
+@pytest.mark.parametrize(
+    ("diameter", "blur"), [(3.3, 0.5), (4.5, 0.8), (8.3, 0.8), (8.3, 1.5), (3.3, 0.0), (8.3, 0.0), (1.6, 0.0)]
+)
+def test_a_diameter_is_without_blur_and_as_certain_as_stated(diameter, blur):
+    rng, learned = np.random.default_rng(3), NO_STATISTICS
+    for _ in range(3):
+        image, _, gain = frame(rng, diameter, blur, 200, 50)
+        (found,), new = detect_with_statistics([image], ["a"], settings_for(200, 50, gain), statistics=learned)
+        learned = learned.plus(new)
+    found_px = found.diameter_px[found.flags == 0]
+    assert found_px.mean() == pytest.approx(diameter, rel=0.02)  # blur left in makes up to 12 %
+    stated = np.mean(found.diameter_sigma_px[found.flags == 0])
+    # of what is common to all, the blur, the stated error holds a part
+    assert 0.5 < found_px.std() / stated < 1.25
+
+
 def test_wrong_noise_makes_the_stated_error_wrong():
     """The control: with a quarter of the noise stated, chi-square is far off."""
     rng = np.random.default_rng(3)

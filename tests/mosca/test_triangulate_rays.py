@@ -77,11 +77,9 @@ def test_a_fisheye_looks_behind_itself_and_ends_at_its_image_circle():
     assert np.isnan(direction[2]).all()
 
 
-def test_the_angle_of_an_image_is_its_size_without_blur_over_the_focal_length():
+def test_the_angle_of_an_image_is_its_size_over_the_focal_length():
     lens = OpenCVLens(800.0, 800.0, 330.0, 240.0)
-    # a blur of standard deviation s adds (2 s)^2 to a diameter's square: 5.93 px of the 6 are the target's
-    across = np.sqrt(6.0**2 - 0.9**2)
-    assert bundled(lens, np.array([[330.0, 240.0]]))[0].rays[0, ANGLE] == pytest.approx(across / 800.0)
+    assert bundled(lens, np.array([[330.0, 240.0]]))[0].rays[0, ANGLE] == pytest.approx(6.0 / 800.0)
 
 
 def test_long_regions_are_told_from_round_ones():

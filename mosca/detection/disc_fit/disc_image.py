@@ -40,6 +40,13 @@ def parts_of(blur: float) -> int:
     return 2 if blur >= HALF_PIXELS else 3 if blur >= THIRD_PIXELS else 4
 
 
+@bare_step(fastmath=FAST)
+def part_blur(blur: float) -> float:
+    """Return the blur [px] of lens and part of a pixel, where pixels are divided as for this blur."""
+    m = parts_of(blur)
+    return math.sqrt(max(blur * blur - (1.0 - 1.0 / (m * m)) / 12.0, LEAST_PART_2))
+
+
 @inlined_step(fastmath=FAST)
 def edge_at(x: Any, y: Any, sharper: Any, disc: tuple[Any, Any, Any, Any, Any, Any]) -> Any:
     """Return what a whole pixel shows of a blurred disc of brightness 1, and ``amplitude`` times its slopes.
@@ -107,7 +114,7 @@ def disc_image(
         add_edge(n, pixels, (x0, y0), radius, blur, (ZERO, ONE, ONE), image)
         return
     m0, m1, m2 = shape
-    part = f32(math.sqrt(max(blur * blur - (1.0 - 1.0 / (m * m)) / 12.0, LEAST_PART_2)))
+    part = f32(part_blur(blur))
     share, kept = ONE / f32(m * m), ZERO
     for j in range(m):
         for i in range(m):

@@ -13,7 +13,7 @@ import numpy as np
 from mosca.data.arrays import Array
 from mosca.data.detections import MERGED, PARTIAL, SATURATED, UNREFINED
 from mosca.detection.centroid import DIAMETER, DIAMETER_SIGMA, ELONGATION, PEAK, XX, XY, YY, X, Y
-from mosca.detection.disc_fit.disc_image import FAST, f32, parts_of
+from mosca.detection.disc_fit.disc_image import FAST, f32, part_blur, parts_of
 from mosca.detection.disc_fit.ellipse import stretched
 from mosca.detection.disc_fit.first_values import Light, Region, first_disc, light_of, reshaped, turned
 from mosca.detection.disc_fit.gauss_newton import DiscFit, DiscPrior, Model, Workspace, fit_disc
@@ -203,7 +203,10 @@ def write_row(
     rough = max(misfit - 1.0, 0.0) * variance / contrast_2
     out[MISFIT], out[ROUGH], out[PULL] = misfit, rough, light.pull
     out[XX], out[XY], out[YY] = centre.xx, centre.xy, centre.yy
-    out[DIAMETER], out[DIAMETER_SIGMA] = 2.0 * fit.radius, 2.0 * math.sqrt(fit.radius_variance)
+    # a disc of radius R has its blurred edge at R - blur^2 / (2 R)
+    radius = math.hypot(fit.radius, part_blur(fit.blur))
+    out[DIAMETER] = 2.0 * radius
+    out[DIAMETER_SIGMA] = 2.0 * math.sqrt(fit.radius_variance) * fit.radius / radius
     out[PEAK] = light.peak
     size_x, size_y = region.right - region.left + 1, region.bottom - region.top + 1
     out[ELONGATION] = max(size_x, size_y) / min(size_x, size_y)

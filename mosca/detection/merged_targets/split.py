@@ -105,8 +105,8 @@ def write_pair(image: Array, pair: FittedPair, offsets: Array, terms: Array, ful
         out = rows[a]
         half = math.sqrt(p[4 + a] ** 2 + p[9] ** 2)
         x, y = moved(image, p[a], p[2 + a], half, offsets, terms)
-        out[X], out[Y], out[DIAMETER], out[PEAK], out[ELONGATION] = x, y, 2.0 * p[4 + a], pair.peak, 1.0
-        out[DIAMETER_SIGMA] = 2.0 * math.sqrt(misfit * variance[4 + a, 4 + a])
+        out[X], out[Y], out[DIAMETER], out[PEAK], out[ELONGATION] = x, y, 2.0 * half, pair.peak, 1.0
+        out[DIAMETER_SIGMA] = 2.0 * math.sqrt(misfit * variance[4 + a, 4 + a]) * p[4 + a] / half
         model_px2 = (MISMATCH_PX * (p[9] / p[4 + a]) ** 4) ** 2
         out[XX], out[YY] = (misfit * variance[a, a] + model_px2, misfit * variance[2 + a, 2 + a] + model_px2)
         out[XY] = misfit * variance[a, 2 + a]
