@@ -58,6 +58,8 @@ class HealthSettings:
     """Nor those below so many of their standard deviations."""
     poor_share: NotNegative = 0.5
     """A camera is reported if a smaller share of its detections becomes part of points."""
+    odd_error: Positive = 3.0
+    """A camera is reported if its images err so many times as much as those of any other."""
     block_s: Positive = 1.0
     """Length of the residuals' time blocks."""
     adopt_px: NotNegative = 3.0
@@ -165,6 +167,7 @@ class Health:
         """Return what a person should check, a line each."""
         s, lines = self.settings, []
         cameras = self.cameras()
+        extra = np.array([one.extra_px for one in cameras])
         poor = [self._detected[k] >= s.least_images and one.connected < s.poor_share for k, one in enumerate(cameras)]
         for k, one in enumerate(cameras):
             # a camera that was moved shows its points displaced, as one that is late does
@@ -178,6 +181,12 @@ class Health:
                 lines.append(
                     f"camera '{one.name}': only {100 * one.connected:.0f} % of {self._detected[k]:.0f} detections "
                     "meet other cameras': look for reflections, bright clothes, or a camera that was moved"
+                )
+            others = np.delete(extra, k).max(initial=0.0)
+            if len(extra) > 2 and self._images[k] >= s.least_images and one.extra_px > s.odd_error * others:
+                lines.append(
+                    f"camera '{one.name}': its images err by {one.extra_px:.2f} px, those of the others by at most "
+                    f"{others:.2f}: look for a camera that was moved or is loose"
                 )
         return tuple(lines)
 

@@ -51,8 +51,11 @@ class NoiseModel:
 
     def update(self, sums: ResidualSums) -> None:
         """Take the sums over the points of a frame set and solve for the variances."""
-        self._normal = self._keep * self._normal + sums.normal
-        self._right = self._keep * self._right + sums.right
+        # an update counts by its images, not by the variances that they were weighted with at the time: one whose
+        # cameras were taken for still would outweigh all others
+        weight = float(sums.images.sum()) / max(float(sums.normal.diagonal()[:-1].sum()), 1e-300)
+        self._normal = self._keep * self._normal + weight * sums.normal
+        self._right = self._keep * self._right + weight * sums.right
         self._updates = self._keep * self._updates + 1.0
         self._solve()
 
@@ -67,7 +70,9 @@ class NoiseModel:
         update = np.where(seen, own, own[seen].mean()) / self._updates
         first = _with_prior(self._normal, self._right, START_WEIGHT / self._updates * update, self._start_px**2)
         found = _with_prior(self._normal, self._right, ALIKE_WEIGHT * update, float(first[:c].mean()))
-        sigma = np.sqrt(found[:c] + self._lens_px**2)
+        # an estimate from few residuals: their predictive distribution is Student's
+        freedom = (2 * c - 3) / c * self._updates + ALIKE_WEIGHT
+        sigma = np.sqrt((1.0 + 2.0 / freedom) * found[:c] + self._lens_px**2)
         self.noise = ImageNoise(sigma, math.sqrt(found[c]))
 
 

@@ -71,6 +71,12 @@ def test_ten_frame_sets_show_errors_far_below_the_one_to_start_from():
         assert watched(np.full(4, 0.002), sets=10, seed=seed).noise.sigma_px.max() < 0.008, seed
 
 
+def test_a_camera_that_errs_more_than_all_others_is_named():
+    lines = watched(np.array([0.03, 0.03, 0.3, 0.03])).findings()
+    assert len([line for line in lines if "'c2': its images err by 0.3" in line]) == 1
+    assert watched(np.array([0.03, 0.03, 0.06, 0.03])).findings() == ()
+
+
 def test_the_jitter_of_triggers_is_told_from_the_shake_by_the_speed():
     health = watched(np.full(4, 0.02), jitter_s=100e-6, sets=600)
     assert health.noise.jitter_s == pytest.approx(100e-6, rel=0.2)
