@@ -16,7 +16,7 @@ The file is a plain MCAP file (mcap.dev) with uncompressed chunks; profile ``mos
   ``publish_time`` the host's time of arrival [ns] where it is known, else the stamp; ``sequence`` the low
   32 bits of the camera's counter.
 - Instead of it, where the recording holds detections: channel ``/camera/NAME/detections`` a camera, message encoding
-  ``mosca.detections.v1``, a message for each usable frame of a frame set; ``log_time``, ``publish_time`` and
+  ``mosca.detections.v2``, a message for each usable frame of a frame set; ``log_time``, ``publish_time`` and
   ``sequence`` are the frame's, as above. Channel ``/sets`` (JSON) ends each frame set, empty ones too: ``pulse`` and
   ``time_ns``, the set's number and time.
 - Channel ``/NAME`` for each further channel (commands, events, onboard streams) on the same clock as the
@@ -36,7 +36,7 @@ A ``mosca.frame.v1`` message, little-endian, without padding::
     u32 length of the note, then the note (UTF-8)
     payload: one blosc2 chunk (bitshuffle, LZ4 or Zstandard) of the pixels, row by row, little-endian
 
-A ``mosca.detections.v1`` message, little-endian, without padding::
+A ``mosca.detections.v2`` message, little-endian, without padding::
 
     u32 crc32 of the bytes that follow                     (zlib.crc32)
     u8  stamp event    as above
@@ -44,7 +44,7 @@ A ``mosca.detections.v1`` message, little-endian, without padding::
     u32 n, the number of detections
     i64 pulse of the frame set, i64 index, i64 time [ns], i64 exposure [ns], i64 row time [ns] of the frame
     n x 9 f64          x, y [px], covariance xx, xy, yy [px2], diameter [px], peak [DN], elongation, standard
-                       deviation of the diameter [px] (8 without it: recordings of version 0.2)
+                       deviation of the diameter [px] (v1: 8, without it)
     n x u8             flags (1 saturated, 2 merged, 4 partly hidden, 8 unrefined)
 """
 
@@ -63,7 +63,7 @@ from mosca.data.frames import Frame, FrameStatus, StampEvent
 PROFILE = "mosca-recording"
 VERSION = "1"
 FRAME_ENCODING = "mosca.frame.v1"
-DETECTIONS_ENCODING = "mosca.detections.v1"
+DETECTIONS_ENCODING = "mosca.detections.v2"
 SETS = "sets"
 STATUSES: tuple[FrameStatus, ...] = get_args(FrameStatus)
 EVENTS: tuple[StampEvent, ...] = get_args(StampEvent)

@@ -23,6 +23,7 @@ from mosca.formats.tracks.tracks_csv import read_tracks_csv
 from mosca.pipeline import PipelineSettings, run, run_seen
 from mosca.recording import RecordingWriter, mcap_format, open_recording
 from mosca.recording.count_sets import counted
+from mosca.recording.mcap_format import unpack_detections
 from mosca.synchronisation import Assembly, assemble
 from scenarios.cli.main import cli
 from scenarios.lab.capture import CaptureRequest, capture
@@ -166,17 +167,25 @@ def test_what_is_kept_follows_the_documented_layout(takes):
         words = "\0".join(["mosca-recording", *(word for entry in entries.items() for word in entry), ""])
         assert told == {**entries, "crc32": f"{zlib.crc32(words.encode()):08x}"}
         schema, channel, message = next(reader.iter_messages(topics=["/camera/left/detections"]))
-    assert (schema.name, channel.message_encoding) == ("mosca.detections.v1",) * 2
+    assert (schema.name, channel.message_encoding) == ("mosca.detections.v2",) * 2
     data = message.data
     checksum, event, _, _, n, pulse, index, time_ns, exposure_ns, row_ns = struct.unpack_from("<IBBHIqqqqq", data)
     assert checksum == zlib.crc32(data[4:])
     assert (event, n, pulse, index, time_ns, exposure_ns, row_ns) == (0, 4, 0, 0, 0, 500_000, 0)
-    numbers = np.frombuffer(data, "<f8", 8 * n, 52).reshape(n, 8)
+    numbers = np.frombuffer(data, "<f8", 9 * n, 52).reshape(n, 9)
     camera = read_rig(takes / "rig.toml").camera("left")
     seen = project(camera, targets(0))
     away = np.linalg.norm(seen[:, None] - numbers[None, :, :2], axis=2).min(axis=0)
     assert away.max() < 0.1
-    assert len(data) == 52 + 65 * n
+    assert (numbers[:, 8] > 0).all()
+    assert len(data) == 52 + 73 * n
+    # version 1 had no column of the diameters' standard deviations
+    before = data[4:52] + numbers[:, :8].tobytes() + data[-n:]
+    old = unpack_detections("left", struct.pack("<I", zlib.crc32(before)) + before)[1]
+    new = unpack_detections("left", data)[1]
+    np.testing.assert_array_equal(old.xy_px, new.xy_px)
+    np.testing.assert_array_equal(old.flags, new.flags)
+    assert not old.diameter_sigma_px.any()
 
 
 def small_detections(rng, camera, n):
