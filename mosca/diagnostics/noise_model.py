@@ -25,6 +25,10 @@ or two independent residuals a camera. The start is a guess of an order of magni
 of updates, so that ten frame sets with an error 20 times smaller show that."""
 
 
+MOST_WEIGHT = 2.0
+"""Most that earlier images may weigh on average, over those of an update: the scatter of one update's weights."""
+
+
 @dataclass(frozen=True, eq=False)
 class ImageNoise:
     """Error of image points besides detection noise."""
@@ -46,16 +50,19 @@ class NoiseModel:
         self._keep = math.exp(-1.0 / memory)
         # points absorb most of the lens's misfit: little of it shows in residuals
         self._lens_px = np.array([camera.residual_px for camera in rig.cameras])
-        self._updates = 0.0
+        self._updates = self._images = 0.0
         self._normal, self._right = np.zeros((c + 1, c + 1)), np.zeros(c + 1)
 
     def update(self, sums: ResidualSums) -> None:
         """Take the sums over the points of a frame set and solve for the variances."""
-        # an update counts by its images, not by the variances that they were weighted with at the time: one whose
-        # cameras were taken for still would outweigh all others
-        weight = float(sums.images.sum()) / max(float(sums.normal.diagonal()[:-1].sum()), 1e-300)
-        self._normal = self._keep * self._normal + weight * sums.normal
-        self._right = self._keep * self._right + weight * sums.right
+        # images count by the variances of their time; those of a time when cameras were taken for still would
+        # outweigh all that come after
+        images, here = float(sums.images.sum()), float(sums.normal.diagonal()[:-1].sum())
+        before = float(self._normal.diagonal()[:-1].sum())
+        most = MOST_WEIGHT * here / images * self._images
+        keep = self._keep * (most / before if before > most > 0.0 else 1.0)
+        self._normal, self._right = keep * self._normal + sums.normal, keep * self._right + sums.right
+        self._images = self._keep * self._images + images
         self._updates = self._keep * self._updates + 1.0
         self._solve()
 
