@@ -83,7 +83,8 @@ def test_detections_are_matched_and_tracked_without_a_setting() -> None:
                 camera.name, xy, covariance, np.full(n, 4.0), np.full(n, 99.0), np.ones(n)
             )
         points = mosca.match(RIG, seen, volume=((-1, -1, -1), (1, 1, 1)))
-        assert sorted(points.xyz.round(6).tolist()) == sorted(true.round(6).tolist())
+        # round images are freed of a ball's eccentricity, which these points do not have: 1e-6 m of a 4 px ball
+        np.testing.assert_allclose(points.xyz[np.argsort(points.xyz[:, 0])], true[np.argsort(true[:, 0])], atol=2e-6)
         instants.append((frame * 10_000_000, points))
     tracks = mosca.track(instants)
     assert sorted(np.unique(tracks.track, return_counts=True)[1].tolist()) == [12, 12, 12]

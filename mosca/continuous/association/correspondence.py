@@ -23,7 +23,7 @@ from mosca.data.detections import MERGED, Detections
 from mosca.data.frames import FrameSet
 from mosca.data.rig import Camera, Rig
 from mosca.data.tracks import Samples, Tracks, table
-from mosca.diagnostics.camera_health import Health
+from mosca.diagnostics.camera_health import Health, HealthSettings
 from mosca.errors import InputError
 from mosca.pipeline import PipelineSettings, run_seen
 
@@ -89,7 +89,8 @@ def tracked(
 
     ``paths``: the cameras' tracklets on the common clock. ``moving``: the same rig's poses where they change.
     """
-    health = Health.of(rig, settings.match)
+    # neighbouring instants are interpolated between the same exposures
+    health = Health(rig, HealthSettings(start_px=settings.match.camera_sigma_px, every=2))
     places = [path.at(instants_s) for path in paths]
     there = np.ones((len(instants_s), len(seen)), dtype=bool)
     keeper = None

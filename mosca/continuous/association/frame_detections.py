@@ -20,7 +20,7 @@ FEWEST_FRAMES = 8
 """Frames of a camera from which on a trajectory can be distinguished from a few isolated points."""
 MOST_DETECTIONS = 5000
 """Image points that a frame may have; more are noise."""
-COLUMNS = ("xy_px", "covariance_px2", "diameter_px", "peak", "elongation", "flags", "diameter_sigma_px")
+COLUMNS = ("xy_px", "covariance_px2", "diameter_px", "peak", "elongation", "flags")
 """What ``CameraDetections`` holds of each image point."""
 
 
@@ -30,8 +30,7 @@ class CameraDetections:
 
     ``frame_ns`` (f,) mid-exposure of each frame's first row on the camera's own clock, strictly rising; ``start``
     (f + 1,) first image point of each frame; ``xy_px`` (n, 2), ``covariance_px2`` (n, 2, 2), ``diameter_px``,
-    ``peak``, ``elongation``, ``flags`` and ``diameter_sigma_px`` (n,) as in ``Detections``. ``row_time_s``:
-    as the frames state it.
+    ``peak``, ``elongation`` and ``flags`` (n,) as in ``Detections``. ``row_time_s``: as the frames state it.
     """
 
     info: CameraInfo
@@ -43,7 +42,6 @@ class CameraDetections:
     peak: Array
     elongation: Array
     flags: Array
-    diameter_sigma_px: Array
     row_time_s: float = 0.0
 
     @property

@@ -49,7 +49,6 @@ def seen_in_table(table: ImagePointTable, rig: Rig) -> tuple[tuple[CameraDetecti
                 each,
                 each,
                 np.zeros(len(own), np.uint8),
-                0.0 * each,
             )
         )
         names.append(table.point[own])

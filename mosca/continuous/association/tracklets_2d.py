@@ -266,6 +266,5 @@ def detections_at(seen: CameraDetections, places: ImageInterpolation, instant: i
         np.maximum(seen.peak[rows], seen.peak[others]),
         np.maximum(seen.elongation[rows], seen.elongation[others]),
         seen.flags[rows] | seen.flags[others],
-        np.maximum(seen.diameter_sigma_px[rows], seen.diameter_sigma_px[others]),
     )
     return found, places.tracklet[low:high]
