@@ -111,7 +111,7 @@ def run_live(
     """
     check_source(source, rig)
     settings = PipelineSettings() if settings is None else settings
-    settings = replace(settings, split=LIVE_SPLIT) if settings.split is None else settings
+    settings = replace(settings, lookahead=0, split=LIVE_SPLIT if settings.split is None else settings.split)
     sets = LiveSets(source, assembly, queued, settings.assembly)
     try:
         for step in run_sets(sets, source.cameras, rig, settings, backgrounds, keeper, health, sensors):

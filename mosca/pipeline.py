@@ -49,6 +49,8 @@ class PipelineSettings:
     run, else 1). The tracks are the same."""
     nearest: NearestSettings | None = None
     """Nearest-neighbour tracking of the guide, a baseline for comparisons, instead of ``track``."""
+    lookahead: int = 64
+    """Frame sets that are read before the first one is processed, to learn textured backgrounds; 0 in a live run."""
     assembly: AssemblySettings = field(default_factory=AssemblySettings)
     """How frames become frame sets."""
 
@@ -137,7 +139,7 @@ def run_sets(
             )
     look = FrameSetDetector(settings.detection, {info.name: info.bit_depth for info in cameras}, backgrounds)
     attend = None if sensors is None else sensors.attend
-    seen = detect_ahead(look, sets, settings.workers, settings.split or 1, attend)
+    seen = detect_ahead(look, sets, settings.workers, settings.split or 1, attend, settings.lookahead)
     yield from run_seen(seen, rig, settings, keeper, health)
 
 

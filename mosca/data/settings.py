@@ -55,7 +55,7 @@ class DetectionSettings:
     """h_min of the paper: all thresholds lie above it [16]. Keep it four times the noise above the background."""
     minimum_size_px: Annotated[int | float, Field(ge=0)] = 1.0
     """D_min: the longer side of a target's box is longer than this (with the paper's thresholds, both are)."""
-    maximum_size_px: int | float = 40.0
+    maximum_size_px: int | float = 64.0
     """D_max: both sides of a target's box are shorter than this."""
     centroid: Literal["refined", "background", "paper"] = "refined"
     """Fit of a blurred disc (``mosca.detection.disc_fit.camera_statistics``), centroid above the local background

@@ -44,6 +44,7 @@ photon noise; photon noise of the target, gain in DN per electron) goes through 
 """
 
 from collections.abc import Collection, Sequence
+from dataclasses import replace
 from functools import lru_cache
 
 import cv2
@@ -66,9 +67,11 @@ from mosca.detection.frame_set_kernel import (
     detect_frame_set,
 )
 from mosca.detection.images import ImageSet, image_set
+from mosca.detection.local_background import LocalBackground
 from mosca.detection.merged_targets.split import split_pairs
-from mosca.detection.pixel_noise import gains_changed, measured_backgrounds, noise_of_set
+from mosca.detection.pixel_noise import SEARCH_SIGMAS, gains_changed, measured_backgrounds, noise_of_set
 from mosca.detection.settings import DEFAULTS, DetectionSettings, search_of
+from mosca.detection.static_background import one_image
 from mosca.errors import InputError
 
 __all__ = [
@@ -85,6 +88,8 @@ __all__ = [
 ]
 
 _METHODS = {"paper": PAPER, "background": BACKGROUND, "refined": REFINED}
+BLURS = 3.0
+"""How far a target's light is taken to reach beyond its disc, in blurs of its camera."""
 _EVERYWHERE = SearchBoxes(np.empty((0, 4), np.int32), np.empty(0, np.int64))
 
 
@@ -186,21 +191,34 @@ def detect_with_statistics(
     names, task = tuple(cameras), _task(settings, bit_depth, _METHODS[settings.centroid])
     measured = measured_backgrounds(images, dark, names, settings, statistics, refresh)
     known = statistics.plus(CameraStatistics(names, no_sums(n), measured)) if measured else statistics
-    found, sums = _detect_alike(pixels, names, settings, task, windows, known)
+    behind = [None if background is None else background.astype(np.float32) for background in dark]
+    for k, name in enumerate(names):
+        own = known.backgrounds.get(name)
+        if dark[k] is None and own is not None and own.usable is not None and own.usable.behind.shape == first.shape:
+            pixels[k], behind[k] = own.usable.subtracted_from(pixels[k], int(task.full_dn)), own.usable.behind
+    found, sums = _detect_alike(pixels, behind, names, settings, task, windows, known)
+    for k, name in enumerate(names):
+        if name in measured and dark[k] is None and known.backgrounds[name].textured:
+            bright = _bright(pixels[k], found[k], known.blur_px(name), known.backgrounds[name])
+            vote = one_image(images[k], measured[name].planes(first.shape), bright)
+            measured[name] = replace(measured[name], pixels=vote)
     added = CameraStatistics(names, sums, measured)
     if again := gains_changed(statistics, added, settings):
         # a guessed gain parts bright targets, or joins faint ones: once more with what was learned
         learned, sums = statistics.plus(added), StatisticsSums(*(part.copy() for part in sums))
         for k in again:
             boxes = None if windows is None else [windows[k]]
-            (found[k],), own = _detect_alike(pixels[k : k + 1], names[k : k + 1], settings, task, boxes, learned)
-            for total, one in zip(sums, own, strict=True):
+            (found[k],), own_sums = _detect_alike(
+                pixels[k : k + 1], behind[k : k + 1], names[k : k + 1], settings, task, boxes, learned
+            )
+            for total, one in zip(sums, own_sums, strict=True):
                 total[k] = one[0]
     return found, CameraStatistics(names, sums, measured)
 
 
 def _detect_alike(
     pixels: Sequence[Array],
+    behind: Sequence[Array | None],
     names: tuple[str, ...],
     settings: DetectionSettings,
     task: Task,
@@ -209,12 +227,26 @@ def _detect_alike(
 ) -> tuple[list[Detections], StatisticsSums]:
     """Return the detections of images of one size and type, and their sums for the cameras' statistics."""
     noise, limits = noise_of_set(statistics, names, settings, pixels[0], task.full_dn)
-    images = image_set(pixels, limits)
+    images = image_set(pixels, limits, behind)
     priors = statistics.priors(names)
     found, measured, sums = detect_frame_set(images, _boxes(windows, images), task, noise, priors)
     if settings.centroid == "refined" and settings.split_pairs:
         measured = split_pairs(measured, images, found, priors, task.full_dn)
     return _detections(names, measured), sums
+
+
+def _bright(image: Array, found: Detections, blur_px: float, background: LocalBackground) -> Array:
+    """Return 1 for the pixels (H, W) uint8 that may show a target or another light, 0 for the others.
+
+    Those of detected discs, with their blur, and those above the search's limits.
+    """
+    bright = (image > background.limits(SEARCH_SIGMAS, image.shape, image.dtype)).astype(np.uint8)
+    radii = 0.5 * found.diameter_px * np.sqrt(found.elongation) + BLURS * blur_px
+    for (x, y), radius in zip(
+        np.rint(found.xy_px).astype(int).tolist(), np.ceil(radii).astype(int).tolist(), strict=True
+    ):
+        cv2.circle(bright, (x, y), radius, 1, cv2.FILLED)
+    return bright
 
 
 def target_regions(image: Array, settings: DetectionSettings = DEFAULTS, bit_depth: int = 8) -> Array:
@@ -229,7 +261,7 @@ def target_regions(image: Array, settings: DetectionSettings = DEFAULTS, bit_dep
     )
     noise, limits = noise_of_set(statistics, names, settings, pixels, task.full_dn)
     (runs, regions, _), _, _ = detect_frame_set(
-        image_set([pixels], limits), _EVERYWHERE, task, noise, statistics.priors(names)
+        image_set([pixels], limits, [None]), _EVERYWHERE, task, noise, statistics.priors(names)
     )
     labels = np.zeros(image.shape, np.int32)
     for number, (_, first_run, end_run, _, _) in enumerate(regions, start=1):

@@ -9,6 +9,7 @@ from mosca.data.arrays import Array
 from mosca.numba_support.decorators import step
 from mosca.numba_support.intrinsics import array_at
 
+_TEXTURE = np.empty(0, np.float32)
 _LIKE: dict[object, Array] = {np.dtype(np.uint8): np.empty(0, np.uint8), np.dtype(np.uint16): np.empty(0, np.uint16)}
 
 
@@ -19,6 +20,9 @@ class ImageSet(NamedTuple):
     """Of each image's first pixel (n,) uint64. The caller keeps the images alive."""
     limits: Array
     """Of the first pixel of each image's limits (n,) uint64, alike: pixels above theirs are looked at."""
+    behind: Array
+    """Of the first pixel of each image's background texture (n,) uint64, float32 [DN], 0 where there is none: it was
+    subtracted though targets hide it."""
     like: Array
     """Of the pixels' type (0,): uint8 or uint16."""
     height: int
@@ -27,11 +31,16 @@ class ImageSet(NamedTuple):
     """Columns of each image."""
 
 
-def image_set(images: Sequence[Array], limits: Sequence[Array]) -> ImageSet:
-    """Describe contiguous images (H, W), at least one, and their limits, of one size and type (uint8 or uint16)."""
+def image_set(images: Sequence[Array], limits: Sequence[Array], behind: Sequence[Array | None]) -> ImageSet:
+    """Describe contiguous images (H, W), at least one, of one size and type (uint8 or uint16).
+
+    ``limits``: of each image, alike; ``behind``: float32, what was subtracted from it.
+    """
     height, width = images[0].shape
-    addresses = np.array([[part.ctypes.data for part in parts] for parts in (images, limits)], np.uint64)
-    return ImageSet(addresses[0], addresses[1], _LIKE[images[0].dtype], height, width)
+    addresses = np.array(
+        [[0 if part is None else part.ctypes.data for part in parts] for parts in (images, limits, behind)], np.uint64
+    )
+    return ImageSet(addresses[0], addresses[1], addresses[2], _LIKE[images[0].dtype], height, width)
 
 
 @step
@@ -45,6 +54,14 @@ def image_of(images: ImageSet, k: int) -> Array:
 def pixels_of(images: ImageSet, k: int) -> Array:
     """Return all pixels (H * W,) of image k, row by row, as a non-owning view."""
     result: Array = array_at(images.addresses[k], images.like, (images.height * images.width,))
+    return result
+
+
+@step
+def behind_of(images: ImageSet, k: int) -> Array:
+    """Return what was subtracted from image k (H, W) float32 [DN], as a non-owning view; (0, 0) where nothing was."""
+    there = np.int64(images.behind[k] != 0)
+    result: Array = array_at(images.behind[k], _TEXTURE, (there * images.height, there * images.width))
     return result
 
 

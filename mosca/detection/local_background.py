@@ -9,19 +9,21 @@ the pixels near a smooth surface through the first ones.
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from mosca.data.arrays import Array
+from mosca.detection.static_background import MOST_VOTES, StaticBackground
 from mosca.numba_support.decorators import bare_step, kernel
 
-CELL_SIDE, LARGEST_CELL_PX, STRIDE_PX = 1.6, 256, 5
-"""Side of a cell, in units of the largest target's, so that targets side by side cover less than half of it, and the
-distance of its samples. With 150 samples, of 64 px, a cell's standard deviation is right to 10 %, after the median
-over its neighbours to 5 %."""
+CELL_SIDE, CELL_PX, LARGEST_CELL_PX, STRIDE_PX = 1.6, 64, 256, 5
+"""Side of a cell, in units of the largest target's, so that targets side by side cover less than half of it; up to so
+many pixels, or the largest target's side: larger cells do not follow an uneven background. The distance of its
+samples: with 150 of them, of 64 px, a cell's standard deviation is right to 10 %, after the median over its
+neighbours to 5 %."""
 FINE_STRIDE_PX = 4
 """Distance of the samples of a cell of half the side: its level is right to 0.13 of a pixel's noise."""
 CLIP_SIGMAS = 4.0
@@ -32,6 +34,8 @@ ROUNDING_DN2 = 1 / 12
 """Variance of rounding to whole grey values, the least that an image can have [DN^2]."""
 PLAIN = 2.0
 """A spread of up to the root of this times the noise is no texture: a third of a cell may be covered by targets."""
+FINENESS = 256
+"""Steps of a grey value in which planes are computed."""
 MEMORY = 4
 """Measurements over which level and noise are averaged."""
 
@@ -48,27 +52,61 @@ class LocalBackground:
     """(rows, columns) variance of the background itself about a smooth one [DN^2]."""
     count: int
     """Images that it was measured in, up to ``MEMORY``."""
+    pixels: StaticBackground | None = None
+    """Of each pixel, where the background is textured."""
+    rough: Array | None = None
+    """(rows, columns) variance and texture where a pixel's own background is not known [DN^2]."""
     _limits: dict[tuple[float, tuple[int, int], Any], Array] = field(default_factory=dict, repr=False)
 
     def plus(self, other: "LocalBackground | None") -> "LocalBackground":
         """Return the running mean of both, ``other`` being the later one."""
         if other is None or other.level.shape != self.level.shape:
             return self if other is None else other
+        pixels = other.pixels if self.pixels is None else self.pixels.plus(other.pixels)
+        if other.rough is not None and self.rough is None:
+            # the first one without the texture
+            return replace(other, pixels=pixels, _limits={})
         count = min(self.count + other.count, MEMORY)
         share = other.count / count
         level, variance, texture = (
             (1 - share) * getattr(self, name) + share * getattr(other, name)
             for name in ("level", "variance", "texture")
         )
-        return LocalBackground(level, variance, texture, count)
+        return LocalBackground(level, variance, texture, count, pixels, other.rough)
+
+    @property
+    def textured(self) -> bool:
+        """Whether the background of each pixel is to be learned."""
+        return self.pixels is not None or bool(self.texture.any())
+
+    @property
+    def wants_images(self) -> bool:
+        """Whether each next image is to be measured, since the background of each pixel is not known yet."""
+        return self.textured and (self.pixels is None or self.pixels.images < MOST_VOTES)
+
+    @property
+    def usable(self) -> StaticBackground | None:
+        """The background of each pixel, if it is known."""
+        return self.pixels if self.pixels is not None and self.pixels.usable else None
+
+    def planes(self, shape: tuple[int, int]) -> Array:
+        """Return the planes between levels (H, W) float32 [DN]."""
+        out = np.empty(shape, np.int32)
+        interpolate_cells(FINENESS * self.level, float(np.iinfo(np.int32).max), out)
+        return np.asarray(out / np.float32(FINENESS), np.float32)
 
     def limits(self, sigmas: float, shape: tuple[int, int], dtype: Any) -> Array:
         """Return for each pixel (H, W) the largest grey value within ``sigmas`` above the background."""
         key = (sigmas, shape, dtype)
         if key not in self._limits:
-            cells = self.level + sigmas * np.sqrt(self.variance + self.texture)
-            self._limits[key] = np.empty(shape, dtype)
-            interpolate_cells(cells, float(np.iinfo(dtype).max - 1), self._limits[key])
+            limits, most = np.empty(shape, dtype), float(np.iinfo(dtype).max - 1)
+            interpolate_cells(self.level + sigmas * np.sqrt(self.variance + self.texture), most, limits)
+            if self.rough is not None and self.pixels is not None:
+                unknown = np.empty(shape, dtype)
+                variance = self.variance + self.pixels.fill_share * self.rough
+                interpolate_cells(self.level + sigmas * np.sqrt(variance), most, unknown)
+                limits = np.where(self.pixels.known, limits, unknown)
+            self._limits[key] = limits
         return self._limits[key]
 
 
@@ -211,8 +249,15 @@ def measure_spread(image: Array, level: Array, rows: int, columns: int) -> Array
     return spread
 
 
-def measure_background(image: Array, largest_px: float) -> LocalBackground:
-    """Return the background of one image (H, W) of whole numbers with targets of up to ``largest_px``."""
+def measure_background(image: Array, largest_px: float, known: LocalBackground | None = None) -> LocalBackground:
+    """Return the background of one image (H, W) of whole numbers with targets of up to ``largest_px``.
+
+    ``known``: of earlier images; where it has a background of each pixel, that is subtracted first.
+    """
+    rough = None
+    if known is not None and known.usable is not None:
+        rough = known.variance + known.texture if known.rough is None else known.rough
+        image = image.astype(np.int32) - np.rint(known.usable.behind).astype(np.int32)
     rows, columns = (n // 2 for n in cell_grid(image.shape, largest_px))
     level, variance = measure_cells(image, rows, columns)
     variance = np.maximum(_filtered(variance, 3, _median), ROUNDING_DN2)
@@ -225,7 +270,7 @@ def measure_background(image: Array, largest_px: float) -> LocalBackground:
     # what is left beyond noise, rounding of the level and a few targets in a cell
     texture = np.maximum(spread**2 - PLAIN * (variance + 0.25), 0.0)
     halves = np.ones((2, 2))
-    return LocalBackground(level, np.kron(variance, halves), np.kron(texture, halves), 1)
+    return LocalBackground(level, np.kron(variance, halves), np.kron(texture, halves), 1, rough=rough)
 
 
 def _filtered(cells: Array, side: int, of_windows: Callable[[Array], Array]) -> Array:
@@ -257,5 +302,5 @@ def _bend(windows: Array) -> Array:
 
 def cell_grid(shape: tuple[int, ...], largest_px: float) -> tuple[int, int]:
     """Return rows and columns of levels of an image (H, W): two in each direction for a cell."""
-    side = min(CELL_SIDE * largest_px, LARGEST_CELL_PX)
+    side = min(max(min(CELL_SIDE * largest_px, CELL_PX), largest_px), LARGEST_CELL_PX)
     return 2 * max(1, round(shape[0] / side)), 2 * max(1, round(shape[1] / side))

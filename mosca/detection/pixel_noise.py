@@ -84,6 +84,7 @@ def measured_backgrounds(
         name: measure_background(
             np.ascontiguousarray(image) if background is None else image.astype(np.int32) - background,
             settings.maximum_size_px,
+            None if background is not None else known.backgrounds.get(name),
         )
         for image, background, name in zip(images, subtracted, names, strict=True)
         if name in refresh

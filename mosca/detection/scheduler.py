@@ -6,7 +6,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, field
-from itertools import accumulate, pairwise
+from itertools import accumulate, chain, pairwise
 from time import perf_counter
 
 from mosca.data.arrays import Array
@@ -27,6 +27,11 @@ EARLY_UPDATES = tuple(accumulate([0] + 8 * [1] + 4 * [2] + 3 * [3] + 3 * [4] + 3
 
 REFRESH_PERIOD = 128
 """Each camera's background is measured in every so many sets: lamps warm up and daylight moves more slowly."""
+
+TEXTURED_PERIOD = 16
+"""As ``REFRESH_PERIOD``, of a textured background: targets uncover it pixel by pixel."""
+LOOK_EACH, LOOK_BYTES = 4, 2**28
+"""Of the sets that are read ahead every so many are looked at: targets move between them. Their largest size."""
 
 Detected = tuple[dict[str, Detections], CameraStatistics, float]
 """Detections by camera, what the set adds to the cameras' statistics, and computing time [s]."""
@@ -68,7 +73,7 @@ class FrameSetDetector:
         shares = max(1, min(split if helpers is not None else 1, len(names)))
         bounds = [len(names) * k // shares for k in range(shares + 1)]
         own, *others = [{n: images[n] for n in names[i:j]} for i, j in pairwise(bounds)]
-        again = [name for name in names if (frame_set.pulse + _phase(name)) % REFRESH_PERIOD == 0]
+        again = [name for name in names if self._is_due(name, frame_set.pulse, statistics)]
         pending = [helpers.submit(self._some, share, statistics, again) for share in others] if helpers else []
         detections, added = self._some(own, statistics, again)
         for future in pending:
@@ -76,6 +81,13 @@ class FrameSetDetector:
             detections.update(found)
             added = added.plus(new)
         return {name: detections[name] for name in names}, added, perf_counter() - start
+
+    @staticmethod
+    def _is_due(name: str, pulse: int, statistics: CameraStatistics) -> bool:
+        """Return whether a camera's background is measured again."""
+        known = statistics.backgrounds.get(name)
+        period = TEXTURED_PERIOD if known is not None and known.textured else REFRESH_PERIOD
+        return (pulse + _phase(name)) % period == 0 or (known is not None and known.wants_images)
 
     def _some(
         self, images: Mapping[str, Array], statistics: CameraStatistics, refresh: Collection[str]
@@ -95,19 +107,26 @@ class FrameSetDetector:
 
 
 def detect_ahead(
-    detector: FrameSetDetector, sets: Iterable[FrameSet], workers: int, split: int = 1, attend: Attend | None = None
+    detector: FrameSetDetector,
+    sets: Iterable[FrameSet],
+    workers: int,
+    split: int = 1,
+    attend: Attend | None = None,
+    lookahead: int = 0,
 ) -> Iterator[tuple[FrameSet, dict[str, Detections], float]]:
     """Yield each frame set with its detections and the computing time that they took [s], in order.
 
     ``workers``: threads that detect in sets ahead of the one that is yielded, beside the caller's own, which works on
     one itself rather than wait; 0: one set after the other, its cameras divided among ``split`` threads.
     ``attend`` is called with each set, its detections and what it adds to the statistics, in order.
+    ``lookahead``: first sets that are read, where backgrounds are textured, before the first one is yielded.
     """
     attend = attend or _nobody
+    sets, known = _textured_backgrounds(detector, sets, lookahead)
     if workers <= 0:
-        yield from _one_by_one(detector, sets, split, attend)
+        yield from _one_by_one(detector, sets, split, attend, known)
         return
-    delayed = _DelayedSums()
+    delayed = _DelayedSums(known)
     queue: deque[_Ahead] = deque()
 
     def first() -> tuple[FrameSet, dict[str, Detections], float]:
@@ -129,6 +148,29 @@ def detect_ahead(
         finally:
             for ahead in queue:
                 ahead.future.cancel()
+
+
+def _textured_backgrounds(
+    detector: FrameSetDetector, sets: Iterable[FrameSet], lookahead: int
+) -> tuple[Iterator[FrameSet], CameraStatistics]:
+    """Return all of the sets, and the backgrounds of those cameras whose first images show a textured one.
+
+    The images are looked at twice: targets that the texture hid at first do not vote the second time.
+    """
+    left, seen, learned = iter(sets), list[FrameSet](), NO_STATISTICS
+    most = lookahead
+    for frame_set in left:
+        seen.append(frame_set)
+        if len(seen) % LOOK_EACH == 1:
+            learned = learned.plus(detector.detect(frame_set, learned)[1])
+            size = sum(f.image.nbytes for f in frame_set.frames.values() if f.image is not None)
+            most = min(most, LOOK_BYTES // max(size, 1))
+        if len(seen) >= most or not any(one.wants_images for one in learned.backgrounds.values()):
+            break
+    known, again = learned.textured_backgrounds(), NO_STATISTICS
+    for frame_set in seen[::LOOK_EACH] if known.names else ():
+        again = again.plus(detector.detect(frame_set, known)[1].textured_backgrounds())
+    return chain(seen, left), again
 
 
 @dataclass
@@ -156,9 +198,9 @@ def _await_first(detector: FrameSetDetector, queue: Sequence[_Ahead]) -> Detecte
 
 
 def _one_by_one(
-    detector: FrameSetDetector, sets: Iterable[FrameSet], split: int, attend: Attend
+    detector: FrameSetDetector, sets: Iterable[FrameSet], split: int, attend: Attend, known: CameraStatistics
 ) -> Iterator[tuple[FrameSet, dict[str, Detections], float]]:
-    delayed = _DelayedSums()
+    delayed = _DelayedSums(known)
     with ExitStack() as stack:
         helpers = stack.enter_context(ThreadPoolExecutor(split - 1, "detect")) if split > 1 else None
         used = delayed.for_frame_set(0)
@@ -175,9 +217,9 @@ def _one_by_one(
 class DelayedStatistics:
     """One camera's statistics: those of a set are added after ``DELAY`` sets and used from the next update on."""
 
-    def __init__(self, camera: str) -> None:
+    def __init__(self, camera: str, known: CameraStatistics = NO_STATISTICS) -> None:
         self._phase = _phase(camera) % UPDATE_PERIOD
-        self._used = self._summed = NO_STATISTICS
+        self._used = self._summed = known
         self._pending: deque[tuple[int, CameraStatistics]] = deque()
         self._updated = -1
 
@@ -201,8 +243,8 @@ class DelayedStatistics:
 class _DelayedSums:
     """All cameras' delayed statistics."""
 
-    def __init__(self) -> None:
-        self._cameras: dict[str, DelayedStatistics] = {}
+    def __init__(self, known: CameraStatistics) -> None:
+        self._cameras = {name: DelayedStatistics(name, own) for name, own in known.by_camera().items()}
         self._parts: dict[str, CameraStatistics] = {}
         self._number, self._used = 0, NO_STATISTICS
 

@@ -330,9 +330,11 @@ def test_a_background_image_takes_off_what_does_not_move():
     assert background[0, 0] == 6  # (5 + 6 + 6) / 3 = 5.67
     assert len(detect(lit, "left", PAPER, background=background)) < len(detect(lit, "left", PAPER))
     wiped = lit.astype(int) - background
-    np.testing.assert_array_equal(
+    # the same targets; centres differ by the lamp's light that a target hides
+    np.testing.assert_allclose(
         detect(lit, "left", PAPER, background=background).xy_px,
         detect(np.clip(wiped, 0, 255).astype(np.uint8), "left", PAPER).xy_px,
+        atol=0.01,
     )
 
 

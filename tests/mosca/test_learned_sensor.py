@@ -250,7 +250,7 @@ def sensor(found, images=100, **counts):
         (sensor(0, small=3), None),  # noise alone makes one image in a hundred show one
         (sensor(0, small=12), "0 of about 0.12 bright spots"),
         (sensor(10_000, cut=1_100), None),  # 10 % touch the border where targets are all over the image
-        (sensor(10_000, large=900, uneven=200), "9 not shorter than detection.maximum_size_px (40), 2 no brighter"),
+        (sensor(10_000, large=900, uneven=200), "9 not shorter than detection.maximum_size_px (64), 2 no brighter"),
     ],
 )
 def test_what_is_notable_is_told_of(one, tells):

@@ -11,7 +11,7 @@ from mosca.errors import InputError
 
 
 def settings_for(contrast, snr, gain, **change):
-    return DetectionSettings(read_noise_dn=READ, gain_dn_per_e=gain, maximum_size_px=60.0, **change)
+    return DetectionSettings(read_noise_dn=READ, gain_dn_per_e=gain, maximum_size_px=100.0, **change)
 
 
 def learned_errors(seed, sizes, blur, contrast, snr, rounds, **odd):

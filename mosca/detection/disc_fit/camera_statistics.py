@@ -40,8 +40,9 @@ from typing import Any, TypeVar
 import numpy as np
 
 from mosca.data.arrays import Array
-from mosca.detection.disc_fit.fit_regions import AMPLITUDE_SIGMA_2, FIRST_ROUGHNESS, Priors
+from mosca.detection.disc_fit.fit_regions import FIRST_ROUGHNESS
 from mosca.detection.disc_fit.gauss_newton import LEAST_BLUR, MOST_BLUR
+from mosca.detection.disc_fit.hidden_background import RIMS
 from mosca.detection.disc_fit.light_offset import (
     AMPLITUDE_SUMS,
     BLUR_SUM,
@@ -50,10 +51,12 @@ from mosca.detection.disc_fit.light_offset import (
     N_LIGHT,
     N_TARGETS,
     N_TERMS,
+    RIM_SUMS,
     ROUGH_SUM,
     StatisticsSums,
     no_sums,
 )
+from mosca.detection.disc_fit.priors import AMPLITUDE_SIGMA_2, Priors
 from mosca.detection.local_background import LocalBackground
 
 T = TypeVar("T")
@@ -141,6 +144,11 @@ class CameraStatistics:
         """Return each camera's own statistics."""
         return {name: self._of((name,)) for name in self.names}
 
+    def textured_backgrounds(self) -> "CameraStatistics":
+        """Return of these statistics the textured backgrounds alone, with their cameras."""
+        textured = {name: background for name, background in self.backgrounds.items() if background.textured}
+        return CameraStatistics(tuple(textured), no_sums(len(textured)), textured)
+
     def _of(self, names: tuple[str, ...]) -> "CameraStatistics":
         """Return the same for other cameras, zeros for those without any."""
         rows = np.array([self.names.index(name) if name in self.names else -1 for name in names])
@@ -180,7 +188,20 @@ def _priors(statistics: CameraStatistics) -> Priors:
     enough = np.flatnonzero(tallies[:, N_LIGHT] >= ENOUGH)
     if len(enough):
         offsets[enough] = _offsets(normal[enough], right_side[enough])
-    return Priors(np.column_stack([mean, spread]), offsets, usual, _amplitudes(tallies[:, AMPLITUDE_SUMS:LEFT_OUT]))
+    amplitudes, rims = _amplitudes(tallies[:, AMPLITUDE_SUMS:RIM_SUMS]), _rims(tallies[:, RIM_SUMS:LEFT_OUT])
+    return Priors(np.column_stack([mean, spread]), offsets, usual, amplitudes, rims)
+
+
+def _rims(sums: Array) -> Array:
+    """Return the ratios (n,) at which a parabola through the sums of ln chi-square (n, 4) is least; 1 without any."""
+    ratios, out = np.array(RIMS), np.ones(len(sums))
+    for k in np.flatnonzero(np.ptp(sums, axis=1) > 0):
+        middle = np.clip(sums[k].argmin(), 1, len(ratios) - 2)
+        at = slice(middle - 1, middle + 2)
+        bend, slope, _ = np.polyfit(ratios[at] - ratios[middle], sums[k, at], 2)
+        if bend > 0:
+            out[k] = np.clip(ratios[middle] - 0.5 * slope / bend, ratios[0], ratios[-1])
+    return out
 
 
 def _amplitudes(sums: Array) -> Array:

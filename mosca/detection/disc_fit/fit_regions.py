@@ -17,10 +17,8 @@ from mosca.detection.disc_fit.disc_image import FAST, f32, part_blur, parts_of
 from mosca.detection.disc_fit.ellipse import stretched
 from mosca.detection.disc_fit.first_values import Light, Region, first_disc, light_of, reshaped, turned
 from mosca.detection.disc_fit.gauss_newton import DiscFit, DiscPrior, Model, Workspace, fit_disc
+from mosca.detection.disc_fit.hidden_background import compare_rims, refit_before, take_behind
 from mosca.detection.disc_fit.light_offset import (
-    AMPLITUDE_SUMS,
-    BLUR_SUM,
-    BLUR_WEIGHT,
     LIGHT_BLURS,
     N_TARGETS,
     N_TERMS,
@@ -40,16 +38,16 @@ from mosca.detection.disc_fit.pixels import (
     half_side,
     is_inside,
     level_pixels,
-    make_window,
+    made_window,
     mark_foreign,
     pad,
     reach_of,
     region_sums,
-    window_place,
     window_sums,
 )
+from mosca.detection.disc_fit.priors import Priors, add_learned, disc_prior
 from mosca.detection.disc_fit.residual_noise import add_residuals
-from mosca.detection.images import ImageSet, image_of
+from mosca.detection.images import ImageSet, behind_of, image_of
 from mosca.detection.search import (
     DARK,
     END_RUN,
@@ -90,35 +88,14 @@ LONG = 0.2
 """Difference of principal moments over their sum from which a region that no disc fits may be two targets."""
 ROUGH_FACTOR, ROUGH_FLOOR = 4.0, 1e-4
 """A single target counts for the camera's usual misfit with at most so many times that, plus (1 %)^2."""
-BLUR_SIGMA_2 = 9e-4
-"""Variance (0.03 px)^2 added to a target's own: no single target outweighs others by its brightness."""
-WELL_KNOWN_2, AMPLITUDE_SIGMA_2 = 0.0225, 0.04
-"""Variances of the logarithm of an amplitude: up to the first, (0.15)^2, a target's own pixels tell it well enough to
-learn from it; the second, (0.2)^2, is added to a target's own: no single one outweighs others."""
-FAR_AMPLITUDE = 2.0
-"""Standard deviations from the camera's line of amplitudes at which a target's weight is halved."""
-MOST_BRIGHTER = 2.5
-"""Times its brightest pixel that an amplitude may be to be learned from: more where a target covers 0.4 pixels."""
 SHAPE_STEPS, SHAPE_CHI2 = 3, 4.0
 """Most steps of an elliptic target's shape; one whose chi-square (two degrees of freedom) is less is not taken."""
+NO_STRETCH = (1.0, 0.0, 1.0)
+"""The map of a round target."""
 EACH = 8
 """The light's centroid is computed for every so many targets."""
 MORE_PX = 30
 """Margin of the widest window around the largest region, on each side; limits the blur of a fit."""
-
-
-class Priors(NamedTuple):
-    """What the fits of n images start from."""
-
-    blurs: Array
-    """(n, 2) mean and standard deviation of the blur [px]."""
-    offsets: Array
-    """(n, N_TERMS, 2) terms of the offset [px] from the fitted centre to the light's centroid."""
-    roughness: Array
-    """(n,) usual misfit beyond the noise, as a share of the squared amplitude."""
-    amplitudes: Array
-    """(n, 5) of ln amplitude by ln flux of a camera's targets: means of both, slope, variance about the line and of
-    the mean, variance of the slope; the variances are infinite where nothing was learned."""
 
 
 class Buffers(NamedTuple):
@@ -134,6 +111,8 @@ class Buffers(NamedTuple):
     fit: Workspace
     terms: Array
     """(N_TERMS,): terms of the offset."""
+    behind: Array
+    """(2, side^2 + OVER) float32: see ``take_behind``."""
 
 
 class Centre(NamedTuple):
@@ -225,51 +204,9 @@ def write_row(
 
 
 @bare_step(fastmath=FAST)
-def disc_prior(k: int, priors: Priors, flux: float) -> DiscPrior:
-    """Return what is known of a target of camera k with this flux [DN px^2]."""
-    means, line = priors.amplitudes[k, :2], priors.amplitudes[k, 2:]
-    if not line[1] < math.inf:
-        return DiscPrior(priors.blurs[k, 0], priors.blurs[k, 1], 1.0, math.inf)
-    away = math.log(max(flux, 1.0)) - means[0]
-    amplitude = math.exp(means[1] + line[0] * away)
-    return DiscPrior(
-        priors.blurs[k, 0], priors.blurs[k, 1], amplitude, amplitude * math.sqrt(line[1] + line[2] * away * away)
-    )
-
-
-@bare_step(fastmath=FAST)
-def add_learned(fit: DiscFit, first: float, flux: float, prior: DiscPrior, out: Array, tally: Array) -> None:
-    """Add to the sums what the data alone give blur and amplitude of a clean target.
-
-    ``first``: first value of the amplitude; ``flux`` [DN px^2].
-    """
-    a, variance = fit.own_amplitude
-    if 0.0 < a < MOST_BRIGHTER * first and variance < WELL_KNOWN_2 * a * a:
-        variance /= a * a
-        w, log, f = 1.0 / (variance + AMPLITUDE_SIGMA_2), math.log(a), math.log(max(flux, 1.0))
-        if prior.amplitude_sigma < prior.amplitude:
-            # small sharp targets have false solutions, which are outliers
-            usual = prior.amplitude_sigma / prior.amplitude
-            w /= 1.0 + (math.log(a / prior.amplitude) / FAR_AMPLITUDE) ** 2 / (variance + usual * usual)
-        tally[AMPLITUDE_SUMS] += w
-        tally[AMPLITUDE_SUMS + 1] += w * f
-        tally[AMPLITUDE_SUMS + 2] += w * f * f
-        tally[AMPLITUDE_SUMS + 3] += w * log
-        tally[AMPLITUDE_SUMS + 4] += w * f * log
-        tally[AMPLITUDE_SUMS + 5] += w * log * log
-        tally[AMPLITUDE_SUMS + 6] += w * variance
-    if fit.blur_variance < 1.0:
-        information = 1.0 / (fit.blur_variance + BLUR_SIGMA_2)
-        known = 1.0 / (prior.blur_sigma * prior.blur_sigma)
-        out[BLUR_INFO] = information
-        out[BLUR] = (fit.blur * (1.0 / fit.blur_variance + known) - prior.blur * known) * fit.blur_variance
-        tally[BLUR_SUM] += information * out[BLUR]
-        tally[BLUR_WEIGHT] += information
-
-
-@bare_step(fastmath=FAST)
 def gather_mapped(
     image: Array,
+    behind: Array,
     own: Array,
     region: Region,
     shape: tuple[float, float, float],
@@ -280,7 +217,7 @@ def gather_mapped(
 ) -> int:
     """Copy a region's pixels, without neighbours' and saturated ones, to ``buffers.pixels``; return how many.
 
-    ``own``: its runs; the others as in ``gather_unmarked``.
+    ``own``: its runs; ``behind``: what was subtracted from the image; the others as in ``gather_unmarked``.
     """
     middle = ((region.left + region.right + 1) // 2, (region.top + region.bottom + 1) // 2)
     side = 2 * min(half_side(shape, around, reach), buffers.side // 2) + 1
@@ -290,6 +227,8 @@ def gather_mapped(
     m0, m1, m2 = shape
     det, (slope_x, slope_y) = m0 * m2 - m1 * m1, region.slope
     level_pixels(n, buffers.pixels, ((m2 * slope_x - m1 * slope_y) / det, (m0 * slope_y - m1 * slope_x) / det))
+    if len(behind) > 0:
+        take_behind(n, buffers.pixels, behind, middle, region.slope, shape, region.threshold, buffers.behind)
     return n
 
 
@@ -302,6 +241,7 @@ def is_plain(shape: tuple[float, float, float]) -> bool:
 @bare_step(fastmath=FAST)
 def refit_ellipse(
     image: Array,
+    behind: Array,
     own: Array,
     region: Region,
     light: Light,
@@ -317,19 +257,22 @@ def refit_ellipse(
     """
     first, round_light, plain = fit, light, is_plain(light.shape)
     reach = min(fit.radius + 3.0 * fit.blur + 0.5, 0.5 * buffers.side - 2.0)
-    n, good = gather_mapped(image, own, region, light.shape, (fit.x, fit.y), reach, model, buffers), fit.converged
+    n, good = (
+        gather_mapped(image, behind, own, region, light.shape, (fit.x, fit.y), reach, model, buffers),
+        fit.converged,
+    )
     for _ in range(SHAPE_STEPS):
         changed = stretched((n + 7) // 8 * 8, buffers.pixels, fit, model, light.shape, buffers.fit)
         if not good or changed.chi2 < SHAPE_CHI2:
             break
         x0, y0 = turned(fit.x, fit.y, light.shape, changed.shape)
         light = reshaped(light, changed.shape)
-        n = gather_mapped(image, own, region, light.shape, (x0, y0), reach, model, buffers)
+        n = gather_mapped(image, behind, own, region, light.shape, (x0, y0), reach, model, buffers)
         start = (x0, y0, fit.amplitude, fit.background, fit.radius)
         fit = fit_disc((n + 7) // 8 * 8, buffers.pixels, start, prior, model, True, light.shape, buffers.fit)
         good = fit.converged
     if plain and not (good and fit.chi2 < (n - 6) * misfit_by_chance(n)):
-        n = gather_mapped(image, own, region, round_light.shape, (first.x, first.y), reach, model, buffers)
+        n = gather_mapped(image, behind, own, region, round_light.shape, (first.x, first.y), reach, model, buffers)
         return first, round_light, n
     return fit, light, n
 
@@ -337,6 +280,7 @@ def refit_ellipse(
 @bare_step(fastmath=FAST)
 def refine_region(
     image: Array,
+    behind: Array,
     runs: Array,
     region: Region,
     priors: Priors,
@@ -348,11 +292,9 @@ def refine_region(
 ) -> None:
     """Fit one region, write its row of the table ``out`` and add to the sums.
 
-    ``takes_light``: to those of centroid and noise too.
+    ``behind``: what was subtracted from the image; ``takes_light``: add to the sums of centroid and noise too.
     """
-    k = region.image
-    blur = priors.blurs[k, 0]
-    own = runs[region.first_run : region.end_run]
+    k, blur, own = region.image, priors.blurs[region.image, 0], runs[region.first_run : region.end_run]
     most = 0.5 * buffers.side - 2.0  # what the buffers hold
     size = max(region.right - region.left + 1, region.bottom - region.top + 1)
     middle = ((region.left + region.right + 1) // 2, (region.top + region.bottom + 1) // 2)
@@ -360,9 +302,7 @@ def refine_region(
     # the whole of a lonely round target is copied once
     pixels = buffers.pixels
     if is_inside(image, middle, reach):
-        if buffers.windows.known[size, 0] < 0:
-            make_window(size, reach * reach, buffers.windows)
-        address, columns = window_place(size, buffers.windows)
+        address, columns = made_window(size, reach, buffers.windows)
         pixels = array_at(address, pixels, (5, columns))
         n = fill_window(image, middle, size, reach, buffers.windows, pixels)
     else:
@@ -374,8 +314,10 @@ def refine_region(
     crowded = bright != region.n_px
     if crowded:
         peak, light_sums = region_sums(image, own, middle, background)
-    flux = float(light_sums[0])
-    prior = disc_prior(k, priors, flux)
+    elif len(behind) > 0:
+        take_behind(n, pixels, behind, middle, region.slope, NO_STRETCH, region.threshold, buffers.behind)
+        _, peak, light_sums = window_sums(n, pixels, region.floor, background)
+    prior = disc_prior(k, priors, float(light_sums[0]))
     light = light_of(region, background, peak, light_sums, crowded, blur, model.full_dn)
     m0, m1, m2 = light.shape
     plain = is_plain(light.shape)
@@ -384,7 +326,7 @@ def refine_region(
     symmetric = not light.crowded and not light.saturated
     if not symmetric or not plain:
         reach = min(radius + 3.0 * blur + 0.5, most)
-        n = gather_mapped(image, own, region, light.shape, (x0, y0), reach, model, buffers)
+        n = gather_mapped(image, behind, own, region, light.shape, (x0, y0), reach, model, buffers)
         pixels = buffers.pixels
     start = (x0, y0, amplitude, light.background, radius)
     padded = (n + 7) // 8 * 8
@@ -392,28 +334,30 @@ def refine_region(
     # under a sharp edge second moments are no measure of a shape; small regions were taken for round
     odd_shape = not plain or fit.chi2 > (n - 6) * misfit_by_chance(n)
     if symmetric and odd_shape and parts_of(fit.blur) > 1:
-        fit, light, n = refit_ellipse(image, own, region, light, fit, prior, model, buffers)
+        fit, light, n = refit_ellipse(image, behind, own, region, light, fit, prior, model, buffers)
         pixels, padded = buffers.pixels, (n + 7) // 8 * 8
         plain &= is_plain(light.shape)
+    if len(behind) > 0:
+        fit = refit_before(padded, pixels, buffers.behind, light.shape, fit, prior, model, symmetric, buffers.fit)
+        if symmetric and takes_light and fit.converged:
+            compare_rims(padded, pixels, buffers.behind, light.shape, fit, prior, model, buffers.fit, sums.tallies[k])
     centre = centre_of(middle, light, fit)
     good = is_good(region, light, fit, centre)
 
-    usual = priors.roughness[k]
+    tally, usual = sums.tallies[k], priors.roughness[k]
     odd = write_row(region, light, fit, centre, (good, n, usual), model, out)
-    tally = sums.tallies[k]
     if good and symmetric:
         tally[N_TARGETS] += 1.0
         tally[ROUGH_SUM] += min(out[ROUGH], ROUGH_FACTOR * usual + ROUGH_FLOOR)
     # long images teach where their edges are sharp: others may be smeared by motion
     if good and symmetric and (plain or (parts_of(fit.blur) > 1 and not odd)):
-        add_learned(fit, amplitude, flux, prior, out, tally)
+        out[BLUR], out[BLUR_INFO] = add_learned(fit, amplitude, float(light_sums[0]), prior, tally)
         if takes_light and not odd:
             add_residuals(padded, pixels, fit, prior, model, light.shape, out[MISFIT], buffers.fit, tally)
         if takes_light and plain and not odd:
             reach = min(centre.radius + LIGHT_BLURS * fit.blur, most)
             add_light(image, region, reach, fit, centre.radius, buffers.pixels, buffers.terms, sums)
-    offsets = priors.offsets[k]
-    out[X], out[Y] = moved(image, centre.x, centre.y, centre.radius, offsets, buffers.terms)
+    out[X], out[Y] = moved(image, centre.x, centre.y, centre.radius, priors.offsets[k], buffers.terms)
 
 
 @step(fastmath=FAST)
@@ -447,6 +391,7 @@ def buffers_for(largest: int, blurs: Array) -> Buffers:
     return Buffers(
         side, np.empty((5, side * side + OVER), f32), windows, np.empty((4, side * side), np.uint8),
         Workspace(np.zeros((7, side * side + OVER), f32), np.empty((6, 8))), np.empty(N_TERMS),
+        np.empty((2, side * side + OVER), f32),
     )  # fmt: skip
 
 
@@ -481,7 +426,7 @@ def refine_regions(
         )  # fmt: skip
         model = Model(found.noise[r, DARK], found.noise[r, GAIN], full_dn)
         refine_region(
-            image_of(images, k), found.runs, region, priors, model, buffers, sums,
+            image_of(images, k), behind_of(images, k), found.runs, region, priors, model, buffers, sums,
             (n - first_of_image) % EACH == 0, table[n],
         )  # fmt: skip
         region_of[n] = r

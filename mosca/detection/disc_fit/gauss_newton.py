@@ -78,6 +78,8 @@ class DiscPrior(NamedTuple):
     """[DN], of targets that are neither crowded nor saturated."""
     amplitude_sigma: float
     """Infinite where nothing is known."""
+    rim: float
+    """Radius within which a target hides its background, over that of its light."""
 
 
 class Workspace(NamedTuple):

@@ -111,6 +111,14 @@ def make_window(size: int, reach2: float, windows: RoundWindows) -> None:
 
 
 @bare_step(fastmath=FAST)
+def made_window(size: int, reach: float, windows: RoundWindows) -> tuple[Any, Any]:
+    """Return the place of a window as ``window_place``, which is made where it is the first of its size."""
+    if windows.known[size, 0] < 0:
+        make_window(size, reach * reach, windows)
+    return window_place(size, windows)
+
+
+@bare_step(fastmath=FAST)
 def grey_values(image: Array, centre: int, half: Array, v: Array) -> None:
     """Copy the grey values of the rows of a round window about the pixel number ``centre``, 16 at a time.
 

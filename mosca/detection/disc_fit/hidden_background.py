@@ -1,0 +1,153 @@
+"""Compiled fit of a disc before a textured background, which was subtracted though the disc hides it.
+
+Where a disc covers the share e of a pixel, the background g behind it shows with the share 1 - e. To subtract g takes
+g e too much: the image of the disc comes out with a negative of the texture behind it. That is added again with the
+coverage of the fit so far, at first that of the region, until it no longer changes. The texture counts from its
+mean over the window: the disc's amplitude is above the background around it.
+"""
+
+import math
+
+from mosca.data.arrays import Array
+from mosca.detection.disc_fit.disc_image import FAST, ZERO, disc_image, f32
+from mosca.detection.disc_fit.gauss_newton import DiscFit, DiscPrior, Model, Workspace, fit_disc
+from mosca.detection.disc_fit.light_offset import N_RIMS, RIM_SUMS
+from mosca.numba_support.decorators import bare_step
+
+RIMS = (1.0, 1.06, 1.12, 1.18)
+"""Ratios tried of the radius within which a target hides its background to that of its light: a retroreflective ball
+is dark towards its limb (1.1 from 65 degrees of entrance angle on)."""
+MOST_FITS, CLOSE_2 = 10, 0.01
+"""Most fits, and the squared change of the centre, as a share of its variance, that ends them. Each fit leaves of the
+error about the ratio of texture and amplitude."""
+
+
+@bare_step(fastmath=FAST)
+def take_behind(
+    n: int,
+    pixels: Array,
+    behind: Array,
+    middle: tuple[int, int],
+    slope: tuple[float, float],
+    shape: tuple[float, float, float],
+    threshold: int,
+    out: Array,
+) -> None:
+    """Write to ``out`` what was subtracted at n pixels, less its mean, and their grey values, which it had rounded.
+
+    And add it to the grey values of the region's pixels.
+
+    Parameters
+    ----------
+    n, pixels, shape
+        The pixels (5, n or more) of a fit and the symmetric matrix by which their offsets were mapped.
+    behind
+        (H, W) what was subtracted from the image, after rounding it [DN].
+    middle
+        Pixel (column, row) of the image at the offset (0, 0).
+    slope
+        Of the background there by x and y [DN/px], which ``level_pixels`` took out.
+    threshold
+        The region's pixels are above it [DN].
+    out
+        (2, n or more) float32.
+    """
+    x, y, there, v = pixels[0], pixels[1], pixels[3], pixels[4]
+    m0, m1, m2 = shape
+    det = m0 * m2 - m1 * m1
+    count = mean = ZERO
+    for i in range(n):
+        out[0, i], out[1, i] = ZERO, v[i]
+        if there[i] > ZERO:
+            column, row = round((m2 * x[i] - m1 * y[i]) / det), round((m0 * y[i] - m1 * x[i]) / det)
+            texture = behind[middle[1] + int(row), middle[0] + int(column)]
+            out[0, i] = texture + f32(slope[0] * column + slope[1] * row)
+            out[1, i] += f32(math.floor(texture + f32(0.5))) - texture
+            count += there[i]
+            mean += out[0, i]
+    mean /= count
+    for i in range(n):
+        out[0, i] = there[i] * (out[0, i] - mean)
+        v[i] += (v[i] > threshold) * out[0, i]
+
+
+@bare_step(fastmath=FAST)
+def uncover(
+    n: int, pixels: Array, behind: Array, shape: tuple[float, float, float], fit: DiscFit, rim: float, work: Workspace
+) -> None:
+    """Write the grey values with the background g as far as a disc leaves it, and its mean where its light is.
+
+    ``rim``: see ``RIMS``; the others as in ``refit_before``.
+    """
+    there, v, coverage = pixels[3], pixels[4], work.image[0]
+    count = mean = ZERO
+    for i in range(n):
+        count += there[i]
+        mean += behind[0, i]
+    mean /= count
+    x, y, radius, blur, level = f32(fit.x), f32(fit.y), f32(fit.radius), f32(fit.blur), f32(fit.background)
+    if rim == 1.0:
+        disc_image(n, pixels, (x, y, radius, blur), shape, work.image)
+        for i in range(n):
+            v[i] = behind[1, i] + coverage[i] * there[i] * (behind[0, i] - mean)
+        return
+    disc_image(n, pixels, (x, y, f32(rim) * radius, blur), shape, work.image)
+    for i in range(n):
+        v[i] = behind[1, i] + coverage[i] * there[i] * (level + behind[0, i])
+    disc_image(n, pixels, (x, y, radius, blur), shape, work.image)
+    for i in range(n):
+        v[i] -= coverage[i] * there[i] * (level + mean)
+
+
+@bare_step(fastmath=FAST)
+def refit_before(
+    n: int,
+    pixels: Array,
+    behind: Array,
+    shape: tuple[float, float, float],
+    fit: DiscFit,
+    prior: DiscPrior,
+    model: Model,
+    symmetric: bool,
+    work: Workspace,
+) -> DiscFit:
+    """Fit a disc to n pixels again, less ``behind`` (2, n or more, from ``take_behind``) where it does not hide it.
+
+    The others as in ``fit_disc``.
+    """
+    for _ in range(MOST_FITS):
+        uncover(n, pixels, behind, shape, fit, prior.rim, work)
+        x, y, covariance = fit.x, fit.y, fit.covariance
+        start = (x, y, fit.amplitude, fit.background, fit.radius)
+        fit = fit_disc(n, pixels, start, prior, model, symmetric, shape, work)
+        dx, dy = fit.x - x, fit.y - y
+        if not fit.converged or dx * dx + dy * dy < CLOSE_2 * (covariance[0] + covariance[2]):
+            break
+    return fit
+
+
+@bare_step(fastmath=FAST)
+def compare_rims(
+    n: int,
+    pixels: Array,
+    behind: Array,
+    shape: tuple[float, float, float],
+    fit: DiscFit,
+    prior: DiscPrior,
+    model: Model,
+    work: Workspace,
+    tally: Array,
+) -> None:
+    """Add to ``tally`` the logarithms of the chi-squares of fits with each of the ``RIMS``, where all converge.
+
+    Of the logarithm, so that each target counts alike, however well a disc fits it. The pixels are left as they were.
+    """
+    logs, good = (0.0, 0.0, 0.0, 0.0), True
+    for rim in RIMS:
+        tried = DiscPrior(prior.blur, prior.blur_sigma, prior.amplitude, prior.amplitude_sigma, rim)
+        other = refit_before(n, pixels, behind, shape, fit, tried, model, True, work)
+        good &= other.converged and other.chi2 > 0.0
+        logs = (logs[1], logs[2], logs[3], math.log(max(other.chi2, 1e-9)))
+    uncover(n, pixels, behind, shape, fit, prior.rim, work)
+    for q in range(N_RIMS):
+        tally[RIM_SUMS + q] += logs[q] if good else 0.0

@@ -1,0 +1,166 @@
+"""Background of each pixel of a camera that stands still, where it is textured: learned from the camera's images.
+
+A grainy floor under lamps is no noise: it does not change. Its deviation from the planes between cells
+(``mosca.detection.local_background``) is learned pixel by pixel as the value that most images agree on, by majority
+vote (Boyer and Moore 1991): an image that agrees with the value so far, within the noise, is averaged into it and
+adds a vote; one that does not takes a vote away; without a vote the next image's value takes its place. What moves
+over the pixel, bright or dark, leaves no trace unless it stays for half of the time. Detected targets do not vote, so
+that one that stands still never becomes background.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import cv2
+import numpy as np
+
+from mosca.data.arrays import Array
+from mosca.numba_support.decorators import kernel
+
+MOST_VOTES = 16
+"""Votes that a pixel may have: its value then has 1/16 of a pixel's variance."""
+KNOWN = 2
+"""Votes from which a pixel's value is used: two images agreed."""
+AGREE_SIGMAS = 4.0
+"""Grey values of one pixel that differ by less are the same; 6 in 100,000 of them differ by more."""
+LEAST_DN2 = 0.25
+"""Least variance of a difference between images [DN^2]: a median of whole numbers may be 0."""
+CELL_PX, STRIDE_PX = 64, 3
+"""Side of the cells in which the noise between images is measured, and the distance of its samples: 450 in a cell."""
+FILL_PX, FILL_SHARE = (5, 9, 17, 33), 0.2
+"""Sides of the squares of which known pixels give those that are not, the nearest first, and their least share."""
+HIDE_PX = 13
+"""Side of squares that are hidden to see how well they are filled: of a target of 7 px with its margins."""
+MARGIN_PX = 1
+"""Pixels around bright ones that do not vote either; those of targets have a margin by their blur besides."""
+
+
+@dataclass(frozen=True, eq=False)
+class StaticBackground:
+    """What is known of the pixels of one camera's background."""
+
+    texture: Array
+    """(H, W) float32: background less the planes between its cells' levels [DN], where there are votes."""
+    votes: Array
+    """(H, W) uint8: images that agree with it, up to ``MOST_VOTES``."""
+    images: int = 1
+    """That voted."""
+
+    @cached_property
+    def known(self) -> Array:
+        """Which pixels (H, W) are known."""
+        return np.asarray(self.votes >= KNOWN)
+
+    @cached_property
+    def usable(self) -> bool:
+        """Whether most pixels are known."""
+        return bool(2 * np.count_nonzero(self.known) > self.known.size)
+
+    @cached_property
+    def behind(self) -> Array:
+        """The texture (H, W) float32 [DN], where it is not known the mean of known pixels around; 0 far from any."""
+        return filled(self.texture, self.known)
+
+    @cached_property
+    def fill_share(self) -> float:
+        """What the filling of unknown pixels leaves of the variance of the texture, found by hiding known ones."""
+        hidden = np.zeros(self.votes.shape, bool)
+        for y in range(HIDE_PX, hidden.shape[0], 3 * HIDE_PX):
+            for x in range(HIDE_PX, hidden.shape[1], 3 * HIDE_PX):
+                hidden[y : y + HIDE_PX, x : x + HIDE_PX] = True
+        tried = hidden & self.known
+        if not tried.any():
+            return 1.0
+        off = filled(self.texture, self.known & ~hidden)[tried] - self.texture[tried]
+        return float(min(np.median(off**2) / max(np.median(self.texture[tried] ** 2), LEAST_DN2), 1.0))
+
+    def plus(self, other: "StaticBackground | None") -> "StaticBackground":
+        """Return what this and one image later, ``other`` from ``one_image``, tell together."""
+        if other is None or other.texture.shape != self.texture.shape:
+            return self if other is None else other
+        texture, votes = self.texture.copy(), self.votes.copy()
+        height, width = texture.shape
+        cells = disagreement(
+            texture, votes, other.texture, other.votes, max(1, height // CELL_PX), max(1, width // CELL_PX)
+        )
+        vote(texture, votes, other.texture, other.votes, cv2.resize(cells, (width, height)))
+        return StaticBackground(texture, votes, self.images + 1)
+
+    def subtracted_from(self, image: Array, full_dn: int) -> Array:
+        """Return an image (H, W) less the texture, of its type; pixels saturated at ``full_dn`` stay so."""
+        out = np.empty_like(image)
+        subtract_rounded(image, self.behind, full_dn, out)
+        return out
+
+
+def filled(texture: Array, known: Array) -> Array:
+    """Return a texture (H, W), where it is not ``known`` the mean of known pixels around; 0 far from any."""
+    there, out = known.astype(np.float32), np.where(known, texture, np.float32(0))
+    for side in FILL_PX:
+        share = cv2.blur(there, (side, side))
+        fill = (there == 0) & (share >= FILL_SHARE)
+        out[fill] = (cv2.blur(out, (side, side)) / np.maximum(share, np.float32(FILL_SHARE)))[fill]
+        there[fill] = 1
+    return out
+
+
+def one_image(image: Array, planes: Array, bright: Array) -> StaticBackground:
+    """Return what one image (H, W) tells: a vote for each pixel that is neither ``bright`` nor near one that is.
+
+    ``planes``: (H, W) between the levels of its background's cells [DN]; ``bright``: (H, W) uint8, 1 for targets.
+    """
+    side = 2 * MARGIN_PX + 1
+    return StaticBackground(image - planes, 1 - cv2.dilate(bright, np.ones((side, side), np.uint8)))
+
+
+@kernel
+def disagreement(texture: Array, votes: Array, seen: Array, counted: Array, rows: int, columns: int) -> Array:
+    """Return the standard deviation [DN] (rows, columns) of one image about known values of one vote.
+
+    The median of differences, so that up to half of a cell may have changed.
+    """
+    height, width = texture.shape
+    spread = np.empty((rows, columns), np.float32)
+    off = np.empty((height // rows // STRIDE_PX + 2) * (width // columns // STRIDE_PX + 2), np.float32)
+    for i in range(rows):
+        for j in range(columns):
+            n = 0
+            for y in range(height * i // rows, height * (i + 1) // rows, STRIDE_PX):
+                for x in range(width * j // columns, width * (j + 1) // columns, STRIDE_PX):
+                    if votes[y, x] > 0 and counted[y, x] > 0:
+                        # the value's own variance is 1 / votes of the image's
+                        off[n] = abs(seen[y, x] - texture[y, x]) / np.sqrt(1.0 + 1.0 / votes[y, x])
+                        n += 1
+            middle = np.median(off[:n]) / 0.6745 if n > 0 else 0.0
+            spread[i, j] = np.sqrt(max(middle * middle, LEAST_DN2))
+    return spread
+
+
+@kernel
+def vote(texture: Array, votes: Array, seen: Array, counted: Array, spread: Array) -> None:
+    """Let one image vote on the values of all pixels (H, W); ``spread``: standard deviation of the images [DN]."""
+    height, width = texture.shape
+    for y in range(height):
+        for x in range(width):
+            if counted[y, x] == 0:
+                continue
+            n = np.float32(votes[y, x])
+            off = seen[y, x] - texture[y, x]
+            reach = np.float32(AGREE_SIGMAS) * spread[y, x]
+            if n == 0.0:
+                texture[y, x], votes[y, x] = seen[y, x], 1
+            elif off * off * n <= reach * reach * (n + np.float32(1.0)):
+                texture[y, x] += off / (n + np.float32(1.0))
+                votes[y, x] = min(votes[y, x] + 1, MOST_VOTES)
+            else:
+                votes[y, x] -= 1
+
+
+@kernel
+def subtract_rounded(image: Array, behind: Array, full: int, out: Array) -> None:
+    """Write an image (H, W) less ``behind``, rounded, from 0 to ``full``, to ``out``; what is ``full`` stays so."""
+    for y in range(image.shape[0]):
+        for x in range(image.shape[1]):
+            value = np.int32(image[y, x])
+            less = min(max(value - np.int32(np.floor(behind[y, x] + np.float32(0.5))), 0), full)
+            out[y, x] = value if value >= full else less
