@@ -347,7 +347,7 @@ def test_a_background_image_takes_off_what_does_not_move():
         (lambda: replace(PAPER, contrast_dn=0), "contrast_dn"),
         (lambda: replace(PAPER, lowest_dn=243), "lowest_dn"),
         (lambda: replace(PAPER, step_dn=0), "step_dn"),
-        (lambda: DetectionSettings(minimum_size_px=50), "minimum_size_px"),
+        (lambda: DetectionSettings(minimum_size_px=70), "minimum_size_px"),
         (lambda: DetectionSettings(centroid="middle"), "middle"),
         (lambda: DetectionSettings(dilation_px=3), "dilation_px"),
         (lambda: DetectionSettings(gain_dn_per_e=float("nan")), "gain_dn_per_e"),

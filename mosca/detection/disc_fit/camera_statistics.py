@@ -200,7 +200,7 @@ def _rims(sums: Array) -> Array:
         at = slice(middle - 1, middle + 2)
         bend, slope, _ = np.polyfit(ratios[at] - ratios[middle], sums[k, at], 2)
         if bend > 0:
-            out[k] = np.clip(ratios[middle] - 0.5 * slope / bend, ratios[0], ratios[-1])
+            out[k] = np.clip(ratios[middle] - 0.5 * slope / bend, 1.0, ratios[-1])
     return out
 
 

@@ -6,7 +6,7 @@ always give the same centres.
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -204,6 +204,24 @@ def write_row(
 
 
 @bare_step(fastmath=FAST)
+def uncovered_sums(
+    n: int, pixels: Array, region: Region, background: float, priors: Priors, model: Model, buffers: Buffers
+) -> tuple[Any, Any]:
+    """Return peak and sums of a region's light as ``window_sums``, without the negative of what the disc hides."""
+    blur = priors.blurs[region.image, 0]
+    _, peak, sums = window_sums(n, pixels, region.floor, background)
+    light = reshaped(light_of(region, background, peak, sums, False, blur, model.full_dn), NO_STRETCH)
+    amplitude, radius = first_disc(region, light, blur)
+    prior, start = disc_prior(region.image, priors, float(sums[0])), (light.x, light.y, amplitude, background, radius)
+    padded = (n + 7) // 8 * 8
+    fit = fit_disc(padded, pixels, start, prior, model, True, NO_STRETCH, buffers.fit)
+    if fit.converged:
+        refit_before(padded, pixels, buffers.behind, NO_STRETCH, fit, prior, model, True, buffers.fit)
+        _, peak, sums = window_sums(n, pixels, region.floor, background)
+    return peak, sums
+
+
+@bare_step(fastmath=FAST)
 def gather_mapped(
     image: Array,
     behind: Array,
@@ -316,7 +334,7 @@ def refine_region(
         peak, light_sums = region_sums(image, own, middle, background)
     elif len(behind) > 0:
         take_behind(n, pixels, behind, middle, region.slope, NO_STRETCH, region.threshold, buffers.behind)
-        _, peak, light_sums = window_sums(n, pixels, region.floor, background)
+        peak, light_sums = uncovered_sums(n, pixels, region, background, priors, model, buffers)
     prior = disc_prior(k, priors, float(light_sums[0]))
     light = light_of(region, background, peak, light_sums, crowded, blur, model.full_dn)
     m0, m1, m2 = light.shape

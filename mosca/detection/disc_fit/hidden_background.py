@@ -14,9 +14,11 @@ from mosca.detection.disc_fit.gauss_newton import DiscFit, DiscPrior, Model, Wor
 from mosca.detection.disc_fit.light_offset import N_RIMS, RIM_SUMS
 from mosca.numba_support.decorators import bare_step
 
-RIMS = (1.0, 1.06, 1.12, 1.18)
+RIMS = (0.94, 1.0, 1.06, 1.12)
 """Ratios tried of the radius within which a target hides its background to that of its light: a retroreflective ball
-is dark towards its limb (1.1 from 65 degrees of entrance angle on)."""
+is dark towards its limb (1.1 from 65 degrees of entrance angle on). The least is there to find a minimum at 1."""
+EVEN_SHARE = 0.05
+"""A background behind a disc whose variance is less, as a share of the pixels' dark noise, is even."""
 MOST_FITS, CLOSE_2 = 10, 0.01
 """Most fits, and the squared change of the centre, as a share of its variance, that ends them. Each fit leaves of the
 error about the ratio of texture and amplitude."""
@@ -33,9 +35,9 @@ def take_behind(
     threshold: int,
     out: Array,
 ) -> None:
-    """Write to ``out`` what was subtracted at n pixels, less its mean, and their grey values, which it had rounded.
+    """Write to ``out`` what was subtracted at n pixels, and their grey values, which it had rounded.
 
-    And add it to the grey values of the region's pixels.
+    And add it, less its mean, to the grey values of the region's pixels.
 
     Parameters
     ----------
@@ -56,7 +58,7 @@ def take_behind(
     m0, m1, m2 = shape
     det = m0 * m2 - m1 * m1
     count = mean = ZERO
-    for i in range(n):
+    for i in range((n + 7) // 8 * 8):  # with their padding
         out[0, i], out[1, i] = ZERO, v[i]
         if there[i] > ZERO:
             column, row = round((m2 * x[i] - m1 * y[i]) / det), round((m0 * y[i] - m1 * x[i]) / det)
@@ -67,8 +69,7 @@ def take_behind(
             mean += out[0, i]
     mean /= count
     for i in range(n):
-        out[0, i] = there[i] * (out[0, i] - mean)
-        v[i] += (v[i] > threshold) * out[0, i]
+        v[i] += (v[i] > threshold) * there[i] * (out[0, i] - mean)
 
 
 @bare_step(fastmath=FAST)
@@ -100,6 +101,18 @@ def uncover(
 
 
 @bare_step(fastmath=FAST)
+def is_even(n: int, pixels: Array, behind: Array, dark_dn2: float) -> bool:
+    """Return whether what was subtracted at n pixels is the same but for ``EVEN_SHARE`` of their dark noise."""
+    there = pixels[3]
+    count = mean = square = ZERO
+    for i in range(n):
+        count += there[i]
+        mean += behind[0, i]
+        square += behind[0, i] * behind[0, i]
+    return square - mean * mean / count < EVEN_SHARE * dark_dn2 * count
+
+
+@bare_step(fastmath=FAST)
 def refit_before(
     n: int,
     pixels: Array,
@@ -113,8 +126,10 @@ def refit_before(
 ) -> DiscFit:
     """Fit a disc to n pixels again, less ``behind`` (2, n or more, from ``take_behind``) where it does not hide it.
 
-    The others as in ``fit_disc``.
+    The others as in ``fit_disc``. An even background leaves the fit as it is.
     """
+    if is_even(n, pixels, behind, model.dark_dn2):
+        return fit
     for _ in range(MOST_FITS):
         uncover(n, pixels, behind, shape, fit, prior.rim, work)
         x, y, covariance = fit.x, fit.y, fit.covariance
