@@ -28,8 +28,9 @@ from mosca.tracking.tracker import Tracker, TrackSettings
 
 MOST_DETECTIONS = 5000
 """Detections an image may have; matching many more would take minutes a frame set."""
-DIAMETER_GAIN = 0.05
-"""Weight of a frame set's median in the targets' typical diameter (exponential average)."""
+LEAST_DIAMETER_GAIN = 0.05
+"""Weight of a frame set's median in the targets' typical diameter (exponential average). At first it is more, the
+n-th median weighs 2 / (n + 1): in the first sets small targets are measured without the knowledge of others."""
 
 
 @dataclass(frozen=True)
@@ -159,7 +160,7 @@ def run_seen(
     low, high = settings.volume or ((-np.inf,) * 3, (np.inf,) * 3)
     volume = np.asarray(low, dtype=float), np.asarray(high, dtype=float)
     tracker = Tracker(settings.track) if settings.nearest is None else NearestTracker(settings.nearest)
-    typical_diameter_m = 0.0
+    typical_diameter_m, n_diameters = 0.0, 0
 
     for frame_set, detections, seconds in seen:
         check_detections(detections, frame_set.pulse)
@@ -168,7 +169,10 @@ def run_seen(
         timer.lap("predict")
         bundle = make_ray_table(rig, detections, health.noise.sigma_px, settings.match.target)
         points = match(bundle, predicted, settings.match, volume, typical_diameter_m)
-        typical_diameter_m = learned_diameter(typical_diameter_m, points)
+        if (diameter_m := median_diameter(points)) is not None:
+            n_diameters += 1
+            gain = max(2 / (n_diameters + 1), LEAST_DIAMETER_GAIN)
+            typical_diameter_m += gain * (diameter_m - typical_diameter_m)
         timer.lap("match")
         samples = tracker.update(points, frame_set.pulse, frame_set.time_ns, health.noise.jitter_s)
         timer.lap("track")
@@ -183,14 +187,11 @@ def run_seen(
     health.nameless = tracker.waiting
 
 
-def learned_diameter(known_m: float, points: Points) -> float:
-    """Return the targets' typical diameter [m], learned from the points that three cameras and more agree on."""
+def median_diameter(points: Points) -> float | None:
+    """Return the median diameter [m] of the points that three cameras and more agree on; None for less than three."""
     sure = np.sort(points.diameter_m[points.n_cameras >= 3])
     n = len(sure)
-    if n < 3:
-        return known_m
-    here = 0.5 * float(sure[(n - 1) // 2] + sure[n // 2])  # the median
-    return here if known_m == 0.0 else known_m + DIAMETER_GAIN * (here - known_m)
+    return 0.5 * float(sure[(n - 1) // 2] + sure[n // 2]) if n >= 3 else None
 
 
 def check_detections(detections: Mapping[str, Detections], pulse: int) -> None:
