@@ -84,6 +84,7 @@ def calibrate_session(
     axes: Shown[LFrame] | None = None,
     lengths: Shown[ScaleBar] | None = None,
     known: Rig | None = None,
+    sightings: Sightings | None = None,
     made_from: str = "",
     progress: Progress | None = None,
 ) -> tuple[Calibration, CalibrationEvidence]:
@@ -91,13 +92,16 @@ def calibrate_session(
     quality.
 
     ``axes``, ``lengths``: frames of L-frame and bar, if any; ``known``: an earlier rig of these cameras to compare
-    with, whose lenses are kept with ``settings.exterior_only``; ``made_from``: description of the input for the
-    report. Returns the checked calibration and the evidence for the report. Raises InputError or CalibrationError
+    with, whose lenses are kept with ``settings.exterior_only``; ``sightings``: what was seen of the target, where it
+    is known already and no frames are to be opened; ``made_from``: description of the input for the report. Returns the checked calibration and the evidence for the report. Raises InputError or CalibrationError
     where the frames do not suffice.
     """
-    with shown.opened(known) as source:
-        start = known if settings.exterior_only else None
-        calibration = calibrate_frames(source, shown.target, settings, start, progress)
+    start = known if settings.exterior_only else None
+    if sightings is not None:
+        calibration = calibrate_sightings(sightings, shown.target, settings, start)
+    else:
+        with shown.opened(known) as source:
+            calibration = calibrate_frames(source, shown.target, settings, start, progress)
     if axes is not None:
         with axes.opened(calibration.rig) as source:
             calibration = on_axes(calibration, source, axes.target, settings)
