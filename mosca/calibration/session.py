@@ -93,8 +93,9 @@ def calibrate_session(
 
     ``axes``, ``lengths``: frames of L-frame and bar, if any; ``known``: an earlier rig of these cameras to compare
     with, whose lenses are kept with ``settings.exterior_only``; ``sightings``: what was seen of the target, where it
-    is known already and no frames are to be opened; ``made_from``: description of the input for the report. Returns the checked calibration and the evidence for the report. Raises InputError or CalibrationError
-    where the frames do not suffice.
+    is known already and no frames are to be opened; ``made_from``: description of the input for the report. Returns
+    the checked calibration and the evidence for the report. Raises InputError or CalibrationError where the frames do
+    not suffice.
     """
     start = known if settings.exterior_only else None
     if sightings is not None:

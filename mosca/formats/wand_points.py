@@ -1,10 +1,10 @@
 """Tables of a wand's image points that were digitised elsewhere: CSV with a row for each frame.
 
 The columns are those of EasyWand (Theriault et al. 2014, J. Exp. Biol. 217, 1843), DLTdv and Argus: x and y in each
-camera of the first point, then of the second, and so on; NaN or nothing where a point was not seen. The first line may
-name them: ``pt1_cam1_X,pt1_cam1_Y,pt1_cam2_X,...``. What they leave open is stated in ``[points]`` of the wand's file:
-sizes of the images, and whether y is counted from above or from below. The latter cannot be told from the points:
-upside-down images fit the mirror image of the rig equally well.
+camera of the first point, then of the second, and so on; NaN or nothing where a point was not seen. The first line
+may name them: ``pt1_cam1_X,pt1_cam1_Y,pt1_cam2_X,...``. What they leave open is stated in ``[points]`` of the wand's
+file: sizes of the images, and whether y is counted from above or from below. The latter cannot be told from the
+points: upside-down images fit the mirror image of the rig equally well.
 """
 
 import re
@@ -123,12 +123,12 @@ def _check_inside(path: Path, given: Array, pixel: Array, sizes: Array, first: i
     outside = ((pixel < -0.5) | (pixel > sizes - 0.5)).any(axis=3)
     if outside.any():
         frame, ball, camera = np.argwhere(outside)[0]
-        x, y = given[frame, ball, camera]
-        width, height = sizes[camera]
+        (x, y), (width, height) = given[frame, ball, camera], sizes[camera]
+        column = 2 * (ball * len(sizes) + camera) + 1
         raise InputError(
-            f"{path}, row {first + frame + 1}, columns {2 * (ball * len(sizes) + camera) + 1} and "
-            f"{2 * (ball * len(sizes) + camera) + 2}: ({x:g}, {y:g}) lies outside the image of {width} x {height} px; "
-            f"{int(outside.sum())} points do: check 'size_px' and 'pixel_origin', and the order of the columns"
+            f"{path}, row {first + frame + 1}, columns {column} and {column + 1}: ({x:g}, {y:g}) lies outside the "
+            f"image of {width} x {height} px; {int(outside.sum())} points do: check 'size_px' and 'pixel_origin', "
+            "and the order of the columns"
         )
 
 

@@ -142,8 +142,8 @@ def _table(request: CalibrateOptions, target: CalibrationTarget) -> Sightings:
     """Return the image points of a wand from a table."""
     if not isinstance(target, Wand):
         raise InputError(
-            f'{request.recording}: a table of image points calibrates with kind = "wand"; {request.target} describes a '
-            f"{type(target).__name__}"
+            f'{request.recording}: a table of image points calibrates with kind = "wand"; {request.target} describes '
+            f"a {type(target).__name__}"
         )
     if request.every != 1:
         raise InputError(f"--every: not with a table of image points; leave out rows of {request.recording}")
