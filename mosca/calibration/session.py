@@ -14,6 +14,7 @@ from mosca.calibration.quality.limits import QualityLimits
 from mosca.calibration.quality.report_data import evidence_of
 from mosca.calibration.quality.scale import LengthErrors, length_errors
 from mosca.calibration.quality.target_shape import target_shape
+from mosca.calibration.quality.unit_weight import unit_weight
 from mosca.calibration.rigid_target import RigidSettings, RigidTarget, calibrate_rigid
 from mosca.calibration.single_camera.adjust import check_lens
 from mosca.calibration.single_camera.interior_orientation import LensChoice, plain_lens
@@ -239,6 +240,7 @@ def checked(
     ``known``: an earlier calibration of the same cameras to compare with; ``lengths``: held-out ones.
     """
     settings = settings or EstimateSettings()
+    limits = QualityLimits(size_error=BALL_SIZE_ERROR) if isinstance(target, Wand) else QualityLimits()
     found = check_calibration(
         calibration,
         known=known,
@@ -246,10 +248,11 @@ def checked(
         lengths=lengths,
         volume=settings.volume,
         rigid_target=is_rigid(target),
-        settings=QualityLimits(size_error=BALL_SIZE_ERROR) if isinstance(target, Wand) else None,
+        settings=limits,
     )
     shape = target_shape(calibration) if isinstance(target, Board) else ()
-    return replace(calibration, findings=(*calibration.findings, *found, *shape))
+    weight = unit_weight(calibration, (*calibration.findings, *found, *shape), limits)
+    return replace(calibration, findings=(*calibration.findings, *found, *shape, *weight))
 
 
 def on_axes(calibration: Calibration, source: FrameSource, frame: LFrame, settings: EstimateSettings) -> Calibration:
