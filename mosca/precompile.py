@@ -2,8 +2,7 @@
 
 With ``look`` only those of detection, with ``points`` only those of correspondence, triangulation and tracking, so
 that two processes can compile in parallel. With ``look_twice`` those of detection in images of 8 and of 16 bits: in
-one process they share the functions that do not depend on the type of the pixels, so that the second takes half of the
-first one's time.
+one process they share the functions that do not depend on the type of the pixels, which are half of it.
 """
 
 import sys

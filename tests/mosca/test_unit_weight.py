@@ -1,6 +1,7 @@
 """sigma0 far from 1 is told with its likeliest cause; the causes are planted."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -30,6 +31,7 @@ def poses_at(times):
     return [Pose((a * b * UPRIGHT).as_matrix(), c) for a, b, c in zip(spin, turns, places, strict=True)]
 
 
+@cache
 def calibrated(stated=NOISE, late_s=0.0):
     """Calibrate from a board whose image points are stated to have ``stated`` px; cam3 is ``late_s``."""
     rng, times = np.random.default_rng(2), np.arange(25) * 0.1
