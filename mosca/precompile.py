@@ -65,7 +65,8 @@ def look(bit_depth: int = 8) -> int:
     frames = {}
     for frame in islice(source, len(source.cameras)):
         assert frame.image is not None
-        frames[frame.camera] = replace(frame, image=frame.image.astype(dtype) << (bit_depth - 8))
+        image = np.left_shift(frame.image.astype(dtype), bit_depth - 8)
+        frames[frame.camera] = replace(frame, image=image)
     at = FrameSetDetector(DetectionSettings(), dict.fromkeys(frames, bit_depth))
     return sum(len(found) for found in at.detect(FrameSet(0, 0, frames), NO_STATISTICS)[0].values())
 

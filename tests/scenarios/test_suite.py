@@ -56,9 +56,10 @@ def test_baselines_state_what_other_processors_change_and_tolerate_twice_of_it(w
     record = json.loads((with_baseline / "base/tiny.json").read_text())
     for metric in record["metrics"]:
         metric["value"] *= 1.03
-    other = with_baseline / "other_processor/tiny"
-    other.mkdir(parents=True)
-    (other / "record.json").write_text(json.dumps(record))
+    for name, text in (("tiny", json.dumps(record)), ("steady", (with_baseline / "base/steady.json").read_text())):
+        other = with_baseline / "other_processor" / name
+        other.mkdir(parents=True)
+        (other / "record.json").write_text(text)
     made = suite(with_baseline, "--update-baselines", "--baselines", "stated", "--spread", "other_processor")
     assert made.returncode == 0, made.stderr
     stated = {m["name"]: m for m in json.loads((with_baseline / "stated/tiny.json").read_text())["metrics"]}
