@@ -14,6 +14,7 @@ from mosca.calibration.quality.limits import QualityLimits
 from mosca.calibration.quality.report_data import evidence_of
 from mosca.calibration.quality.scale import LengthErrors, length_errors
 from mosca.calibration.quality.target_shape import target_shape
+from mosca.calibration.quality.unit_weight import unit_weight
 from mosca.calibration.rigid_target import RigidSettings, RigidTarget, calibrate_rigid
 from mosca.calibration.single_camera.adjust import check_lens
 from mosca.calibration.single_camera.interior_orientation import LensChoice, plain_lens
@@ -84,6 +85,7 @@ def calibrate_session(
     axes: Shown[LFrame] | None = None,
     lengths: Shown[ScaleBar] | None = None,
     known: Rig | None = None,
+    sightings: Sightings | None = None,
     made_from: str = "",
     progress: Progress | None = None,
 ) -> tuple[Calibration, CalibrationEvidence]:
@@ -91,13 +93,17 @@ def calibrate_session(
     quality.
 
     ``axes``, ``lengths``: frames of L-frame and bar, if any; ``known``: an earlier rig of these cameras to compare
-    with, whose lenses are kept with ``settings.exterior_only``; ``made_from``: description of the input for the
-    report. Returns the checked calibration and the evidence for the report. Raises InputError or CalibrationError
-    where the frames do not suffice.
+    with, whose lenses are kept with ``settings.exterior_only``; ``sightings``: what was seen of the target, where it
+    is known already and no frames are to be opened; ``made_from``: description of the input for the report. Returns
+    the checked calibration and the evidence for the report. Raises InputError or CalibrationError where the frames do
+    not suffice.
     """
-    with shown.opened(known) as source:
-        start = known if settings.exterior_only else None
-        calibration = calibrate_frames(source, shown.target, settings, start, progress)
+    start = known if settings.exterior_only else None
+    if sightings is not None:
+        calibration = calibrate_sightings(sightings, shown.target, settings, start)
+    else:
+        with shown.opened(known) as source:
+            calibration = calibrate_frames(source, shown.target, settings, start, progress)
     if axes is not None:
         with axes.opened(calibration.rig) as source:
             calibration = on_axes(calibration, source, axes.target, settings)
@@ -234,6 +240,7 @@ def checked(
     ``known``: an earlier calibration of the same cameras to compare with; ``lengths``: held-out ones.
     """
     settings = settings or EstimateSettings()
+    limits = QualityLimits(size_error=BALL_SIZE_ERROR) if isinstance(target, Wand) else QualityLimits()
     found = check_calibration(
         calibration,
         known=known,
@@ -241,10 +248,11 @@ def checked(
         lengths=lengths,
         volume=settings.volume,
         rigid_target=is_rigid(target),
-        settings=QualityLimits(size_error=BALL_SIZE_ERROR) if isinstance(target, Wand) else None,
+        settings=limits,
     )
     shape = target_shape(calibration) if isinstance(target, Board) else ()
-    return replace(calibration, findings=(*calibration.findings, *found, *shape))
+    weight = unit_weight(calibration, (*calibration.findings, *found, *shape), limits)
+    return replace(calibration, findings=(*calibration.findings, *found, *shape, *weight))
 
 
 def on_axes(calibration: Calibration, source: FrameSource, frame: LFrame, settings: EstimateSettings) -> Calibration:

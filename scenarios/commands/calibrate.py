@@ -14,12 +14,15 @@ from mosca.calibration.targets.read_session import check_shown
 from mosca.calibration.targets.reader import reader_of
 from mosca.data.calibration import Calibration
 from mosca.data.files.rig_file import read_rig, write_rig
-from mosca.data.files.target_file import PointsTarget, read_target_file
+from mosca.data.files.target_file import PointsTarget, read_target_file, read_wand_points_table
+from mosca.data.files.target_tables import CalibrationTarget
 from mosca.data.files.whole_file import check_writable
+from mosca.data.sightings import Sightings
 from mosca.data.targets import ScaleBar
 from mosca.data.wands import LFrame, Wand
 from mosca.detection.detect import DetectionSettings
 from mosca.errors import CalibrationError, InputError
+from mosca.formats.wand_points import read_wand_points
 from mosca.recording import open_recording
 from reports.calibration_page import write_calibration_page
 from scenarios.commands.reconstruct import reconstruct_settings, reconstruct_spec
@@ -91,18 +94,21 @@ def calibrate(request: CalibrateOptions, progress: Callable[[int, int | None], N
     if settings.exterior_only and known is None:
         raise InputError("--exterior-only keeps the lenses of an earlier rig; give it with --known RIG.toml")
     page = out.with_suffix(".html")
-    LOG.info("%s: target %s, reading images and adjusting", request.recording, request.target)
-    with open_recording(request.recording, known, request.fps, times_matter=False) as source:
-        check_shown(
-            source, lambda: reader_of(target, settings.detection), source.n_frames, settings.every,
-            lambda n: progress(n, None),
-        )  # fmt: skip
+    LOG.info("%s: target %s, reading and adjusting", request.recording, request.target)
+    sightings = _table(request, target) if request.recording.suffix.lower() == ".csv" else None
+    if sightings is None:
+        with open_recording(request.recording, known, request.fps, times_matter=False) as source:
+            check_shown(
+                source, lambda: reader_of(target, settings.detection), source.n_frames, settings.every,
+                lambda n: progress(n, None),
+            )  # fmt: skip
     calibration, evidence = calibrate_session(
         Shown(target, lambda rig: open_recording(request.recording, rig, request.fps, times_matter=False)),
         settings,
         axes=_shown(request.axes, LFrame, "--axes", request.fps),
         lengths=_shown(request.lengths, ScaleBar, "--lengths", request.fps),
         known=known,
+        sightings=sightings,
         made_from=f"{request.recording} with {request.target.name}",
         progress=lambda n: progress(n, None),
     )
@@ -130,6 +136,18 @@ def summary_lines(calibration: Calibration) -> list[str]:
         )
     mark = {"refuse": "REFUSED", "warn": "WARNING", "note": "note"}
     return lines + [f"{mark[one.severity]} {one.code}: {one.message}" for one in calibration.findings]
+
+
+def _table(request: CalibrateOptions, target: CalibrationTarget) -> Sightings:
+    """Return the image points of a wand from a table."""
+    if not isinstance(target, Wand):
+        raise InputError(
+            f'{request.recording}: a table of image points calibrates with kind = "wand"; {request.target} describes '
+            f"a {type(target).__name__}"
+        )
+    if request.every != 1:
+        raise InputError(f"--every: not with a table of image points; leave out rows of {request.recording}")
+    return read_wand_points(request.recording, read_wand_points_table(request.target), len(target.along_m))
 
 
 def _from_points(request: CalibrateOptions, target: PointsTarget, settings: EstimateSettings) -> list[str]:

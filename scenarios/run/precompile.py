@@ -14,6 +14,7 @@ from scenarios.spec.scenario import load_scenario
 
 PIPELINE = (("mosca.precompile", "points"), ("mosca.precompile", "look"))
 TWIN = (("scenarios.run.precompile",),)
+TESTS = (("mosca.precompile", "look_twice"), ("mosca.precompile", "points"))
 RICH = Path(__file__).parents[1] / "library" / "light" / "actor_in_context.toml"
 """A scenario that uses most functions of the twin."""
 
@@ -31,7 +32,7 @@ def compile_side_by_side(source: FrameSource) -> None:
 
 def compile_beforehand() -> None:
     """Compile what processes that start afterwards would each compile for themselves, where none is kept yet."""
-    with compiling(PIPELINE + TWIN):
+    with compiling(TESTS + TWIN):
         pass
 
 

@@ -12,6 +12,7 @@ from fuzz.reader import DATA, Reader, copied
 from fuzz.toml_files import plain, toml_seed
 from scipy.spatial.transform import Rotation
 
+from mosca.data.files.target_tables import WandPointsTable
 from mosca.data.motion.asf import read_asf_amc
 from mosca.data.motion.bvh import read_bvh
 from mosca.data.motion.joint_csv import read_points_csv
@@ -22,6 +23,7 @@ from mosca.formats.tracks.c3d import read_c3d
 from mosca.formats.tracks.marker_table import MarkerTable
 from mosca.formats.tracks.tracks_file import read_tracks, write_tracks
 from mosca.formats.tracks.trc import read_trc
+from mosca.formats.wand_points import read_wand_points
 from reports.record import read_record
 from scenarios.score.reference import read_reference_csv
 
@@ -193,6 +195,47 @@ def _wide_expected(folder: Path) -> Any:
     table = np.array([_blanks(["nan" if c.strip().lower() == "nan" else c.strip() for c in row]) for row in rows[1:]])
     names = tuple(name[:-2] for name in header[1::3])
     return {"names": names, "time": table[:, 0], "xyz": table[:, 1:].reshape(len(table), len(names), 3)}
+
+
+WAND_LAYOUT = WandPointsTable(y_axis="up", pixel_origin="corner", size_px=(640, 480))
+WAND_CSV = "pt1_cam1_X,pt1_cam1_Y,pt1_cam2_X,pt1_cam2_Y,pt2_cam1_X,pt2_cam1_Y,pt2_cam2_X,pt2_cam2_Y\n" + "".join(
+    f"{100 + 3.25 * k!r},50.5,,,{200 + k},{1e2!r},NaN,NaN\n" if k == 3 else f"{10 * k}.5,50,60,70,1e2,200.125,3,4.5\n"
+    for k in range(8)
+)
+
+
+def _wand_points(folder: Path) -> Any:
+    seen = read_wand_points(folder / "a.csv", WAND_LAYOUT, 2)
+    key = np.lexsort((seen.camera, seen.mark, seen.frame))
+    return {
+        "cameras": list(seen.cameras),
+        "frames": seen.frames,
+        "of": np.stack([seen.frame, seen.mark, seen.camera], axis=1)[key],
+        "xy": seen.xy_px[key],
+    }
+
+
+def _wand_points_expected(folder: Path) -> Any:
+    rows = _rows(folder / "a.csv")
+    if rows and any("cam" in cell.lower() for cell in rows[0]):
+        names = [cell.strip(" \t").lower() for cell in rows[0]]
+        count = len(names) // 4
+        points = [names[0].rsplit("_cam", 1)[0], names[2 * count].rsplit("_cam", 1)[0]]
+        made = [(p, c, a) for p in points for c in range(1, count + 1) for a in "xy"]
+        if any(
+            name.replace("_cam_", "_cam") not in (f"{p}_cam{c:0{d}}_{a}" for d in range(1, 5))
+            for name, (p, c, a) in zip(names, made, strict=True)
+        ):
+            raise ValueError(f"{names} given")
+        rows = rows[1:]
+    table = np.array([_blanks(["nan" if not c.strip(" \t") else c for c in row]) for row in rows])
+    xy = table.reshape(len(table), 2, -1, 2) - 0.5
+    xy[..., 1] = 479 - xy[..., 1]
+    of = np.argwhere(~np.isnan(xy).any(axis=3))
+    seen = xy[tuple(of.T)]
+    if (np.isnan(xy[..., 0]) != np.isnan(xy[..., 1])).any() or not (abs(2 * seen - [639, 479]) <= [640, 480]).all():
+        raise ValueError("outside, or half a point")
+    return {"cameras": [f"cam{k + 1}" for k in range(xy.shape[2])], "frames": len(xy), "of": of, "xy": seen}
 
 
 BVH = """HIERARCHY
@@ -435,6 +478,7 @@ READERS = (
     ),
     Reader("truth.csv", (toml_seed(TRUTH_CSV, "truth.csv"),), ("truth.csv",), _reference, _reference_expected),
     Reader("points csv", (toml_seed(WIDE_CSV, "a.csv"),), ("a.csv",), _wide, _wide_expected),
+    Reader("wand points", (toml_seed(WAND_CSV, "a.csv"),), ("a.csv",), _wand_points, _wand_points_expected),
     Reader(
         "bvh",
         (toml_seed(BVH, "a.bvh"),),

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from seeds import seeds
 
 from hardware.driver import Grabbed
 from hardware.pulse_numbers.numbering import PulseNumbers
@@ -90,7 +91,7 @@ CASES = {
 
 
 @pytest.mark.parametrize("case", CASES, ids=list(CASES))
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", seeds(1, 3))
 def test_every_buffer_gets_the_right_pulse(case, seed):
     numbers, out, count = numbered(CASES[case], seed)
     assert len(out) == count

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from seeds import seeds
 from test_numbering import Rig, stream, taken
 
 from hardware.driver import ClockReading, Grabbed
@@ -53,7 +54,7 @@ def numbered_busy(rig, seed, late_s, answer_ns=2_000_000, start_ns=None):
     return numbers, [(one.camera, one.pulse, truth[id(one.buffer)]) for one in out], len(rows)
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", seeds(1, 3))
 @pytest.mark.parametrize(
     "rig",
     [

@@ -28,7 +28,7 @@ from twin.source import TwinSource
 
 SIZE = (480, 360)
 FIELD = {"markers": 60, "stands": 4, "frames": 3, "size_m": (1.1, 1.1, 1.1), "shift": 0.3}
-WAND = {"target": "wand", "frames": 150, "size_m": (1.4, 1.4, 1.4)}
+WAND = {"target": "wand", "frames": 100, "size_m": (1.4, 1.4, 1.4)}
 
 
 def scenario(**calibration):

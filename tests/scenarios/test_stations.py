@@ -120,18 +120,19 @@ class Lit(Scene):
 
 def test_backgrounds_are_made_and_taken_off_as_in_a_local_run(tmp_path):
     """From the recording's first frames, bit for bit; without, the lamp is a target."""
+    pulses = 50
     with RecordingWriter(tmp_path / "take", Lit(WHOLE.cameras, 1).cameras) as writer:
-        for frame in Lit(WHOLE.cameras, PULSES):
+        for frame in Lit(WHOLE.cameras, pulses):
             writer.write(frame)
     spec = BackgroundSpec(kind="minimum", frames=30)
     made = recorded_backgrounds(tmp_path / "take", WHOLE, None, spec)
-    local = list(run(Lit(WHOLE.cameras, PULSES), WHOLE, SETTINGS, backgrounds=made))
+    local = list(run(Lit(WHOLE.cameras, pulses), WHOLE, SETTINGS, backgrounds=made))
     seen = {}
     for backgrounds in (Backgrounds(ready=made), Backgrounds(spec), Backgrounds()):
         exchange, told = Exchange(), []
         backgrounds.on_made = told.append
         with Receiver(exchange.open(), ("A",), dict.fromkeys(NAMES, SIZE), RATE, PATIENT) as here:
-            source = PacedRecording(Lit(WHOLE.cameras, PULSES))
+            source = PacedRecording(Lit(WHOLE.cameras, pulses))
             sender = source.gate.sender = Sender(exchange.open(), "A", source.cameras)
             thread = threading.Thread(
                 target=run_station,

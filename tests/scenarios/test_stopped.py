@@ -10,6 +10,7 @@ from capture_rig import QUARTER, Line, ctrl_c, openers, write_rig
 from command_line import MOSCA, mosca
 from tiny_scenario import write_tiny
 
+from mosca.recording import open_recording
 from scenarios.lab import capture as capture_module
 from scenarios.run.one_writer import one_writer
 
@@ -76,12 +77,14 @@ def test_no_worker_outlives_a_killed_suite(tmp_path, suite):
         pass
 
 
-def test_a_run_says_how_far_it_was(tmp_path):
+@pytest.mark.parametrize("send", [os.killpg, pytest.param(os.kill, marks=pytest.mark.slow)])
+def test_a_run_says_how_far_it_was_and_leaves_a_readable_recording(tmp_path, send):
+    """Told to all processes, as a terminal does, or to the one that was started."""
     write_tiny(tmp_path, duration_s=60)
     process = begun(("run", "tiny.toml", "--out", "x", "--record", "rec"), tmp_path)
     try:
         until(lambda: any(p.stat().st_size > 10_000 for p in tmp_path.glob("rec/*.part")), process)
-        os.killpg(process.pid, signal.SIGINT)
+        send(process.pid, signal.SIGINT)
         _, errors = process.communicate(timeout=600)
     finally:
         process.kill()
@@ -89,6 +92,9 @@ def test_a_run_says_how_far_it_was(tmp_path):
     assert "tiny: stopped at " in errors
     assert " of 6000" in errors
     assert "Traceback" not in errors
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["rec", "tiny.toml"]
+    with open_recording(tmp_path / "rec") as recording:
+        assert len(list(recording)) > 0
 
 
 @pytest.mark.parametrize(("end", "code"), [((), 0), (("--frames", 10_000), 130)])

@@ -18,6 +18,7 @@ CODES: dict[str, str] = {
     "weak-parameter": "a parameter that the data hardly determine was held",
     "blunders": "many image points do not fit",
     "target-shape": "the target's marks are elsewhere on it than its file says",
+    "unit-weight": "residuals are not as large as the image points' own errors",
     "left-out": "cameras that saw too little are not in the rig, as was asked for",
     "lens-choice": "which lens model predicts views best that took no part in its estimation",
     "lens-model": "residuals have a pattern that the lens model cannot follow",

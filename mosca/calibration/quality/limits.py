@@ -53,6 +53,9 @@ class QualityLimits:
     """Relative difference from a ratio of units up to which a size is attributed to it."""
     distances_m: tuple[float, float] = (0.01, 100.0)
     """Nearest and farthest plausible target."""
+    unit_weight: float = 3.0
+    """Factor by which sigma0 may differ from 1. With 1.5 clicked points would be warned of, whose errors are only
+    guessed (EasyWand's sample: 1.7); with 6 cameras that are not synchronised would not (Caliscope's: 5.9)."""
     length_sigmas: float = 3.0
     """A check length off by more than this and ``length_error`` refuses the scale."""
     length_error: float = 2e-4

@@ -27,7 +27,16 @@ from mosca.data.arrays import Array, set_read_only
 from mosca.data.files.bounded import read_text
 from mosca.data.files.decimals import real
 from mosca.data.files.file_kind import other_kind
-from mosca.data.files.target_tables import TABLES, CalibrationTable, CalibrationTarget
+from mosca.data.files.target_tables import (
+    PIXEL_ORIGINS,
+    TABLES,
+    CalibrationTable,
+    CalibrationTarget,
+    PixelOrigin,
+    Size,
+    WandPointsTable,
+    WandTable,
+)
 from mosca.data.files.toml import Positive, Table, check, read_toml
 from mosca.errors import InputError
 
@@ -36,11 +45,8 @@ METRES = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
 """Metres in the units that a target file may state."""
 NEEDED_COLUMNS: tuple[Column, ...] = ("u", "v", "X", "Y", "Z")
 SKIPPED_COLUMN = "-"
-# the top-left pixel's centre in the file's own pixel coordinates
-PIXEL_ORIGINS = {"centre": 0.0, "corner": 0.5, "one": 1.0}
 
 LensModel = Literal["mosca", "opencv", "fisheye"]
-Size = tuple[Annotated[int, Field(gt=0)], Annotated[int, Field(gt=0)]]
 
 
 class PointsCamera(Table):
@@ -64,7 +70,7 @@ class PointsTarget(Table):
     kind: Literal["points"] = Field(description='"points"')
     unit: Literal["mm", "cm", "m"] = Field(description='unit of X, Y, Z: "mm", "cm" or "m"')
     columns: tuple[Column, ...] = NEEDED_COLUMNS
-    pixel_origin: Literal["centre", "corner", "one"] = "centre"
+    pixel_origin: PixelOrigin = "centre"
     lens: LensModel = "mosca"
     size_px: Size | None = None
     pixel_pitch_mm: Positive = 0.01
@@ -113,6 +119,17 @@ def read_target_file(path: Path) -> PointsTarget | CalibrationTarget:
         return table.made()
     except ValueError as error:
         raise InputError(f"{path}: {error}") from None
+
+
+def read_wand_points_table(path: Path) -> WandPointsTable:
+    """Return the table ``[points]`` of a wand's file; InputError where it has none."""
+    table = check(WandTable, read_toml(Path(path)), path)
+    if table.points is None:
+        raise InputError(
+            f"{path}: no table [points]; for a table of image points it states size_px = [width, height] and y_axis "
+            '= "up" (origin at the lower left: Argus, DLTdv up to 5) or "down" (at the upper left: DLTdv8, easyWand)'
+        )
+    return table.points
 
 
 def target_schema() -> dict[str, Any]:

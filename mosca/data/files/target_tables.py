@@ -21,6 +21,9 @@
     kind = "wand"
     along_m = [0.0, 0.15, 0.5]            # the balls' centres on it
     diameter_m = 0.014
+    [points]                              # of a table of image points (EasyWand, DLTdv, Argus) in place of images
+    y_axis = "up"                         # its origin is at the images' lower left
+    size_px = [1280, 1024]
 
     kind = "l_frame"                      # these balls define the world's axes
     diameter_m = 0.014
@@ -38,7 +41,7 @@
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from mosca.data.boards import Board
 from mosca.data.files.toml import Table
@@ -67,6 +70,12 @@ Coordinate = Annotated[float, Field(ge=-FARTHEST_M, le=FARTHEST_M)]
 Place = tuple[Coordinate, Coordinate, Coordinate]
 Number = Annotated[int, Field(ge=0, lt=NUMBERS)]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_./-]*$", description="letters, digits, _ . / -")]
+
+Size = tuple[Annotated[int, Field(gt=0)], Annotated[int, Field(gt=0)]]
+PixelOrigin = Literal["centre", "corner", "one"]
+PIXEL_ORIGINS = {"centre": 0.0, "corner": 0.5, "one": 1.0}
+"""A first pixel's centre in a file's own pixel coordinates."""
+MOST_CAMERAS = 1000
 
 CalibrationTarget = TestField | Board | Wand | LFrame | ScaleBar
 
@@ -153,6 +162,38 @@ class BoardTable(Table):
         )
 
 
+class WandPointsCamera(Table):
+    """``[[points.camera]]``: a camera of a table of image points; its size defaults to ``size_px`` of the table."""
+
+    name: Name
+    size_px: Size | None = None
+
+
+class WandPointsTable(Table):
+    """``[points]`` of a wand: how the table counts pixels that holds its image points.
+
+    ``y_axis``: "up" from the image's lower left, "down" from its upper left; ``pixel_origin``: what (0, 0) is there,
+    "centre" or "corner" of the first pixel, or "one": its centre is (1, 1); ``sigma_px``: standard deviation of a
+    coordinate.
+    """
+
+    y_axis: Literal["up", "down"] = Field(description='"up": origin at the lower left; "down": at the upper left')
+    pixel_origin: PixelOrigin = "one"
+    sigma_px: Annotated[float, Field(gt=0, le=100, description="standard deviation of a coordinate")] = 1.0
+    size_px: Size | None = None
+    camera: Annotated[tuple[WandPointsCamera, ...], Field(max_length=MOST_CAMERAS)] = ()
+
+    @model_validator(mode="after")
+    def _complete(self) -> "WandPointsTable":
+        names = [one.name for one in self.camera]
+        for name in names:
+            if names.count(name) > 1:
+                raise ValueError(f"camera name '{name}' stands twice; give each camera its own name")
+        if self.size_px is None and (not names or any(one.size_px is None for one in self.camera)):
+            raise ValueError("no 'size_px'; give [width, height] of the images")
+        return self
+
+
 class WandTable(Table):
     """``kind = "wand"``: balls of one size on a line."""
 
@@ -162,6 +203,7 @@ class WandTable(Table):
     ]
     diameter_m: Length = Field(description="diameter of the balls")
     sigma_m: Sigma = 0.0
+    points: WandPointsTable | None = Field(None, description="how a table of its image points counts pixels")
 
     def made(self) -> Wand:
         """Return the wand; ValueError where balls would touch."""

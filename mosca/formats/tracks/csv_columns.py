@@ -28,7 +28,7 @@ def read_columns(path: Path, names: Sequence[str], kind: str) -> dict[str, Seque
     ``kind``: how such a file is called. Raises InputError where it cannot be read, begins otherwise, or a row is too
     short or too long.
     """
-    rows = _rows(path)
+    rows = read_rows(path)
     if not rows or rows[0] != list(names):
         raise InputError(f"{path}: its first line is not that of a {kind}; wanted is {','.join(names)}")
     return _columns(path, rows)
@@ -40,7 +40,7 @@ def read_named(path: Path, needed: Sequence[str], optional: Sequence[str], kind:
     Other columns are left alone. ``kind``: how such a file is called. Raises InputError where it cannot be read,
     lacks a column or names one twice, or a row is too short or too long.
     """
-    rows = _rows(path)
+    rows = read_rows(path)
     header = rows[0] if rows else []
     for name in needed:
         if header.count(name) != 1:
@@ -56,7 +56,8 @@ def read_named(path: Path, needed: Sequence[str], optional: Sequence[str], kind:
     return {name: columns[name] for name in (*needed, *optional) if name in columns}
 
 
-def _rows(path: Path) -> list[list[str]]:
+def read_rows(path: Path) -> list[list[str]]:
+    """Return the cells of each line of a CSV file; InputError where it cannot be read."""
     text = read_text(path, "a CSV table", most_bytes=MOST_TABLE_BYTES)
     try:
         return list(csv.reader(io.StringIO(text, newline=""), strict=True))
