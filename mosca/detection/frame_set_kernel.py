@@ -28,8 +28,9 @@ from mosca.detection.centroid import (
     measure_regions,
 )
 from mosca.detection.centroid import N_COLUMNS as N_MEASURED
-from mosca.detection.disc_fit.fit_regions import FLAGS, N_COLUMNS, TOUCHING, Priors, refine_regions
+from mosca.detection.disc_fit.fit_regions import FLAGS, N_COLUMNS, TOUCHING, refine_regions
 from mosca.detection.disc_fit.light_offset import LEFT_OUT, StatisticsSums, no_sums_compiled
+from mosca.detection.disc_fit.priors import Priors
 from mosca.detection.images import ImageSet, image_of
 from mosca.detection.merged_targets.pixels import region_mean, region_moments
 from mosca.detection.noise_regions import decide_in_set, set_noise

@@ -65,8 +65,9 @@ class StaticBackground:
     def fill_share(self) -> float:
         """What the filling of unknown pixels leaves of the variance of the texture, found by hiding known ones."""
         hidden = np.zeros(self.votes.shape, bool)
-        for y in range(HIDE_PX, hidden.shape[0], 3 * HIDE_PX):
-            for x in range(HIDE_PX, hidden.shape[1], 3 * HIDE_PX):
+        height, width = self.votes.shape
+        for y in range(HIDE_PX, height, 3 * HIDE_PX):
+            for x in range(HIDE_PX, width, 3 * HIDE_PX):
                 hidden[y : y + HIDE_PX, x : x + HIDE_PX] = True
         tried = hidden & self.known
         if not tried.any():

@@ -115,7 +115,8 @@ def made_window(size: int, reach: float, windows: RoundWindows) -> tuple[Any, An
     """Return the place of a window as ``window_place``, which is made where it is the first of its size."""
     if windows.known[size, 0] < 0:
         make_window(size, reach * reach, windows)
-    return window_place(size, windows)
+    address, columns = window_place(size, windows)
+    return address, columns
 
 
 @bare_step(fastmath=FAST)
