@@ -109,7 +109,7 @@ def is_even(n: int, pixels: Array, behind: Array, dark_dn2: float) -> bool:
         count += there[i]
         mean += behind[0, i]
         square += behind[0, i] * behind[0, i]
-    result: bool = square - mean * mean / count < EVEN_SHARE * dark_dn2 * count
+    result: bool = float(square - mean * mean / count) < EVEN_SHARE * dark_dn2 * float(count)
     return result
 
 
