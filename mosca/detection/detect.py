@@ -192,13 +192,14 @@ def detect_with_statistics(
     measured = measured_backgrounds(images, dark, names, settings, statistics, refresh)
     known = statistics.plus(CameraStatistics(names, no_sums(n), measured)) if measured else statistics
     behind = [None if background is None else background.astype(np.float32) for background in dark]
+    learns = [background is None and task.by_noise for background in dark]
     for k, name in enumerate(names):
-        own = known.backgrounds.get(name)
-        if dark[k] is None and own is not None and own.usable is not None and own.usable.behind.shape == first.shape:
-            pixels[k], behind[k] = own.usable.subtracted_from(pixels[k], int(task.full_dn)), own.usable.behind
+        own = known.backgrounds[name].usable if learns[k] and name in known.backgrounds else None
+        if own is not None and own.behind.shape == first.shape:
+            pixels[k], behind[k] = own.subtracted_from(pixels[k], int(task.full_dn)), own.behind
     found, sums = _detect_alike(pixels, behind, names, settings, task, windows, known)
     for k, name in enumerate(names):
-        if name in measured and dark[k] is None and known.backgrounds[name].textured:
+        if name in measured and learns[k] and known.backgrounds[name].textured:
             bright = _bright(pixels[k], found[k], known.blur_px(name), known.backgrounds[name])
             vote = one_image(images[k], measured[name].planes(first.shape), bright)
             measured[name] = replace(measured[name], pixels=vote)

@@ -82,12 +82,20 @@ class FrameSetDetector:
             added = added.plus(new)
         return {name: detections[name] for name in names}, added, perf_counter() - start
 
-    @staticmethod
-    def _is_due(name: str, pulse: int, statistics: CameraStatistics) -> bool:
+    def _is_due(self, name: str, pulse: int, statistics: CameraStatistics) -> bool:
         """Return whether a camera's background is measured again."""
         known = statistics.backgrounds.get(name)
-        period = TEXTURED_PERIOD if known is not None and known.textured else REFRESH_PERIOD
-        return (pulse + _phase(name)) % period == 0 or (known is not None and known.wants_images)
+        if known is None or not self._learns_pixels(name) or not known.textured:
+            return (pulse + _phase(name)) % REFRESH_PERIOD == 0
+        return known.wants_images or (pulse + _phase(name)) % TEXTURED_PERIOD == 0
+
+    def _learns_pixels(self, name: str) -> bool:
+        """Return whether the background of a camera's pixels is learned where it is textured."""
+        return self.settings.thresholds == "noise" and name not in self.backgrounds
+
+    def wants_images(self, learned: CameraStatistics) -> bool:
+        """Return whether a camera's background is textured and its pixels are not known yet."""
+        return any(own.wants_images for name, own in learned.backgrounds.items() if self._learns_pixels(name))
 
     def _some(
         self, images: Mapping[str, Array], statistics: CameraStatistics, refresh: Collection[str]
@@ -159,16 +167,16 @@ def _textured_backgrounds(
     """
     left, seen, learned = iter(sets), list[FrameSet](), NO_STATISTICS
     most = lookahead
-    for frame_set in left:
+    for frame_set in left if lookahead > 0 else ():
         seen.append(frame_set)
         if len(seen) % LOOK_EACH == 1:
             learned = learned.plus(detector.detect(frame_set, learned)[1])
             size = sum(f.image.nbytes for f in frame_set.frames.values() if f.image is not None)
             most = min(most, LOOK_BYTES // max(size, 1))
-        if len(seen) >= most or not any(one.wants_images for one in learned.backgrounds.values()):
+        if len(seen) >= most or not detector.wants_images(learned):
             break
     known, again = learned.textured_backgrounds(), NO_STATISTICS
-    for frame_set in seen[::LOOK_EACH] if known.names else ():
+    for frame_set in seen[::LOOK_EACH] if len(seen) > 1 else ():
         again = again.plus(detector.detect(frame_set, known)[1].textured_backgrounds())
     return chain(seen, left), again
 

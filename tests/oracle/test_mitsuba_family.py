@@ -55,9 +55,11 @@ def test_places_and_points_have_no_bias(name: str, tmp_path: Path) -> None:
     assert complete >= LEAST_COMPLETE
 
 
-def _points(folder: Path, values: dict[str, Any], **match: Any) -> tuple[float, float, float, float]:
+def _points(
+    folder: Path, values: dict[str, Any], lookahead: int = PipelineSettings().lookahead, **match: Any
+) -> tuple[float, float, float, float]:
     """Return completeness, rms over the Cramer-Rao bound, nees and coverage of points that stand alone."""
-    settings = PipelineSettings(match=MatchSettings(**match))
+    settings = PipelineSettings(match=MatchSettings(**match), lookahead=lookahead)
     tracks = mosca.reconstruct(folder, mosca.read_rig(folder / "rig.toml"), settings)
     alone = np.isfinite(values["bound_m2"][:, :, 0, 0])
     frame = np.searchsorted(values["time_ns"], tracks.time_ns - 500_000)
@@ -91,6 +93,17 @@ def test_points_reach_their_bound_and_state_their_errors(name: str, tmp_path: Pa
         assert _points(tmp_path / name, values, target="point")[1] > 1.1
 
 
+def test_targets_before_a_bright_grainy_floor_are_found_and_state_their_errors(tmp_path: Path) -> None:
+    render, _ = rendered(scene := read_scene(SCENES / "bright_floor.toml"), cache_folder())
+    values = write_recording(scene, render, tmp_path / "a")
+    complete, _, nees, within = _points(tmp_path / "a", values)
+    assert complete >= 0.995
+    assert 2.4 <= nees <= 3.6
+    assert within >= 0.88  # 0.93 is aimed at
+    # the control: a run that learns the floor only while it runs misses targets of its first frame sets
+    assert _points(tmp_path / "a", values, lookahead=0)[0] < 0.98
+
+
 def test_targets_of_a_pixel_become_tracks(tmp_path: Path) -> None:
     render, _ = rendered(scene := read_scene(SCENES / "balls_1p2px.toml"), cache_folder())
-    assert _points(tmp_path / "a", write_recording(scene, render, tmp_path / "a"))[0] >= 0.98
+    assert _points(tmp_path / "a", write_recording(scene, render, tmp_path / "a"))[0] >= 0.995
