@@ -3,13 +3,16 @@
 A mask of whole pixels truncates the blurred edge unevenly and biases a centroid by 0.005 to 0.02 px. The window here
 is smooth, elliptic as the dot, and centred on the centre c itself, so that its truncation is symmetric::
 
-    sum_p w(p - c) (I(p) - b(p)) (p - c) = 0
+    sum_p w(p - c) (I(p) - b(p)) / a(p) (p - c) = 0
 
-with b the light of the plate. Where the window is flat this is the plain centroid; Newton's method finds c, with ``J
-= sum (I - b) (w 1 + d grad w^T)``, d = p - c. Pixel noise goes through at first order: ``C = J^-1 (sum w^2 var(I) d
-d^T) J^-T``, ``var(I) = dark + gain (I - b)`` (as in ``mosca.detection.detect``). The covariance is the random error,
-to a third. What remains besides, measured on rendered targets at blurs of 0.4 to 0.9 px, is below 0.002 px rms where
-the dot's shorter axis is 7 px or more, 0.004 px from 5 px on, and up to 0.009 px below.
+with b the light of the plate and a what white adds to it. Where the window is flat this is the plain centroid of the
+share e = (I - b) / a of each pixel that is white; Newton's method finds c, with ``J = sum e (w 1 + d grad w^T)``,
+d = p - c. Well within the dot e is known to be 1: these pixels tell the level and slopes of a, so that the edge of a
+shadow across the dot, or noise within it, hardly moves its centre. Noise of pixels at the edge and of a goes through
+at first order: ``C = J^-1 (sum w^2 var(e) d d^T + M cov(a) M^T) J^-T``, M the slopes of the sum by the coefficients
+of a, with the noise of ``mosca.coded_targets.pixel_noise``. The covariance is the random error, to a third. What
+remains besides, measured on rendered targets at blurs of 0.4 to 0.9 px, is below 0.002 px rms where the dot's shorter
+axis is 7 px or more, 0.004 px from 5 px on, and up to 0.009 px below; nonlinear shadows come on top.
 
 A brightness gradient across a plate, from a near lamp or vignetting, biases a centroid too. It is estimated on plate
 and ring where these are wide enough, and corrected; vignetting of 30 % in the image's corners leaves up to 0.006 px,
@@ -34,6 +37,7 @@ from mosca.coded_targets.dots import (
     Y,
     light_at,
 )
+from mosca.coded_targets.pixel_noise import ROUNDING_DN2, PixelNoise
 from mosca.coded_targets.ring_sampling import shading
 from mosca.data.arrays import Array, looked_at
 from mosca.numba_support.decorators import kernel, step
@@ -46,30 +50,35 @@ LEAST_SLOPE, LEAST_SLOPE_PX = 0.4, 2.5
 """Width of the window's slope, at least: in radii of the dot, or in px where that is less."""
 BAND_SPREAD = 0.15
 """Spacing of the radii at which the ring's white is sampled, as a share of the ring's width."""
+EDGE_PX, INNER_PX = 1.2, 3.0
+"""A dot's pixels show its white from the second distance from its edge on, and nothing but its edge up to the first.
+In between both count, so that no pixel is in or out by chance."""
+WHITE_UNKNOWNS, LEAST_SHARE = 3, 1e-3
+"""Level and two slopes; pixels that the prior of a level counts for."""
+UNEVEN = 0.03
+"""Standard deviation of the slopes of a dot's white about those of the ring, over its level and a radius: edges of
+shadows. Rendered targets under four lamps, semi-axes of 2 to 6 px: 10.4, 7.7 and 6.3 mpx rms without noise at half of
+it, at it and at twice it, and 6.8, 8.4 and 10.7 mpx of noise; 15.4 and 7.0 mpx with the ring's slopes alone."""
 STEPS_MOST, CLOSE_PX, FARTHEST = 12, 3e-4, 0.5
 """Largest number of Newton steps, step length at convergence, and largest total shift in radii."""
 
 
 def measure_dots(
-    image: Array,
-    dots: Readings,
-    target: TargetAppearance,
-    dark_dn2: float,
-    gain_dn: float,
-    turned_dn: float | None = None,
+    image: Array, dots: Readings, target: TargetAppearance, noise: PixelNoise, turned_dn: float | None = None
 ) -> tuple[Array, Array]:
     """Return centres (n, 2) [px] and covariances (n, 2, 2) [px^2] of ``dots``; NaN for one that has none.
 
     ``image`` (H, W) shows them white. ``turned_dn``: the grey value that was black, where the image was inverted:
-    then photon noise grows with the plate's light. ``dark_dn2``, ``gain_dn``: variance of a pixel
-    without light [DN^2], and what a grey value of light adds to it.
+    then the brightest pixels are those of the plate. ``noise``: of the image as it was taken.
     """
     image = looked_at(image)
     xy, covariance = np.empty((len(dots), 2)), np.empty((len(dots), 2, 2))
-    plate, dark, gain = dots.levels[:, PLATE_DN], np.full(len(dots), float(dark_dn2)), float(gain_dn)
+    plate, gain = dots.levels[:, PLATE_DN], noise.gain_dn
     if turned_dn is not None:
-        dark, gain = dark + gain * (turned_dn - plate), -gain
-    centroids(image, dots.frames, plate_and_white(image, dots, target), target.ring_inner, dark, gain, xy, covariance)
+        plate, gain = turned_dn - plate, -gain
+    dark = np.maximum(noise.variance_dn2 + noise.gain_dn * (plate - noise.level_dn), ROUNDING_DN2)
+    light, contrasts = plate_and_white(image, dots, target), dots.levels[:, CONTRAST_DN]
+    centroids(image, dots.frames, light, contrasts, target.ring_inner, dark, gain, xy, covariance)
     return xy, covariance
 
 
@@ -101,16 +110,132 @@ def window_of(frame: Array, ring_inner: float) -> tuple[float, float]:
     return min(flat, end - min(LEAST_SLOPE, LEAST_SLOPE_PX / shorter)), end
 
 
+@step
+def inner_share(frame: Array, u: float, v: float) -> float:
+    """Return by how much a pixel at (u, v) [radii] counts as inside of a dot: 0 at its edge, 1 far from it."""
+    det = frame[AXX] * frame[AYY] - frame[AXY] ** 2
+    ixx, ixy, iyy = frame[AYY] / det, -frame[AXY] / det, frame[AXX] / det
+    radius = math.hypot(u, v)
+    # distance from the edge to first order: (1 - radius) over the gradient of the radius
+    steep = max(math.hypot(u * ixx + v * ixy, u * ixy + v * iyy), 1e-9)
+    t = ((1.0 - radius) * radius / steep - EDGE_PX) / (INNER_PX - EDGE_PX)
+    t = min(max(t, 0.0), 1.0)
+    return t * t * (3.0 - 2.0 * t)
+
+
+@step
+def light_of_dot(
+    image: Array, frame: Array, at: tuple[float, float], light: Array, contrast: float, variance: float, out: Array
+) -> None:
+    """Write the white of a dot ``at`` to ``out`` (3, 4): level and slopes along u and v (3,), and their covariance.
+
+    In units of ``contrast``, relative to the white that ``light`` (5,) has of the ring; ``variance`` of a pixel of
+    the dot, in these units squared.
+    """
+    det = frame[AXX] * frame[AYY] - frame[AXY] ** 2
+    ixx, ixy, iyy = frame[AYY] / det, -frame[AXY] / det, frame[AXX] / det
+    half_x, half_y = math.hypot(frame[AXX], frame[AXY]), math.hypot(frame[AXY], frame[AYY])
+    n = su = sv = suu = suv = svv = y = yu = yv = yy = 0.0
+    left, right = max(int(at[0] - half_x), 0), min(int(at[0] + half_x) + 1, image.shape[1] - 1)
+    for row in range(max(int(at[1] - half_y), 0), min(int(at[1] + half_y) + 1, image.shape[0] - 1) + 1):
+        for column in range(left, right + 1):
+            dx, dy = column - at[0], row - at[1]
+            u, v = ixx * dx + ixy * dy, ixy * dx + iyy * dy
+            share = inner_share(frame, u, v)
+            if share == 0.0:
+                continue
+            value = image[row, column] - light[0] - light[1] * u - light[2] * v
+            value /= contrast * (1.0 + light[3] * u + light[4] * v)
+            n += share
+            su += share * u
+            sv += share * v
+            suu += share * u * u
+            suv += share * u * v
+            svv += share * v * v
+            y += share * value
+            yu += share * value * u
+            yv += share * value * v
+            yy += share * value * value
+    white_from((n, su, sv, suu, suv, svv), (y, yu, yv), variance, out)
+    # what the slopes do not explain, blur above all, is an error of the pixels as noise is
+    left = yy - out[0, 0] * y - out[1, 0] * yu - out[2, 0] * yv
+    if n > WHITE_UNKNOWNS and left > variance * (n - WHITE_UNKNOWNS):
+        white_from((n, su, sv, suu, suv, svv), (y, yu, yv), left / (n - WHITE_UNKNOWNS), out)
+
+
+@step
+def white_from(
+    sums: tuple[float, float, float, float, float, float],
+    light: tuple[float, float, float],
+    variance: float,
+    out: Array,
+) -> None:
+    """Write level and slopes and their covariance to ``out`` (3, 4), from normal equations and a pixel's variance.
+
+    Slopes are held near those of the ring, the level near the contrast where a dot has no inner pixels.
+    """
+    n, su, sv, suu, suv, svv = sums
+    y, yu, yv = light
+    held = variance / UNEVEN**2
+    n, y = n + LEAST_SHARE, y + LEAST_SHARE
+    suu, svv = suu + held, svv + held
+    m00, m01, m02 = suu * svv - suv * suv, suv * sv - su * svv, su * suv - suu * sv
+    m11, m12, m22 = n * svv - sv * sv, su * sv - n * suv, n * suu - su * su
+    d = n * m00 + su * m01 + sv * m02
+    out[0, 0] = (m00 * y + m01 * yu + m02 * yv) / d
+    out[1, 0] = (m01 * y + m11 * yu + m12 * yv) / d
+    out[2, 0] = (m02 * y + m12 * yu + m22 * yv) / d
+    f = variance / d
+    out[0, 1], out[0, 2], out[0, 3] = f * m00, f * m01, f * m02
+    out[1, 1], out[1, 2], out[1, 3] = f * m01, f * m11, f * m12
+    out[2, 1], out[2, 2], out[2, 3] = f * m02, f * m12, f * m22
+
+
+@step
+def to_covariance(
+    sums: tuple[float, float, float],
+    white: Array,
+    slopes: Array,
+    inverse: tuple[float, float, float, float],
+    out: Array,
+) -> None:
+    """Write a centre's covariance (2, 2), from the noise of pixels at its edge and that of its white.
+
+    ``sums`` (xx, xy, yy) of the first; ``slopes`` (2, 3) by level and slopes of ``white`` (3, 4).
+    """
+    sxx, sxy, syy = sums
+    for i in range(3):
+        for k in range(3):
+            c = white[i, 1 + k] / (white[0, 0] * white[0, 0])
+            sxx += slopes[0, i] * c * slopes[0, k]
+            sxy += slopes[0, i] * c * slopes[1, k]
+            syy += slopes[1, i] * c * slopes[1, k]
+    a, b, c, d = inverse
+    out[0, 0] = a * a * sxx + 2.0 * a * b * sxy + b * b * syy
+    out[1, 1] = c * c * sxx + 2.0 * c * d * sxy + d * d * syy
+    out[0, 1] = out[1, 0] = a * c * sxx + (a * d + b * c) * sxy + b * d * syy
+
+
 @kernel
 def centroids(
-    image: Array, frames: Array, light: Array, ring_inner: float, dark: Array, gain: float, xy: Array, cov: Array
+    image: Array,
+    frames: Array,
+    light: Array,
+    contrasts: Array,
+    ring_inner: float,
+    dark: Array,
+    gain: float,
+    xy: Array,
+    cov: Array,
 ) -> None:
     """Write centres and covariances of the dots of ``frames`` (n, FRAME) to ``xy`` (n, 2) and ``cov`` (n, 2, 2).
 
-    ``light`` (n, 5): see ``plate_and_white``.
+    ``light`` (n, 5): see ``plate_and_white``; ``contrasts`` (n,) of dots and plates [DN].
     """
+    white, slopes = np.empty((3, 4)), np.empty((2, 3))
     for n in range(len(frames)):
-        frame = frames[n]
+        frame, contrast = frames[n], contrasts[n]
+        lit = max(dark[n] + gain * contrast, ROUNDING_DN2) / contrast**2
         flat, end = window_of(frame, ring_inner)
         det = frame[AXX] * frame[AYY] - frame[AXY] ** 2
         ixx, ixy, iyy = frame[AYY] / det, -frame[AXY] / det, frame[AXX] / det  # pixels to radii
@@ -120,6 +245,8 @@ def centroids(
         sxx = sxy = syy = jxx = jxy = jyx = jyy = 0.0
         for _ in range(STEPS_MOST):
             fx = fy = sxx = sxy = syy = jxx = jxy = jyx = jyy = 0.0
+            slopes[:] = 0.0
+            light_of_dot(image, frame, (x, y), light[n], contrast, lit, white)
             left, right = max(int(x - half_x), 0), min(int(x + half_x) + 1, image.shape[1] - 1)
             for row in range(max(int(y - half_y), 0), min(int(y + half_y) + 1, image.shape[0] - 1) + 1):
                 dy = row - y
@@ -129,15 +256,31 @@ def centroids(
                     radius = math.sqrt(u * u + v * v)
                     if radius >= end:
                         continue
-                    white = 1.0 + light[n, 3] * u + light[n, 4] * v
-                    value = image[row, column] - light[n, 0] - light[n, 1] * u - light[n, 2] * v
-                    variance = max(dark[n] + gain * value, 0.0) / (white * white)
-                    value /= white
                     weight, slope = 1.0, 0.0
                     if radius > flat:
                         t = (radius - flat) / (end - flat)
                         weight = 1.0 - t * t * (3.0 - 2.0 * t)
                         slope = -6.0 * t * (1.0 - t) / (end - flat) / radius
+                    value, inner = 1.0, inner_share(frame, u, v)
+                    if inner < 1.0:
+                        value = image[row, column] - light[n, 0] - light[n, 1] * u - light[n, 2] * v
+                        short = 1.0 / max(radius, 1.0)
+                        level = white[0, 0] + short * (white[1, 0] * u + white[2, 0] * v)
+                        level *= contrast * (1.0 + light[n, 3] * u + light[n, 4] * v)
+                        own = weight * (1.0 - inner)
+                        noise = own * own * max(dark[n] + gain * value, 0.0) / (level * level)
+                        value /= level
+                        sxx += noise * dx * dx
+                        sxy += noise * dx * dy
+                        syy += noise * dy * dy
+                        by_level = own * value
+                        slopes[0, 0] += by_level * dx
+                        slopes[0, 1] += by_level * dx * u * short
+                        slopes[0, 2] += by_level * dx * v * short
+                        slopes[1, 0] += by_level * dy
+                        slopes[1, 1] += by_level * dy * u * short
+                        slopes[1, 2] += by_level * dy * v * short
+                        value = inner + (1.0 - inner) * value
                     gx, gy = slope * (u * ixx + v * ixy), slope * (u * ixy + v * iyy)
                     fx += weight * value * dx
                     fy += weight * value * dy
@@ -145,10 +288,6 @@ def centroids(
                     jxy += value * dx * gy
                     jyx += value * dy * gx
                     jyy += value * (weight + dy * gy)
-                    noise = weight * weight * variance
-                    sxx += noise * dx * dx
-                    sxy += noise * dx * dy
-                    syy += noise * dy * dy
             j = jxx * jyy - jxy * jyx
             if not (j > 0.0 and jxx > 0.0):
                 length = math.inf
@@ -166,8 +305,5 @@ def centroids(
             xy[n], cov[n] = math.nan, math.nan
             continue
         j = jxx * jyy - jxy * jyx
-        a, b, c, d = jyy / j, -jxy / j, -jyx / j, jxx / j
         xy[n, 0], xy[n, 1] = x, y
-        cov[n, 0, 0] = a * a * sxx + 2.0 * a * b * sxy + b * b * syy
-        cov[n, 1, 1] = c * c * sxx + 2.0 * c * d * sxy + d * d * syy
-        cov[n, 0, 1] = cov[n, 1, 0] = a * c * sxx + (a * d + b * c) * sxy + b * d * syy
+        to_covariance((sxx, sxy, syy), white, slopes, (jyy / j, -jxy / j, -jyx / j, jxx / j), cov[n])

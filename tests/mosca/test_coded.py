@@ -10,7 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from mosca.coded_targets.detect import CodedSettings, find_coded, noise_of
+from mosca.coded_targets.detect import CodedSettings, find_coded
+from mosca.coded_targets.pixel_noise import noise_of
 from mosca.data.rig import Camera, OpenCVLens, Pose
 from mosca.data.target_codes import NUMBERS, SECTORS, code_bits, ring_code
 from mosca.detection.detect import DetectionSettings, detect
