@@ -53,12 +53,11 @@ BAND_SPREAD = 0.15
 EDGE_PX, INNER_PX = 1.2, 3.0
 """A dot's pixels show its white from the second distance from its edge on, and nothing but its edge up to the first.
 In between both count, so that no pixel is in or out by chance."""
-WHITE_UNKNOWNS, LEAST_SHARE = 3, 1e-3
-"""Level and two slopes; pixels that the prior of a level counts for."""
-UNEVEN = 0.03
-"""Standard deviation of the slopes of a dot's white about those of the ring, over its level and a radius: edges of
-shadows. Rendered targets under four lamps, semi-axes of 2 to 6 px: 10.4, 7.7 and 6.3 mpx rms without noise at half of
-it, at it and at twice it, and 6.8, 8.4 and 10.7 mpx of noise; 15.4 and 7.0 mpx with the ring's slopes alone."""
+WHITE_UNKNOWNS, MIDDLE_SHARE, LEAST_UNEVEN = 3, 1.0, 1e-6
+"""Level and two slopes; pixels for which the contrast counts, which is that of the dot's middle; least variance of
+slopes, over a pixel's."""
+ANY_SLOPE = 1.0
+"""Standard deviation of slopes of which nothing is known: light that doubles within a radius."""
 STEPS_MOST, CLOSE_PX, FARTHEST = 12, 3e-4, 0.5
 """Largest number of Newton steps, step length at convergence, and largest total shift in radii."""
 
@@ -125,13 +124,21 @@ def inner_share(frame: Array, u: float, v: float) -> float:
 
 @step
 def light_of_dot(
-    image: Array, frame: Array, at: tuple[float, float], light: Array, contrast: float, variance: float, out: Array
-) -> None:
+    image: Array,
+    frame: Array,
+    at: tuple[float, float],
+    light: Array,
+    pixel: tuple[float, float],
+    uneven: float,
+    out: Array,
+) -> tuple[float, float]:
     """Write the white of a dot ``at`` to ``out`` (3, 4): level and slopes along u and v (3,), and their covariance.
 
-    In units of ``contrast``, relative to the white that ``light`` (5,) has of the ring; ``variance`` of a pixel of
-    the dot, in these units squared.
+    In units of the contrast, relative to the white that ``light`` (5,) has of the ring. ``pixel``: contrast [DN] and
+    a pixel's variance over its square; ``uneven``: variance of the slopes. Returns the two sums of their method of
+    moments: with A p = b for slopes p, ``b b - var tr A`` has the expectation ``uneven tr A^2``.
     """
+    contrast, variance = pixel
     det = frame[AXX] * frame[AYY] - frame[AXY] ** 2
     ixx, ixy, iyy = frame[AYY] / det, -frame[AXY] / det, frame[AXX] / det
     half_x, half_y = math.hypot(frame[AXX], frame[AXY]), math.hypot(frame[AXY], frame[AYY])
@@ -156,39 +163,27 @@ def light_of_dot(
             yu += share * value * u
             yv += share * value * v
             yy += share * value * value
-    white_from((n, su, sv, suu, suv, svv), (y, yu, yv), variance, out)
-    # what the slopes do not explain, blur above all, is an error of the pixels as noise is
-    left = yy - out[0, 0] * y - out[1, 0] * yu - out[2, 0] * yv
-    if n > WHITE_UNKNOWNS and left > variance * (n - WHITE_UNKNOWNS):
-        white_from((n, su, sv, suu, suv, svv), (y, yu, yv), left / (n - WHITE_UNKNOWNS), out)
-
-
-@step
-def white_from(
-    sums: tuple[float, float, float, float, float, float],
-    light: tuple[float, float, float],
-    variance: float,
-    out: Array,
-) -> None:
-    """Write level and slopes and their covariance to ``out`` (3, 4), from normal equations and a pixel's variance.
-
-    Slopes are held near those of the ring, the level near the contrast where a dot has no inner pixels.
-    """
-    n, su, sv, suu, suv, svv = sums
-    y, yu, yv = light
-    held = variance / UNEVEN**2
-    n, y = n + LEAST_SHARE, y + LEAST_SHARE
-    suu, svv = suu + held, svv + held
-    m00, m01, m02 = suu * svv - suv * suv, suv * sv - su * svv, su * suv - suu * sv
-    m11, m12, m22 = n * svv - sv * sv, su * sv - n * suv, n * suu - su * su
-    d = n * m00 + su * m01 + sv * m02
-    out[0, 0] = (m00 * y + m01 * yu + m02 * yv) / d
-    out[1, 0] = (m01 * y + m11 * yu + m12 * yv) / d
-    out[2, 0] = (m02 * y + m12 * yu + m22 * yv) / d
-    f = variance / d
-    out[0, 1], out[0, 2], out[0, 3] = f * m00, f * m01, f * m02
-    out[1, 1], out[1, 2], out[1, 3] = f * m01, f * m11, f * m12
-    out[2, 1], out[2, 2], out[2, 3] = f * m02, f * m12, f * m22
+    n, y = n + MIDDLE_SHARE, y + MIDDLE_SHARE
+    # the slopes' normal equations, the level eliminated: A p = b
+    auu, auv, avv = suu - su * su / n, suv - su * sv / n, svv - sv * sv / n
+    bu, bv = yu - su * y / n, yv - sv * y / n
+    for _ in range(2):
+        held = variance / max(uneven, variance * LEAST_UNEVEN)
+        d = (auu + held) * (avv + held) - auv * auv
+        cuu, cuv, cvv = (avv + held) / d, -auv / d, (auu + held) / d
+        out[1, 0], out[2, 0] = cuu * bu + cuv * bv, cuv * bu + cvv * bv
+        # what the slopes do not explain, blur above all, is an error of the pixels as noise is
+        left = yy + MIDDLE_SHARE - y * y / n - out[1, 0] * bu - out[2, 0] * bv
+        if not (n > WHITE_UNKNOWNS and left > variance * (n - WHITE_UNKNOWNS)):
+            break
+        variance = left / (n - WHITE_UNKNOWNS)
+    out[0, 0] = (y - su * out[1, 0] - sv * out[2, 0]) / n
+    out[1, 2], out[2, 3] = variance * cuu, variance * cvv
+    out[1, 3] = out[2, 2] = variance * cuv
+    out[0, 2] = out[1, 1] = -(su * out[1, 2] + sv * out[2, 2]) / n
+    out[0, 3] = out[2, 1] = -(su * out[1, 3] + sv * out[2, 3]) / n
+    out[0, 1] = variance / n - (su * out[0, 2] + sv * out[0, 3]) / n
+    return (bu * bu + bv * bv - variance * (auu + avv)), auu * auu + 2.0 * auv * auv + avv * avv
 
 
 @step
@@ -233,9 +228,17 @@ def centroids(
     ``light`` (n, 5): see ``plate_and_white``; ``contrasts`` (n,) of dots and plates [DN].
     """
     white, slopes = np.empty((3, 4)), np.empty((2, 3))
+    lit = np.maximum(dark + gain * contrasts, ROUNDING_DN2) / contrasts**2
+    # how uneven light falls on dots, all of an image together: a first look with slopes as they come
+    product = square = 0.0
+    for n in range(len(frames)):
+        pixel, at = (contrasts[n], lit[n]), (frames[n, X], frames[n, Y])
+        one, other = light_of_dot(image, frames[n], at, light[n], pixel, ANY_SLOPE**2, white)
+        product += one
+        square += other
+    uneven = max(product / square, 0.0) if square > 0.0 else 0.0
     for n in range(len(frames)):
         frame, contrast = frames[n], contrasts[n]
-        lit = max(dark[n] + gain * contrast, ROUNDING_DN2) / contrast**2
         flat, end = window_of(frame, ring_inner)
         det = frame[AXX] * frame[AYY] - frame[AXY] ** 2
         ixx, ixy, iyy = frame[AYY] / det, -frame[AXY] / det, frame[AXX] / det  # pixels to radii
@@ -246,7 +249,7 @@ def centroids(
         for _ in range(STEPS_MOST):
             fx = fy = sxx = sxy = syy = jxx = jxy = jyx = jyy = 0.0
             slopes[:] = 0.0
-            light_of_dot(image, frame, (x, y), light[n], contrast, lit, white)
+            light_of_dot(image, frame, (x, y), light[n], (contrast, lit[n]), uneven, white)
             left, right = max(int(x - half_x), 0), min(int(x + half_x) + 1, image.shape[1] - 1)
             for row in range(max(int(y - half_y), 0), min(int(y + half_y) + 1, image.shape[0] - 1) + 1):
                 dy = row - y
