@@ -37,7 +37,7 @@ from mosca.coded_targets.dots import (
     Y,
     light_at,
 )
-from mosca.coded_targets.pixel_noise import ROUNDING_DN2, PixelNoise
+from mosca.coded_targets.pixel_noise import ROUNDING_DN2, GreyValueNoise
 from mosca.coded_targets.ring_sampling import shading
 from mosca.data.arrays import Array, looked_at
 from mosca.numba_support.decorators import kernel, step
@@ -63,7 +63,7 @@ STEPS_MOST, CLOSE_PX, FARTHEST = 12, 3e-4, 0.5
 
 
 def measure_dots(
-    image: Array, dots: Readings, target: TargetAppearance, noise: PixelNoise, turned_dn: float | None = None
+    image: Array, dots: Readings, target: TargetAppearance, noise: GreyValueNoise, turned_dn: float | None = None
 ) -> tuple[Array, Array]:
     """Return centres (n, 2) [px] and covariances (n, 2, 2) [px^2] of ``dots``; NaN for one that has none.
 
@@ -167,22 +167,23 @@ def light_of_dot(
     # the slopes' normal equations, the level eliminated: A p = b
     auu, auv, avv = suu - su * su / n, suv - su * sv / n, svv - sv * sv / n
     bu, bv = yu - su * y / n, yv - sv * y / n
+    noise = variance
     for _ in range(2):
         held = variance / max(uneven, variance * LEAST_UNEVEN)
         d = (auu + held) * (avv + held) - auv * auv
         cuu, cuv, cvv = (avv + held) / d, -auv / d, (auu + held) / d
         out[1, 0], out[2, 0] = cuu * bu + cuv * bv, cuv * bu + cvv * bv
-        # what the slopes do not explain, blur above all, is an error of the pixels as noise is
+        # what the slopes do not explain, blur above all, keeps them from being believed; it is alike all around
         left = yy + MIDDLE_SHARE - y * y / n - out[1, 0] * bu - out[2, 0] * bv
         if not (n > WHITE_UNKNOWNS and left > variance * (n - WHITE_UNKNOWNS)):
             break
         variance = left / (n - WHITE_UNKNOWNS)
     out[0, 0] = (y - su * out[1, 0] - sv * out[2, 0]) / n
-    out[1, 2], out[2, 3] = variance * cuu, variance * cvv
-    out[1, 3] = out[2, 2] = variance * cuv
+    out[1, 2], out[2, 3] = noise * cuu, noise * cvv
+    out[1, 3] = out[2, 2] = noise * cuv
     out[0, 2] = out[1, 1] = -(su * out[1, 2] + sv * out[2, 2]) / n
     out[0, 3] = out[2, 1] = -(su * out[1, 3] + sv * out[2, 3]) / n
-    out[0, 1] = variance / n - (su * out[0, 2] + sv * out[0, 3]) / n
+    out[0, 1] = noise / n - (su * out[0, 2] + sv * out[0, 3]) / n
     return (bu * bu + bv * bv - variance * (auu + avv)), auu * auu + 2.0 * auv * auv + avv * avv
 
 
@@ -209,6 +210,73 @@ def to_covariance(
     out[0, 0] = a * a * sxx + 2.0 * a * b * sxy + b * b * syy
     out[1, 1] = c * c * sxx + 2.0 * c * d * sxy + d * d * syy
     out[0, 1] = out[1, 0] = a * c * sxx + (a * d + b * c) * sxy + b * d * syy
+
+
+@step
+def edge_sums(
+    image: Array,
+    frame: Array,
+    at: tuple[float, float],
+    window: tuple[float, float],
+    light: Array,
+    pixel: tuple[float, float, float],
+    white: Array,
+    slopes: Array,
+) -> tuple[tuple[float, float], tuple[float, float, float], tuple[float, float, float, float]]:
+    """Return the sum that is zero at a dot's centre, its covariance (xx, xy, yy) by pixels, and J (xx, xy, yx, yy).
+
+    ``window``: see ``window_of``; ``pixel``: contrast [DN], variance of a pixel of the plate [DN^2], gain [DN];
+    ``white`` (3, 4) as ``light_of_dot`` writes it. Writes the sum's slopes by level and slopes of the white to
+    ``slopes`` (2, 3).
+    """
+    det = frame[AXX] * frame[AYY] - frame[AXY] ** 2
+    ixx, ixy, iyy = frame[AYY] / det, -frame[AXY] / det, frame[AXX] / det  # pixels to radii
+    flat, end = window
+    contrast, dark, gain = pixel
+    half_x = end * math.hypot(frame[AXX], frame[AXY]) + 1.0
+    half_y = end * math.hypot(frame[AXY], frame[AYY]) + 1.0
+    x, y = at
+    fx = fy = sxx = sxy = syy = jxx = jxy = jyx = jyy = 0.0
+    slopes[:] = 0.0
+    left, right = max(int(x - half_x), 0), min(int(x + half_x) + 1, image.shape[1] - 1)
+    for row in range(max(int(y - half_y), 0), min(int(y + half_y) + 1, image.shape[0] - 1) + 1):
+        dy = row - y
+        for column in range(left, right + 1):
+            dx = column - x
+            u, v = ixx * dx + ixy * dy, ixy * dx + iyy * dy
+            radius = math.sqrt(u * u + v * v)
+            if radius >= end:
+                continue
+            weight, slope = 1.0, 0.0
+            if radius > flat:
+                t = (radius - flat) / (end - flat)
+                weight = 1.0 - t * t * (3.0 - 2.0 * t)
+                slope = -6.0 * t * (1.0 - t) / (end - flat) / radius
+            value, inner = 1.0, inner_share(frame, u, v)
+            if inner < 1.0:
+                value = image[row, column] - light[0] - light[1] * u - light[2] * v
+                short = 1.0 / max(radius, 1.0)
+                level = white[0, 0] + short * (white[1, 0] * u + white[2, 0] * v)
+                level *= contrast * (1.0 + light[3] * u + light[4] * v)
+                own = weight * (1.0 - inner)
+                noise = own * own * max(dark + gain * value, 0.0) / (level * level)
+                value /= level
+                sxx += noise * dx * dx
+                sxy += noise * dx * dy
+                syy += noise * dy * dy
+                by_level = own * value
+                for i, share in enumerate((1.0, u * short, v * short)):
+                    slopes[0, i] += by_level * dx * share
+                    slopes[1, i] += by_level * dy * share
+                value = inner + (1.0 - inner) * value
+            gx, gy = slope * (u * ixx + v * ixy), slope * (u * ixy + v * iyy)
+            fx += weight * value * dx
+            fy += weight * value * dy
+            jxx += value * (weight + dx * gx)
+            jxy += value * dx * gy
+            jyx += value * dy * gx
+            jyy += value * (weight + dy * gy)
+    return (fx, fy), (sxx, sxy, syy), (jxx, jxy, jyx, jyy)
 
 
 @kernel
@@ -238,75 +306,31 @@ def centroids(
         square += other
     uneven = max(product / square, 0.0) if square > 0.0 else 0.0
     for n in range(len(frames)):
-        frame, contrast = frames[n], contrasts[n]
-        flat, end = window_of(frame, ring_inner)
+        frame, window = frames[n], window_of(frames[n], ring_inner)
         det = frame[AXX] * frame[AYY] - frame[AXY] ** 2
-        ixx, ixy, iyy = frame[AYY] / det, -frame[AXY] / det, frame[AXX] / det  # pixels to radii
-        half_x = end * math.hypot(frame[AXX], frame[AXY]) + 1.0
-        half_y = end * math.hypot(frame[AXY], frame[AYY]) + 1.0
-        x, y, length = frame[X], frame[Y], 1.0
-        sxx = sxy = syy = jxx = jxy = jyx = jyy = 0.0
+        x, y, length, sums, j = frame[X], frame[Y], math.inf, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 1.0)
         for _ in range(STEPS_MOST):
-            fx = fy = sxx = sxy = syy = jxx = jxy = jyx = jyy = 0.0
-            slopes[:] = 0.0
-            light_of_dot(image, frame, (x, y), light[n], (contrast, lit[n]), uneven, white)
-            left, right = max(int(x - half_x), 0), min(int(x + half_x) + 1, image.shape[1] - 1)
-            for row in range(max(int(y - half_y), 0), min(int(y + half_y) + 1, image.shape[0] - 1) + 1):
-                dy = row - y
-                for column in range(left, right + 1):
-                    dx = column - x
-                    u, v = ixx * dx + ixy * dy, ixy * dx + iyy * dy
-                    radius = math.sqrt(u * u + v * v)
-                    if radius >= end:
-                        continue
-                    weight, slope = 1.0, 0.0
-                    if radius > flat:
-                        t = (radius - flat) / (end - flat)
-                        weight = 1.0 - t * t * (3.0 - 2.0 * t)
-                        slope = -6.0 * t * (1.0 - t) / (end - flat) / radius
-                    value, inner = 1.0, inner_share(frame, u, v)
-                    if inner < 1.0:
-                        value = image[row, column] - light[n, 0] - light[n, 1] * u - light[n, 2] * v
-                        short = 1.0 / max(radius, 1.0)
-                        level = white[0, 0] + short * (white[1, 0] * u + white[2, 0] * v)
-                        level *= contrast * (1.0 + light[n, 3] * u + light[n, 4] * v)
-                        own = weight * (1.0 - inner)
-                        noise = own * own * max(dark[n] + gain * value, 0.0) / (level * level)
-                        value /= level
-                        sxx += noise * dx * dx
-                        sxy += noise * dx * dy
-                        syy += noise * dy * dy
-                        by_level = own * value
-                        slopes[0, 0] += by_level * dx
-                        slopes[0, 1] += by_level * dx * u * short
-                        slopes[0, 2] += by_level * dx * v * short
-                        slopes[1, 0] += by_level * dy
-                        slopes[1, 1] += by_level * dy * u * short
-                        slopes[1, 2] += by_level * dy * v * short
-                        value = inner + (1.0 - inner) * value
-                    gx, gy = slope * (u * ixx + v * ixy), slope * (u * ixy + v * iyy)
-                    fx += weight * value * dx
-                    fy += weight * value * dy
-                    jxx += value * (weight + dx * gx)
-                    jxy += value * dx * gy
-                    jyx += value * dy * gx
-                    jyy += value * (weight + dy * gy)
-            j = jxx * jyy - jxy * jyx
-            if not (j > 0.0 and jxx > 0.0):
+            light_of_dot(image, frame, (x, y), light[n], (contrasts[n], lit[n]), uneven, white)
+            pixel_noise = (contrasts[n], dark[n], gain)
+            f, sums, (jxx, jxy, jyx, jyy) = edge_sums(
+                image, frame, (x, y), window, light[n], pixel_noise, white, slopes
+            )
+            size = jxx * jyy - jxy * jyx
+            if not (size > 0.0 and jxx > 0.0):
                 length = math.inf
                 break
-            move_x, move_y = (jyy * fx - jxy * fy) / j, (jxx * fy - jyx * fx) / j
+            j = (jyy / size, -jxy / size, -jyx / size, jxx / size)
+            move_x, move_y = j[0] * f[0] + j[1] * f[1], j[2] * f[0] + j[3] * f[1]
             x += move_x
             y += move_y
             length = math.hypot(move_x, move_y)
             dx, dy = x - frame[X], y - frame[Y]
-            away = math.hypot(ixx * dx + ixy * dy, ixy * dx + iyy * dy)
+            away = math.hypot(frame[AYY] * dx - frame[AXY] * dy, frame[AXX] * dy - frame[AXY] * dx) / det
             if length < CLOSE_PX or away > FARTHEST:
                 length = length if away <= FARTHEST else math.inf
                 break
         if not length < 1e-2:
             xy[n], cov[n] = math.nan, math.nan
             continue
-        j = jxx * jyy - jxy * jyx
         xy[n, 0], xy[n, 1] = x, y
-        to_covariance((sxx, sxy, syy), white, slopes, (jyy / j, -jxy / j, -jyx / j, jxx / j), cov[n])
+        to_covariance(sums, white, slopes, j, cov[n])

@@ -30,7 +30,7 @@ MOST_BEND_DN = 1 << 18
 """Largest second difference of an image of 16 bits."""
 
 
-class PixelNoise(NamedTuple):
+class GreyValueNoise(NamedTuple):
     """Variance of a pixel of grey value I: ``variance_dn2 + gain_dn (I - level_dn)``, not inverted."""
 
     level_dn: float
@@ -45,7 +45,7 @@ def noise_of(image: Array) -> float:
 
 def pixel_noise(
     image: Array, frames: Array, full_dn: int, dark_dn2: float | None, gain_dn: float | None
-) -> PixelNoise:
+) -> GreyValueNoise:
     """Return the noise of the pixels of ``image`` (H, W) with dots ``frames`` (n, FRAME).
 
     ``full_dn``: grey value of saturated pixels. ``dark_dn2``, ``gain_dn``: variance without light and what a grey
@@ -55,7 +55,7 @@ def pixel_noise(
     if dark_dn2 is not None:
         variance = max(variance, dark_dn2)
     if gain_dn is not None:
-        return PixelNoise(level, variance, gain_dn)
+        return GreyValueNoise(level, variance, gain_dn)
     guess = math.sqrt(variance) / GUESSED_DARK_E
     total, weight = 1 / guess, 1 / guess**2
     bends, light = bends_in_dots(image, frames, full_dn)
@@ -65,7 +65,7 @@ def pixel_noise(
         information = len(bends) / MEDIAN_VARIANCE * (rise / lit) ** 2
         total += information * (lit - variance) / rise if information > 0 else 0.0
         weight += information
-    return PixelNoise(level, variance, max(total / weight, 1e-3 * guess))
+    return GreyValueNoise(level, variance, max(total / weight, 1e-3 * guess))
 
 
 def _most_pixels(image: Array) -> tuple[float, float]:

@@ -387,8 +387,10 @@ def test_centres_of_rendered_targets(size, tilt):
     sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
     from bench_coded import Rendering, centre_errors
 
-    errors, sigma = centre_errors(Rendering(size, tilt))
-    rms = np.sqrt(np.mean(errors**2))
+    # an image holds six of the largest: with four of them the ratio is right to 10 %
+    every = [centre_errors(Rendering(size, tilt, seed=seed)) for seed in range(1, 5 if size > 20 else 2)]
+    rms = np.sqrt(np.mean(np.concatenate([errors for errors, _ in every]) ** 2))
+    sigma = np.sqrt(np.mean([one**2 for _, one in every]))
     assert rms < 0.007
     assert 0.75 < rms / sigma < 1.4
     bias, _ = centre_errors(Rendering(size, tilt, noise=False))
