@@ -259,7 +259,7 @@ def test_errors_are_as_large_as_the_covariance_says():
 
 @pytest.mark.parametrize(("gain", "full"), [(0.05, 255.0), (0.2, 255.0), (0.2, 150.0)])
 def test_covariances_follow_the_photon_noise_of_the_image(monkeypatch, gain, full):
-    """EMVA 1288: var = dark + gain I. Dots that are saturated tell no gain, and must not be taken for free of noise."""
+    """EMVA 1288: var = dark + gain I. Saturated dots tell no gain, and must not be taken for free of noise."""
     plates = views(23, 24, z=2000.0)
     raw = paint(SHAPE, plates, blur=0.5, samples=4, raw=True)
     noise = np.random.default_rng(5).standard_normal(raw.shape) * np.sqrt(0.5 + gain * raw)
