@@ -19,7 +19,7 @@ import cv2
 import numpy as np
 
 from mosca.coded_targets.board_view import BoardView, fitted_view
-from mosca.coded_targets.detect import noise_of
+from mosca.coded_targets.pixel_noise import noise_of
 from mosca.data.arrays import Array
 from mosca.data.boards import Board
 from mosca.data.found_targets import BoardDetections

@@ -40,14 +40,13 @@ import numpy as np
 from mosca.coded_targets.centre import measure_dots
 from mosca.coded_targets.decode import Readings, ellipses_of, read_codes
 from mosca.coded_targets.dots import AXX, AXY, AYY, SECTORS, TargetAppearance, X, Y
+from mosca.coded_targets.pixel_noise import ROUNDING_DN2, noise_of, pixel_noise
 from mosca.coded_targets.ring_sampling import MARGIN, START, WORD
 from mosca.data.arrays import Array
 from mosca.data.found_targets import CodedDetections
 from mosca.data.target_codes import ring_code
 from mosca.data.targets import PLATE, RING_INNER, RING_OUTER
 from mosca.errors import InputError
-
-SAMPLED_ROWS = 16
 
 
 @dataclass(frozen=True)
@@ -72,10 +71,10 @@ class CodedSettings:
     """Shorter over longer axis of the flattest dot: 0.3 is 72 deg of tilt."""
     least_confidence: float = 0.25
     """Least margin of a sector; below, the target is refused."""
-    read_noise_dn: float = 0.13
-    """As in ``DetectionSettings``."""
-    gain_dn_per_e: float = 0.0128
-    """As in ``DetectionSettings``."""
+    read_noise_dn: float | None = None
+    """Dark noise of a pixel; None: learned from the image."""
+    gain_dn_per_e: float | None = None
+    """Grey values an electron; None: learned from the image."""
 
     def __post_init__(self) -> None:
         if self.numbers is not None:
@@ -88,8 +87,8 @@ class CodedSettings:
             (("ring_inner", "ring_outer", "plate"), ring, "1.2 <= ring_inner < ring_outer <= 0.45 plate"),
             (("flattest",), 0 < self.flattest < 1, "more than 0 and less than 1"),
             (("least_confidence",), 0 <= self.least_confidence < 1, "0 to below 1"),
-            (("read_noise_dn",), 0 <= self.read_noise_dn < math.inf, "0 or more"),
-            (("gain_dn_per_e",), 0 <= self.gain_dn_per_e < math.inf, "0 or more"),
+            (("read_noise_dn",), 0 <= (self.read_noise_dn or 0.0) < math.inf, "0 or more"),
+            (("gain_dn_per_e",), 0 <= (self.gain_dn_per_e or 0.0) < math.inf, "0 or more"),
         ):
             if not sound:
                 values = tuple(getattr(self, key) for key in keys)
@@ -110,6 +109,9 @@ def find_coded(image: Array, camera: str, settings: CodedSettings = DEFAULTS, bi
     top = image.dtype.type(2**bit_depth - 1)
     noise = noise_of(image)
     target = _appearance(settings, scale, noise)
+    told = settings.read_noise_dn, settings.gain_dn_per_e
+    dark_dn2 = None if told[0] is None else (told[0] * scale) ** 2 + ROUNDING_DN2
+    gain_dn = None if told[1] is None else told[1] * scale
     found = []
     for dark in {"white": (False,), "black": (True,), "both": (False, True)}[settings.colour]:
         bright = np.ascontiguousarray(top - np.minimum(image, top) if dark else image)
@@ -118,14 +120,8 @@ def find_coded(image: Array, camera: str, settings: CodedSettings = DEFAULTS, bi
         known = np.flatnonzero(numbers >= 0)
         known = known[_surest(dots[known], settings.ring_outer)]
         dots, numbers, rolls = dots[known], numbers[known], rolls[known]
-        xy, covariance = measure_dots(
-            bright,
-            dots,
-            target,
-            max(noise**2, (settings.read_noise_dn * scale) ** 2 + 1 / 12),
-            settings.gain_dn_per_e * scale,
-            float(top) if dark else None,
-        )
+        of_pixels = pixel_noise(image, dots.frames, int(top), dark_dn2, gain_dn)
+        xy, covariance = measure_dots(bright, dots, target, of_pixels, float(top) if dark else None)
         axes, angle = ellipses_of(dots.frames)
         confidence = np.minimum(dots.rings[:, MARGIN], 1.0)
         sound = np.isfinite(xy[:, 0])  # a dot without a centre is none
@@ -147,17 +143,6 @@ def find_coded(image: Array, camera: str, settings: CodedSettings = DEFAULTS, bi
         confidence=confidence[once],
         twice=every[times > 1],
     )
-
-
-def noise_of(image: Array) -> float:
-    """Return the standard deviation of a pixel's noise [DN], at least that of rounding.
-
-    The median of the second differences along rows, which edges hardly touch (after Immerkaer 1996).
-    """
-    rows = image[:: max(1, image.shape[0] // SAMPLED_ROWS)].astype(np.float32)
-    bend = np.abs(rows[:, 2:] - 2 * rows[:, 1:-1] + rows[:, :-2])
-    median = float(np.median(bend)) if bend.size else 0.0
-    return max(1.4826 * median / math.sqrt(6.0), math.sqrt(1 / 12))
 
 
 def _appearance(settings: CodedSettings, scale: float, noise: float) -> TargetAppearance:

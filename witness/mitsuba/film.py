@@ -33,6 +33,8 @@ PROBE_SEES = 0.2
 """Where no pixel's rays meet the target more often, it is blurred over more than its size: rays may miss it."""
 INNER_SHARE = 0.25
 """Of an edge's samples, for pixels inside of a target: only lamps and shading vary there."""
+PRINTED_EDGE = 0.15
+"""Share of a window's brightest light from which pixels are bright; twice as large a range over 3 x 3 is an edge."""
 VISIBLE_RAYS = 256
 SPHERE_POINTS = 120
 """A Fibonacci sphere's; 3 % larger, their hull holds the ball."""
@@ -134,7 +136,8 @@ class Film:
             windows, behind = self._windows(frame), background.copy()
             surfaces = [w for w in windows if w[2] < 0]
             targets = [w for w in windows if w[2] >= 0]
-            for group, samples in ((surfaces, scene.quality.plate_samples), (targets, scene.quality.window_samples)):
+            most = max(scene.quality.plate_samples, scene.quality.edge_samples)
+            for group, samples in ((surfaces, most), (targets, scene.quality.window_samples)):
                 for w, halves in zip(group, self._exposed(frame, group, samples, behind), strict=True):
                     piece = _window_maps(w, halves, background)
                     place.append(w)
@@ -250,7 +253,8 @@ class Film:
             for s in range(count)
         ]
         maps = windows[0][2] >= 0
-        share = self._shares(scenes, pixels, grids, frame) if maps else np.ones(len(pixels))
+        shares = self._shares if maps else self._surface_shares
+        share = shares(scenes, pixels, grids, frame)
         halves = []
         for half in range(2):
             grid = (len(pixels), SUB, SUB) if maps else (len(pixels), 1, 1)
@@ -289,6 +293,28 @@ class Film:
             near = (maximum_filter(met, 3) > 0) | (met.max() < PROBE_SEES)
             pieces.append(np.where(inner, INNER_SHARE, near).ravel())
             first += grid[0].size
+        return np.concatenate(pieces)
+
+    def _surface_shares(self, scenes: list[Any], pixels: Pixels, grids: list[Array], frame: int) -> Array:
+        """Return which share of the samples each pixel (n) of surfaces needs: all at printed edges, fewer where the
+        surface is bright, the fewest where it is dark.
+        """
+        quality = self.scene.quality
+        if quality.edge_samples <= quality.plate_samples:
+            return np.ones(len(pixels))
+        light = sum(
+            self._transport.render(one, pixels, PROBE_SAMPLES, _seed(self.scene.seed, frame, 2), maps=False).total
+            for one in scenes
+        ) / len(scenes)
+        fewest = quality.plate_samples / quality.edge_samples
+        pieces, first = [], 0
+        for grid in grids:
+            seen = np.asarray(light)[first : first + grid[0].size].reshape(grid.shape[1:])
+            first += grid[0].size
+            least = PRINTED_EDGE * max(float(seen.max()), 1e-30)
+            edge = maximum_filter(seen, 3) - minimum_filter(seen, 3) > 2 * least
+            bright = seen > least
+            pieces.append(np.where(edge, 1.0, np.where(bright, max(INNER_SHARE, fewest), fewest)).ravel())
         return np.concatenate(pieces)
 
     def _visible(self, frame: int) -> Array:

@@ -218,6 +218,8 @@ class Quality:
     background_samples: int = 64
     plate_samples: int = 64
     """In windows around boards, plates and meshes."""
+    edge_samples: int = 64
+    """At edges printed on them, where more than ``plate_samples``."""
 
 
 @dataclass(frozen=True)
