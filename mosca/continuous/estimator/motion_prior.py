@@ -30,6 +30,8 @@ COARSER = 1.5
 """Knots that are so many times farther apart are tried next."""
 RANGE = (-26.0, 21.0)
 """Logarithms of strengths that are tried, against the image points': beyond, either is lost in the other's rounding."""
+REFUSED = 1e30
+"""Cost of a strength with which the equations are singular in double precision."""
 LEAST_FREE = 1e-6
 """Share of an image point's own error that its curve leaves, at least: less is rounding."""
 PACE_S = 0.1
@@ -78,23 +80,25 @@ def one_point(rows: Rows, knots: Knots, order: int, noise_free: bool = False) ->
         try:
             return solved(log_strength)[0]
         except LinAlgError:
-            return np.inf
+            return REFUSED
 
     # the likelihood may have several tops, one of them with all motion taken for noise: what predicts best is taken
     ladder = even + np.arange(RANGE[0] + 2, RANGE[1], 4.0)
     costs = np.array([cost(s) for s in ladder])
     tops = (costs <= np.append(np.inf, costs[:-1])) & (costs < np.append(costs[1:], np.inf))
     results = []
-    for near in ladder[tops]:
+    for near in ladder[tops & (costs < REFUSED)]:
         bounds = (near - 4, near + 4)
         found: Any = minimize_scalar(cost, bounds=bounds, method="bounded", options={"xatol": 0.1})
-        best = float(found.x)
+        best = float(found.x) if found.fun < REFUSED else float(near)
         x = solved(best)[1]
         noise = float(np.sqrt(max(squares(x, best), LEAST_FREE) / freedom)) if noise_free else 1.0
         lower = cholesky_banded(data + np.exp(best) * prior, lower=True, check_finite=False)
         predicted = left_out(rows, Factor(lower, knots.count, knots.degree + 1, 3), x, noise)
         # the strength was in units of the errors that there are
         results.append((predicted, best - 2 * float(np.log(noise)), noise, x.reshape(-1, 3)))
+    if not results:
+        return np.zeros((knots.count, 3)), 0.0, 1.0, np.inf
     predicted, strength, noise, x = min(results, key=lambda one: one[0])
     return x, strength, noise, predicted
 
