@@ -157,9 +157,9 @@ def _as_residuals(sigma_px: Array, gathered: Associated, rig: Rig, of_camera: Ar
     """Return the image errors (c,) [px] besides the detections' with which residuals are as large as stated.
 
     ``of_camera`` (c,): the residuals in units of what was stated. How large cameras' errors are against each other is
-    learned here: at common instants interpolation hides it. Curves take up errors that last, as lenses', 3 of 2 C parts
-    where C cameras see a point: these come on top of what residuals show. Not less than what common instants showed
-    without what interpolation may have added there: at most what it is off where an exposure is left out.
+    learned here: at common instants interpolation hides it. Curves take up errors that last, as lenses', 3 of 2 C
+    parts where C cameras see a point: these come on top of what residuals show. Not less than what common instants
+    showed without what interpolation may have added there: at most what it is off where an exposure is left out.
     """
     covariances = [one.covariance_px2 for one in gathered.seen]
     detected = np.array([0.5 * np.median(np.trace(one, axis1=1, axis2=2)) for one in covariances])

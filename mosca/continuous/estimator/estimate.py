@@ -132,7 +132,14 @@ def estimate(
     )
     times = clock_rules.results(observations.cameras, places, solved.state.clocks, solved.covariance, held)
     return ContinuousEstimate(
-        curves, solved.state.paths, tuple(times), found, tuple(findings), size, of_camera, stopwatch.perf_counter() - began
+        curves,
+        solved.state.paths,
+        tuple(times),
+        found,
+        tuple(findings),
+        size,
+        of_camera,
+        stopwatch.perf_counter() - began,
     )
 
 

@@ -123,9 +123,7 @@ def draws(solved: Solved, places: StateLayout, number: int, rng: np.random.Gener
     return drawn
 
 
-def sigma0(
-    image: ImagePoints, solved: Solved, places: StateLayout, drawn: list[Array]
-) -> tuple[float, Array]:
+def sigma0(image: ImagePoints, solved: Solved, places: StateLayout, drawn: list[Array]) -> tuple[float, Array]:
     """Return the residuals' size in the standard deviations that ``step`` took, what was fitted to them taken off, of
     all and of each camera (c,): the variance components of Helmert and Foerstner.
 
@@ -163,8 +161,8 @@ def curves_of(
 
     ``covariances``: the prior's; white noise Q of derivative m has the spectrum Q / w^(2 m), of which splines hold
     what lies below pi / step; the rest is Q step^(2 m - 1) / ((2 m - 1) pi^(2 m)). ``finest_s``: the step that
-    exposures allow; that there is nothing between it and a wider one is what the wider one was chosen by. ``spans`` (points, 2): from when
-    to when each point was seen [s]; ``unheld`` (pieces + 1, points, 3, 3): see
+    exposures allow; that there is nothing between it and a wider one is what the wider one was chosen by. ``spans``
+    (points, 2): from when to when each point was seen [s]; ``unheld`` (pieces + 1, points, 3, 3): see
     ``SplineCurves``.
     """
     state, free = solved.state, observations.free

@@ -1,9 +1,9 @@
 """Smoothness prior of the motion, with its strength estimated from the data.
 
-The prior is white noise on the m-th derivative: ``p(x) ~ exp(-1/2 integral x''^T Q^-1 x'' dt)`` for m = 2. The order m
-and the distance of the knots are those of the largest likelihood of the image points: recorded people jerk (the
-second), what swings has a spectrum that ends (high orders, knots no nearer than it needs). First each point
-separately: one strength per point, maximising the marginal likelihood of its image points (REML: the
+The prior is white noise on the m-th derivative: ``p(x) ~ exp(-1/2 integral x''^T Q^-1 x'' dt)`` for m = 2. The order
+m and the distance of the knots are those that predict left-out image points best: recorded people jerk (the second),
+what swings has a spectrum that ends (high orders, knots no nearer than it needs). First each point separately: one strength per point, maximising the marginal likelihood of its image
+points (REML: the
 polynomials on which the prior is flat integrated out). Then Q between all coordinates of all points that are
 estimated together, by expectation-maximisation: Q is the mean of x'' x''^T over posterior samples. Points of a body
 move together, and each exposure constrains only the directions across its lines of sight: the full Q provides depth
@@ -29,7 +29,7 @@ DEGREE = 3
 COARSER = 1.5
 """Knots that are so many times farther apart are tried next."""
 RANGE = (-26.0, 21.0)
-"""Logarithms of strengths that are tried, against the image points': beyond, either is lost in the other's rounding."""
+"""Logarithms of strengths that are tried, against the image points': beyond, one is lost in the other's rounding."""
 REFUSED = 1e30
 """Cost of a strength with which the equations are singular in double precision."""
 LEAST_FREE = 1e-6
@@ -107,9 +107,9 @@ def left_out(rows: Rows, factor: Factor, x: Array, noise: float) -> float:
     """Return -2 log of the density of each image point predicted from all others, added up.
 
     ``rows``: two a point; ``x`` (count * 3,): the coefficients that fit all, with their ``factor``; ``noise``: on the
-    stated errors. Unlike the marginal likelihood it does not depend on how little is known of the polynomials on which
-    a prior is flat, of which priors of high orders have more (Gelfand, Dey and Chang 1992; Rasmussen and Williams
-    2006, eq. 5.10-5.12).
+    stated errors. Unlike the marginal likelihood it does not depend on how little is known of the polynomials on
+    which a prior is flat, of which priors of high orders have more (Gelfand, Dey and Chang 1992; Rasmussen and
+    Williams 2006, eq. 5.10-5.12).
     """
     rest = (rows.rest - rows.applied(x, 3)).reshape(-1, 2)
     blocks = factor.inverse_blocks(1)[:, :, 0]

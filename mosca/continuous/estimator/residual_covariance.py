@@ -61,7 +61,7 @@ def jitter(image: ImagePoints, solved: Solved, alone: StateLayout, points: Array
     """Return the variance (points,) an axis [m^2] of motion above the exposures' rate.
 
     ``share``: of time-correlated errors in the stated variances; changing cameras make them look like jitter. Where a
-    prior of a higher order predicts image points that are left out better, the motion's spectrum ends below that rate.
+    prior of a higher order predicts left-out image points better, the motion's spectrum ends below that rate.
     """
     if solved.state.order > JITTER_ORDER:
         return np.zeros(len(points))
