@@ -2,11 +2,11 @@
 
 The prior is white noise on the m-th derivative: ``p(x) ~ exp(-1/2 integral x''^T Q^-1 x'' dt)`` for m = 2. The order
 m and the distance of the knots are those that predict left-out image points best: recorded people jerk (the second),
-what swings has a spectrum that ends (high orders, knots no nearer than it needs). First each point separately: one strength per point, maximising the marginal likelihood of its image
-points (REML: the
-polynomials on which the prior is flat integrated out). Then Q between all coordinates of all points that are
-estimated together, by expectation-maximisation: Q is the mean of x'' x''^T over posterior samples. Points of a body
-move together, and each exposure constrains only the directions across its lines of sight: the full Q provides depth
+what swings has a spectrum that ends (high orders, knots no nearer than it needs). First each point separately: one
+strength per point, maximising the marginal likelihood of its image points (REML: the polynomials on which the prior
+is flat integrated out). Then Q between all coordinates of all points that are estimated together, by
+expectation-maximisation: Q is the mean of x'' x''^T over posterior samples. Points of a body move together, and each
+exposure constrains only the directions across its lines of sight: the full Q provides depth
 between exposures.
 """
 
