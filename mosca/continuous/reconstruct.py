@@ -128,7 +128,7 @@ def reconstruct_gathered(gathered: Associated, rig: Rig, settings: ContinuousSet
         if not len(found):
             raise InputError("no image point lies on its curve: the clocks or the rig do not fit the images")
         curves = estimated.curves
-        changed = np.abs(np.log(sigma_px / stated_px)).max()
+        changed = np.abs(np.log(sigma_px / np.maximum(stated_px, LEAST_PX))).max()
         if abs(len(found) - before) < SETTLED * before and changed < np.log(ALMOST):
             break
     estimated = estimate(found, rig, settings, curves)

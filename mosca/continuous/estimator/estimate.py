@@ -131,15 +131,9 @@ def estimate(
         for (i, j), d, s in zip(pairs.pair, pairs.distance, pairs.slack, strict=True)
     )
     times = clock_rules.results(observations.cameras, places, solved.state.clocks, solved.covariance, held)
+    spent = stopwatch.perf_counter() - began
     return ContinuousEstimate(
-        curves,
-        solved.state.paths,
-        tuple(times),
-        found,
-        tuple(findings),
-        size,
-        of_camera,
-        stopwatch.perf_counter() - began,
+        curves, solved.state.paths, tuple(times), found, tuple(findings), size, of_camera, spent
     )
 
 

@@ -142,7 +142,7 @@ def sigma0(image: ImagePoints, solved: Solved, places: StateLayout, drawn: list[
         square += np.bincount(camera, rows.rest**2, cameras)
 
     def size(square: Array, number: Array, fitted: Array) -> Array:
-        return np.sqrt(square / np.maximum(number - fitted, np.maximum(0.05 * number, 1.0)))
+        return np.asarray(np.sqrt(square / np.maximum(number - fitted, np.maximum(0.05 * number, 1.0))))
 
     whole = float(size(square.sum(), number.sum(), fitted.sum()))
     return whole, np.where(number > 0, size(square, number, fitted), whole)
