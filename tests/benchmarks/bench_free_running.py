@@ -1,6 +1,6 @@
 """Free-running cameras by the points' speed: completeness, error, its bound, clocks and covariance, a line a run.
 
-Run: ``python tests/benchmarks/bench_free_running.py [--scenario continuous/free_running_short] [--rate 30]
+Run: ``python -m tests.benchmarks.bench_free_running [--scenario continuous/free_running_short] [--rate 30]
 [--speeds 0.5 1 2 4] [--seeds 1 2 3 4 5 6] [--set KEY=VALUE ...] [--keep DIR]``.
 
 The scenario's frames are rendered and detected once (``--keep``: detections are kept there and read again), all else
