@@ -23,11 +23,14 @@ FEW_TOGETHER = 6
 """Points whose curves are estimated together before clocks are known."""
 BETTER_PX = 0.1
 """Gate for assigning image points again to the estimated curves."""
-ALMOST = 1.2
-"""Image errors are stated well enough when residuals are as large, up to this factor."""
+ALMOST = 1.1
+"""Image errors are stated well enough when residuals change them by less than this factor."""
 LEAST_PX = 0.005
 """Image errors besides the detections', at least (``mosca.diagnostics.camera_health``)."""
-MOST_ROUNDS, SETTLED = 4, 0.005
+LEFT_OUT = 2.0**5
+"""Variance of an interpolation across an exposure that is left out against one between exposures, as ``Tracklets``
+takes it."""
+MOST_ROUNDS, SETTLED = 16, 0.005
 """Image points are assigned again to better curves, so often at most and until their number changes by less."""
 
 
@@ -114,8 +117,8 @@ def reconstruct_gathered(gathered: Associated, rig: Rig, settings: ContinuousSet
     curves: Curves | None = gathered.start
     for _round in range(MOST_ROUNDS):
         estimated = estimate(found, rig, quick, curves)
-        ties, before = _tied(ties, estimated), len(found)
-        sigma_px = _as_residuals(sigma_px, gathered, rig, estimated.sigma0)
+        ties, before, stated_px = _tied(ties, estimated), len(found), sigma_px
+        sigma_px = _as_residuals(sigma_px, gathered, rig, estimated.of_camera)
         if gathered.start is None:
             found = _with_names(gathered, ties, sigma_px)
         else:
@@ -125,7 +128,8 @@ def reconstruct_gathered(gathered: Associated, rig: Rig, settings: ContinuousSet
         if not len(found):
             raise InputError("no image point lies on its curve: the clocks or the rig do not fit the images")
         curves = estimated.curves
-        if abs(len(found) - before) < SETTLED * before and 1.0 / ALMOST < estimated.sigma0 < ALMOST:
+        changed = np.abs(np.log(sigma_px / np.maximum(stated_px, LEAST_PX))).max()
+        if abs(len(found) - before) < SETTLED * before and changed < np.log(ALMOST):
             break
     estimated = estimate(found, rig, settings, curves)
     clocks = _clocks(ties, estimated)
@@ -149,18 +153,21 @@ def _with_names(gathered: Associated, ties: tuple[ClockTie, ...], sigma_px: Arra
     return replace(found, time_s=time_s, covariance_px2=covariance)
 
 
-def _as_residuals(sigma_px: Array, gathered: Associated, rig: Rig, sigma0: float) -> Array:
+def _as_residuals(sigma_px: Array, gathered: Associated, rig: Rig, of_camera: Array) -> Array:
     """Return the image errors (c,) [px] besides the detections' with which residuals are as large as stated.
 
-    One factor for all cameras: how large they are against each other was learned from points that all see. Curves
-    take up errors that last, so that residuals do not show them: not less than the calibration states of the lenses,
-    nor than what common instants showed without what interpolation may have added there.
+    ``of_camera`` (c,): the residuals in units of what was stated. How large cameras' errors are against each other is
+    learned here: at common instants interpolation hides it. Curves take up errors that last, as lenses', 3 of 2 C
+    parts where C cameras see a point: these come on top of what residuals show. Not less than what common instants
+    showed without what interpolation may have added there: at most what it is off where an exposure is left out.
     """
     covariances = [one.covariance_px2 for one in gathered.seen]
     detected = np.array([0.5 * np.median(np.trace(one, axis1=1, axis2=2)) for one in covariances])
     lens = np.array([max(camera.residual_px, LEAST_PX) for camera in rig.cameras])
-    least = np.maximum(lens**2, gathered.sigma_px**2 - gathered.between_px**2)
-    return np.asarray(np.sqrt(np.maximum(sigma0**2 * (sigma_px**2 + detected) - detected, least)))
+    taken = min(3.0 / (2.0 * len(rig.cameras)), 1.0)
+    shown = of_camera**2 * (sigma_px**2 + detected) - detected
+    least = np.maximum(lens**2, gathered.sigma_px**2 - LEFT_OUT * gathered.between_px**2)
+    return np.asarray(np.sqrt(np.maximum(shown + taken * lens**2, least)))
 
 
 def _tied(ties: tuple[ClockTie, ...], estimated: ContinuousEstimate) -> tuple[ClockTie, ...]:

@@ -12,8 +12,9 @@ def test_other_models_are_scored_on_the_same_image_points():
     result = run_scenario(SHORT, {"continuous.compare": ["linear", "cubic"]})
     value = {metric.name: metric.value for metric in result.record.metrics}
     assert "rms_neural" not in value
-    # points at 1 m/s, 20 ms between exposures: straight lines miss 0.5 mm of the paths, cubic ones next to nothing
-    assert value["rms_cubic"] == pytest.approx(value["position_rms"], rel=0.1)
+    # points at 1 m/s, 20 ms between exposures: straight lines miss 0.5 mm of the paths, cubic ones little; they do
+    # not average over exposures
+    assert value["position_rms"] < value["rms_cubic"] < 1.5 * value["position_rms"]
     assert value["rms_linear"] > 3 * value["rms_cubic"]
 
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from scipy.stats import norm
 
 from mosca.camera.projection import lens_directions
 from mosca.continuous.association.frame_detections import CameraDetections
@@ -28,7 +29,10 @@ INSTANTS = 60
 MOST_POINTS = 40
 """Points of an instant that are compared, of the camera whose clock is held."""
 CLEAR = 8.0
-"""Least peak height of the best shift above the others, in their (robust) standard deviations."""
+"""Peak height of the best shift above the others, in their (robust) standard deviations, from which it is taken even
+where another one rivals it."""
+CHANCE = 1e-3
+"""Chance that the best of all shifts is as high though none is right; a shift without a rival is higher."""
 RIVAL = 0.85
 """A second peak of at least this fraction of the best makes the shift ambiguous, as for periodic motion (gait)."""
 WINDOWS = 8
@@ -116,6 +120,14 @@ class _Pair:
     def px_per_rad(self) -> float:
         return float(np.mean(principal_distances_px(self.camera_b.lens)))
 
+    @property
+    def fine_px(self) -> float:
+        """Distance from the epipolar line at which a partner counts exp(-1/2) in the windows: as positions between
+        exposures are known.
+        """
+        between = np.hypot(self.path_a.interpolation_px, self.path_b.interpolation_px)
+        return float(np.clip(between, FINE_PX, COARSE_PX))
+
     def speed_px(self) -> float:
         """Return the upper quartile of the speed of image points in the camera searched [px/s]."""
         some = self.path_b.at(_inner(float(self.path_b.time_s.min()), float(self.path_b.time_s.max())))
@@ -141,9 +153,11 @@ def _searched(pair: _Pair, search_s: float, origin_ns: int) -> ClockTie | None:
     spread = 1.4826 * float(np.median(np.abs(some - middle))) + 1e-6
     at = int(np.argmax(score))
     clear = (float(score[at]) - middle) / max(spread, 0.005)
-    if clear < CLEAR or score[at] < middle + 0.1:
+    if clear < norm.isf(CHANCE / len(shifts)) or score[at] < middle + 0.1:
         return None
     other = rival(score - middle, at)
+    if clear < CLEAR and other is not None:
+        return None
     # b's clock = shift + (1 + drift) a's: inverted
     shift, drift = _line(pair, float(shifts[at]), step, speed)
     rate = 1 / (1 + drift)
@@ -172,13 +186,13 @@ def _line(pair: _Pair, shift: float, step: float, speed: float) -> tuple[float, 
     high = min(float(pair.path_a.time_s.max()), float(pair.path_b.time_s.max()) - shift)
     length = high - low
     windows = WINDOWS if length >= DRIFT_FROM_S else 1
-    fine = min(FINE_PX / speed, 0.25 * step)
+    fine = min(pair.fine_px / speed, 0.25 * step)
     edges = np.linspace(low, high, windows + 1)
     found = []
     for a, b in pairwise(edges):
         reach = 2.0 * step + WIDEST_DRIFT * length
         near = shift + np.arange(-reach, reach + fine, fine)
-        votes, count = _votes(pair, _inner(a, b), near, FINE_PX)
+        votes, count = _votes(pair, _inner(a, b), near, pair.fine_px)
         score = votes / np.maximum(count, 1)
         if count.max() == 0:
             continue

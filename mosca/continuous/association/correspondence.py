@@ -169,7 +169,8 @@ def odd_sizes_px(diameter_px: Array, away_m: Array, point: Array) -> Array:
     size = diameter_px * away_m
     names, of = np.unique(point, return_inverse=True)
     usual = np.array([np.median(size[of == k]) for k in range(len(names))])[of]
-    share = np.abs(1.0 - (size / usual) ** 2)
+    # more than all of it cannot be hidden: what is larger is at a wrong distance
+    share = np.minimum(np.abs(1.0 - (size / usual) ** 2), 1.0)
     return np.where(share > ODD_SHARE, share * 0.5 * diameter_px, 0.0)
 
 
@@ -252,7 +253,7 @@ def _variances_px2(
 
 def _nearest(one: CameraDetections, own: Array, image: Array, variance: Array) -> tuple[Array, Array]:
     """Return which of the image points ``own`` goes to which of the images (p, 2) +- ``variance`` (p,): the greatest
-    likelihood.
+    likelihood, where that is above the density of image points, as any of them would have it.
     """
     if not len(own) or not len(image):
         return np.empty(0, np.int64), np.empty(0, np.int64)
@@ -261,7 +262,8 @@ def _nearest(one: CameraDetections, own: Array, image: Array, variance: Array) -
     detected = one.covariance_px2[own].trace(axis1=1, axis2=2) / 2
     whole = detected[:, None] + variance
     squared = (off**2).sum(axis=2) / whole
-    allowed = (squared < GATE_SIGMA**2) & (detected < WORST_PX**2)[:, None]
+    spread = one.info.width * one.info.height / (2.0 * np.pi * len(own))
+    allowed = (squared < GATE_SIGMA**2) & (whole < spread) & (detected < WORST_PX**2)[:, None]
     cost = squared + 2.0 * np.log(whole / whole.min())
     which, to = linear_sum_assignment(np.where(allowed, cost, 1e6))
     good = allowed[which, to]

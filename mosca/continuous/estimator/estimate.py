@@ -94,13 +94,15 @@ def estimate(
     # given paths are near: overestimated noise would mask how little cameras move
     begun = settings.cameras == "moving" and paths is not None and settings.clocks == "known"
     known = settings.clocks == "known" and settings.cameras == "known"
-    state, strength, noise = first_curves(image, state, alone, points, start, not (known or begun))
+    free_knots = settings.knot_s is None and settings.cameras != "moving"
+    state, strength, noise = first_curves(image, state, alone, points, start, not (known or begun), free_knots)
     of_cameras = np.zeros((0, 0))
     if not known:
         state, held, of_cameras = _settled(image, state, points, settings, strength, noise, clock_free)
         # variances estimated with wrong clocks and poses attribute their errors to motion: estimated again,
         # from rays, since image points far from the initial curves (jumps) have little weight and would never recover
-        state, strength, _ = first_curves(image, replace(state, order=ORDERS[0]), alone, points, None, False)
+        state = replace(state, order=ORDERS[0], knots=knots, xyz=xyz)
+        state, strength, _ = first_curves(image, state, alone, points, None, False, free_knots)
     groups = grouped(state, points, settings)
     places = layout(groups, len(still.cameras), settings.cameras, clock_free & ~held)
     covariances = first_covariances(points, strength, places)
@@ -109,7 +111,7 @@ def estimate(
     seen = np.isin(np.arange(len(observations.points)), points)
     solved, covariances, pairs = _rounds(image, state, places, covariances, settings, seen, spans)
     rng = np.random.default_rng(0)
-    size = sigma0(solved, places, draws(solved, places, DRAWS, rng))
+    size, of_camera = sigma0(image, solved, places, draws(solved, places, DRAWS, rng))
     findings += clock_rules.findings(observations.cameras, held)
     if settings.cameras != "known":
         findings.append(
@@ -122,15 +124,16 @@ def estimate(
     spans = seen_from_to(used, image.times(solved.state))
     missing = unheld(image, solved, places, alone, points)
     solved = replace(solved, covariance=covariance_of_shared(image, solved, places))
-    curves = curves_of(solved, places, covariances, observations, spans, missing)
+    curves = curves_of(solved, places, covariances, observations, spans, missing, knots.step_s)
     names = observations.points
     found = tuple(
         ConstantDistance(names[i], names[j], float(d), float(s))
         for (i, j), d, s in zip(pairs.pair, pairs.distance, pairs.slack, strict=True)
     )
     times = clock_rules.results(observations.cameras, places, solved.state.clocks, solved.covariance, held)
+    spent = stopwatch.perf_counter() - began
     return ContinuousEstimate(
-        curves, solved.state.paths, tuple(times), found, tuple(findings), size, stopwatch.perf_counter() - began
+        curves, solved.state.paths, tuple(times), found, tuple(findings), size, of_camera, spent
     )
 
 
@@ -152,7 +155,7 @@ def _settled(
         drawn = draws(solved, places, DRAWS, rng)
         if noise > 1:
             # errors of clocks and poses act as noise, which shrinks as these converge
-            noise = max(1.0, noise * sigma0(solved, places, drawn))
+            noise = max(1.0, noise * sigma0(image, solved, places, drawn)[0])
         covariances = _learned(state, places, drawn, covariances)
     held = clock_rules.undetermined_clocks(places, solved.covariance)
     return (

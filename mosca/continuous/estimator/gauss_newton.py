@@ -123,19 +123,29 @@ def draws(solved: Solved, places: StateLayout, number: int, rng: np.random.Gener
     return drawn
 
 
-def sigma0(solved: Solved, places: StateLayout, drawn: list[Array]) -> float:
-    """Return the residuals' size in the standard deviations that ``step`` took, what was fitted to them taken off.
+def sigma0(image: ImagePoints, solved: Solved, places: StateLayout, drawn: list[Array]) -> tuple[float, Array]:
+    """Return the residuals' size in the standard deviations that ``step`` took, what was fitted to them taken off, of
+    all and of each camera (c,): the variance components of Helmert and Foerstner.
 
     The fit's degrees of freedom are trace(H^-1 J^T J): the mean square of what drawn curves change in the images.
     """
-    square = number = fitted = 0.0
+    cameras = len(image.observations.cameras)
+    square, number, fitted = np.zeros((3, cameras))
     for g, rows in enumerate(solved.rows):
         x = unknowns(solved.state, places, g)
+        own = of_group(image, places, g) & (solved.weight > 0)
+        camera = np.repeat(image.observations.camera[own], 2)
         for one in drawn[g]:
-            fitted += float((rows.applied(one.ravel() - x, places.width(g)) ** 2).sum()) / len(drawn[g])
-        number += len(rows.rest)
-        square += float((rows.rest**2).sum())
-    return float(np.sqrt(square / max(number - fitted, 0.05 * number, 1.0)))
+            change = rows.applied(one.ravel() - x, places.width(g))
+            fitted += np.bincount(camera, change**2, cameras) / len(drawn[g])
+        number += np.bincount(camera, minlength=cameras)
+        square += np.bincount(camera, rows.rest**2, cameras)
+
+    def size(square: Array, number: Array, fitted: Array) -> Array:
+        return np.asarray(np.sqrt(square / np.maximum(number - fitted, np.maximum(0.05 * number, 1.0))))
+
+    whole = float(size(square.sum(), number.sum(), fitted.sum()))
+    return whole, np.where(number > 0, size(square, number, fitted), whole)
 
 
 def curves_of(
@@ -145,12 +155,14 @@ def curves_of(
     observations: TimedObservations,
     spans: Array,
     unheld: Array,
+    finest_s: float,
 ) -> SplineCurves:
     """Return the curves of all free points with their covariances; those that were left out are known nowhere.
 
     ``covariances``: the prior's; white noise Q of derivative m has the spectrum Q / w^(2 m), of which splines hold
-    what lies below pi / step; the rest is Q step^(2 m - 1) / ((2 m - 1) pi^(2 m)). ``spans`` (points, 2): from when
-    to when each point was seen [s]; ``unheld`` (pieces + 1, points, 3, 3): see
+    what lies below pi / step; the rest is Q step^(2 m - 1) / ((2 m - 1) pi^(2 m)). ``finest_s``: the step that
+    exposures allow; that there is nothing between it and a wider one is what the wider one was chosen by. ``spans``
+    (points, 2): from when to when each point was seen [s]; ``unheld`` (pieces + 1, points, 3, 3): see
     ``SplineCurves``.
     """
     state, free = solved.state, observations.free
@@ -159,7 +171,7 @@ def curves_of(
     carried = np.zeros((knots.count, n, 3, places.shared))
     beyond = np.zeros((n, 3, 3))
     odd = 2 * state.order - 1
-    rest = knots.step_s**odd / (odd * np.pi ** (odd + 1))
+    rest = finest_s**odd / (odd * np.pi ** (odd + 1))
     estimated = np.zeros(n, dtype=bool)
     for g, (points, factor) in enumerate(zip(places.groups, solved.factors, strict=True)):
         blocks[:, :, points] = factor.inverse_blocks(len(points))

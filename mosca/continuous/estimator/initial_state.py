@@ -5,6 +5,7 @@ from scipy.cluster.hierarchy import leaves_list, linkage
 from scipy.spatial.distance import squareform
 from scipy.spatial.transform import Rotation
 
+from mosca.continuous.estimator.motion_prior import DEGREE
 from mosca.continuous.estimator.state import StateLayout, TrajectoryState
 from mosca.continuous.model.bspline import Knots, fitted, knots_over, values
 from mosca.continuous.model.camera_paths import PosedCameras, StillCameras
@@ -13,7 +14,6 @@ from mosca.continuous.model.observations import CameraPaths, TimedObservations
 from mosca.data.arrays import Array
 from mosca.errors import InputError
 
-DEGREE = 3
 FEWEST_SIGHTINGS = 6
 MOST_UNKNOWNS = 600_000
 """Knots are spread wider where there would be more coefficients than this."""

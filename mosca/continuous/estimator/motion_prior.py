@@ -1,11 +1,12 @@
 """Smoothness prior of the motion, with its strength estimated from the data.
 
-The prior is white noise on the second or third derivative: ``p(x) ~ exp(-1/2 integral x''^T Q^-1 x'' dt)``, whichever
-has the larger likelihood of all image points (recorded people: the second; smooth machines: the third). First each
-point separately: one strength per point, maximising the marginal likelihood of its image points (REML: the
-polynomials on which the prior is flat integrated out). Then Q between all coordinates of all points that are
-estimated together, by expectation-maximisation: Q is the mean of x'' x''^T over posterior samples. Points of a body
-move together, and each exposure constrains only the directions across its lines of sight: the full Q provides depth
+The prior is white noise on the m-th derivative: ``p(x) ~ exp(-1/2 integral x''^T Q^-1 x'' dt)`` for m = 2. The order
+m and the distance of the knots are those that predict left-out image points best: recorded people jerk (the second),
+what swings has a spectrum that ends (high orders, knots no nearer than it needs). First each point separately: one
+strength per point, maximising the marginal likelihood of its image points (REML: the polynomials on which the prior
+is flat integrated out). Then Q between all coordinates of all points that are estimated together, by
+expectation-maximisation: Q is the mean of x'' x''^T over posterior samples. Points of a body move together, and each
+exposure constrains only the directions across its lines of sight: the full Q provides depth
 between exposures.
 """
 
@@ -17,14 +18,22 @@ import numpy as np
 from scipy.linalg import LinAlgError, cho_solve_banded, cholesky_banded
 from scipy.optimize import minimize_scalar
 
-from mosca.continuous.estimator.banded_normals import Band, Rows
+from mosca.continuous.estimator.banded_normals import Band, Factor, Rows
 from mosca.continuous.model.bspline import Knots, values
 from mosca.data.arrays import Array
 
-ORDERS = (2, 3)
-"""Derivatives that the prior may take for noise."""
-RANGE = (-32.0, 12.0)
-"""Logarithms of strengths that are tried, in units in which coordinates are m and time s."""
+ORDERS = (2, 3, 5, 7)
+"""Derivatives that the prior may take for noise; the spectrum of the motion falls with twice this power."""
+DEGREE = 3
+"""Least degree of the splines; at least the prior's order."""
+COARSER = 1.5
+"""Knots that are so many times farther apart are tried next."""
+RANGE = (-26.0, 21.0)
+"""Logarithms of strengths that are tried, against the image points': beyond, one is lost in the other's rounding."""
+REFUSED = 1e30
+"""Cost of a strength with which the equations are singular in double precision."""
+LEAST_FREE = 1e-6
+"""Share of an image point's own error that its curve leaves, at least: less is rounding."""
 PACE_S = 0.1
 """Smoothing width (Gaussian sigma) of the motion's intensity."""
 FARTHEST_M = 100.0
@@ -33,8 +42,7 @@ FARTHEST_M = 100.0
 
 def one_point(rows: Rows, knots: Knots, order: int, noise_free: bool = False) -> tuple[Array, float, float, float]:
     """Return the maximum-likelihood coefficients (count, 3) of one point from its equations, the prior's log
-    strength, how many times larger than stated the image errors are, and -2 log of the marginal likelihood, alike for
-    all orders.
+    strength, how many times larger than stated the image errors are, and ``left_out`` of it.
 
     ``noise_free``: image errors may be
     larger than stated, since clocks or poses are not known yet; they are then as large as is likeliest.
@@ -47,36 +55,76 @@ def one_point(rows: Rows, knots: Knots, order: int, noise_free: bool = False) ->
     keep.add_prior(knots.gram(0), np.eye(3) / FARTHEST_M**2)
     data, prior, right = band.band + keep.band, plain.band, band.right
     total = float(rows.rest @ rows.rest)
+    even = float(np.log(data[0].mean() / prior[0].mean()))
     rank = 3 * (knots.count - order)
-    of_order = 3 * (2 * order * np.log(FARTHEST_M) - log_determinant(knots, order))
     freedom = max(len(rows.rest) - 3 * order, 1)
+
+    def squares(x: Array, log_strength: float) -> float:
+        # not total - x right: that is of first order in the rounding errors of x
+        whole = data + np.exp(log_strength) * prior
+        product = whole[0] * x
+        for k in range(1, len(whole)):
+            product[k:] += whole[k, :-k] * x[:-k]
+            product[:-k] += whole[k, :-k] * x[k:]
+        return total - 2.0 * float(x @ right) + float(x @ product)
 
     def solved(log_strength: float) -> tuple[float, Array]:
         lower = cholesky_banded(data + np.exp(log_strength) * prior, lower=True, check_finite=False)
         x = cho_solve_banded((lower, True), right, check_finite=False)
-        misfit = max(total - x @ right, 1e-9 * total)
+        misfit = max(squares(x, log_strength), 1e-9 * total)
         if noise_free:
             misfit = freedom * np.log(misfit)
-        return misfit + 2 * np.log(lower[0]).sum() - rank * log_strength + of_order, x
+        return misfit + 2 * np.log(lower[0]).sum() - rank * log_strength, x
 
     def cost(log_strength: float) -> float:
         try:
             return solved(log_strength)[0]
         except LinAlgError:
-            return np.inf
+            return REFUSED
 
-    # the likelihood may have two tops: the ladder finds the higher one
-    ladder = np.arange(RANGE[0] + 2, RANGE[1], 4.0)
-    near = float(ladder[int(np.argmin([cost(s) for s in ladder]))])
-    bounds = (near - 4, near + 4)
-    found: Any = minimize_scalar(cost, bounds=bounds, method="bounded", options={"xatol": 0.1})
-    best = float(found.x)
-    least, x = solved(best)
-    if not noise_free:
-        return x.reshape(-1, 3), best, 1.0, least
-    # the strength was in units of the errors that there are
-    noise = max(1.0, float(np.sqrt(max(total - float(x @ right), 0.0) / freedom)))
-    return x.reshape(-1, 3), best - 2 * float(np.log(noise)), noise, least
+    # the likelihood may have several tops, one of them with all motion taken for noise: what predicts best is taken
+    ladder = even + np.arange(RANGE[0] + 2, RANGE[1], 4.0)
+    costs = np.array([cost(s) for s in ladder])
+    tops = (costs <= np.append(np.inf, costs[:-1])) & (costs < np.append(costs[1:], np.inf))
+    results = []
+    for near in ladder[tops & (costs < REFUSED)]:
+        bounds = (near - 4, near + 4)
+        found: Any = minimize_scalar(cost, bounds=bounds, method="bounded", options={"xatol": 0.1})
+        best = float(found.x) if found.fun < REFUSED else float(near)
+        x = solved(best)[1]
+        noise = float(np.sqrt(max(squares(x, best), LEAST_FREE) / freedom)) if noise_free else 1.0
+        lower = cholesky_banded(data + np.exp(best) * prior, lower=True, check_finite=False)
+        predicted = left_out(rows, Factor(lower, knots.count, knots.degree + 1, 3), x, noise)
+        # the strength was in units of the errors that there are
+        results.append((predicted, best - 2 * float(np.log(noise)), noise, x.reshape(-1, 3)))
+    if not results:
+        return np.zeros((knots.count, 3)), 0.0, 1.0, np.inf
+    predicted, strength, noise, x = min(results, key=lambda one: one[0])
+    return x, strength, noise, predicted
+
+
+def left_out(rows: Rows, factor: Factor, x: Array, noise: float) -> float:
+    """Return -2 log of the density of each image point predicted from all others, added up.
+
+    ``rows``: two a point; ``x`` (count * 3,): the coefficients that fit all, with their ``factor``; ``noise``: on the
+    stated errors. Unlike the marginal likelihood it does not depend on how little is known of the polynomials on
+    which a prior is flat, of which priors of high orders have more (Gelfand, Dey and Chang 1992; Rasmussen and
+    Williams 2006, eq. 5.10-5.12).
+    """
+    rest = (rows.rest - rows.applied(x, 3)).reshape(-1, 2)
+    blocks = factor.inverse_blocks(1)[:, :, 0]
+    by = rows.values[:, :3].reshape(-1, 2, 3)
+    first, weights = rows.first[::2], rows.weights[::2]
+    place = np.zeros((len(first), 3, 3))
+    for a in range(weights.shape[1]):
+        for b in range(a + 1):
+            part = (weights[:, a] * weights[:, b])[:, None, None] * blocks[a - b, first + b]
+            place += part if a == b else part + np.swapaxes(part, 1, 2)
+    free = np.eye(2) - by @ place @ np.swapaxes(by, 1, 2)
+    sizes, axes = np.linalg.eigh(free)
+    sizes = np.maximum(sizes, LEAST_FREE)
+    along = np.einsum("nji,nj->ni", axes, rest)
+    return float((along**2 / (noise**2 * sizes) - np.log(sizes / noise**2)).sum())
 
 
 @lru_cache(maxsize=32)

@@ -15,7 +15,7 @@ import numpy as np
 from mosca.continuous.estimator.gauss_newton import Solved, frame_rows, of_group
 from mosca.continuous.estimator.motion_prior import FARTHEST_M
 from mosca.continuous.estimator.observation_equations import HUBER, ImagePoints
-from mosca.continuous.estimator.single_point import smoothest_noise
+from mosca.continuous.estimator.single_point import JITTER_ORDER, smoothest_noise
 from mosca.continuous.estimator.state import StateLayout, TrajectoryState
 from mosca.data.arrays import Array
 
@@ -60,8 +60,11 @@ def of_lenses(image: ImagePoints) -> Array:
 def jitter(image: ImagePoints, solved: Solved, alone: StateLayout, points: Array, share: float) -> Array:
     """Return the variance (points,) an axis [m^2] of motion above the exposures' rate.
 
-    ``share``: of time-correlated errors in the stated variances; changing cameras make them look like jitter.
+    ``share``: of time-correlated errors in the stated variances; changing cameras make them look like jitter. Where a
+    prior of a higher order predicts left-out image points better, the motion's spectrum ends below that rate.
     """
+    if solved.state.order > JITTER_ORDER:
+        return np.zeros(len(points))
     noise, lever, number = smoothest_noise(image, solved.state, alone, points)
     excess = noise**2 - 1 - share
     return np.asarray(np.where(excess > CHANCE * np.sqrt(2 / number), excess / lever, 0.0))

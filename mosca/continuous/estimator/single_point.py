@@ -5,16 +5,20 @@ from dataclasses import replace
 import numpy as np
 
 from mosca.continuous.estimator.banded_normals import Rows
-from mosca.continuous.estimator.motion_prior import ORDERS, one_point
+from mosca.continuous.estimator.motion_prior import COARSER, DEGREE, ORDERS, one_point
 from mosca.continuous.estimator.observation_equations import ImagePoints, LinearisedImages, robust_weights, weighted
 from mosca.continuous.estimator.state import StateLayout, TrajectoryState
-from mosca.continuous.model.bspline import Knots, fitted
+from mosca.continuous.model.bspline import Knots, fitted, knots_over
 from mosca.continuous.model.observations import Curves
 from mosca.data.arrays import Array
 
 RAY_PASSES = 2
 NEAREST_M = 0.05
 """Least depth [m] that an image's weight is computed with: points are not nearer to a lens."""
+JUDGES = 12
+"""Points at most by which order and knots are chosen."""
+JITTER_ORDER = 3
+"""Order of the prior against which motion above the exposures' rate shows."""
 
 
 def first_curves(
@@ -24,13 +28,14 @@ def first_curves(
     points: Array,
     start: Curves | None,
     noise_free: bool,
+    free_knots: bool = False,
 ) -> tuple[TrajectoryState, Array, float]:
     """Return the state with curves of ``points`` (indices), each one's log strength of smoothness, and how many times
     larger than stated image errors are (1 unless ``noise_free``).
 
     Rays weighed by a guessed depth first (the distance of the point nearest to all axes), then by the depth found,
-    then image errors themselves; the smoothness's order is the one of larger likelihood. ``start``: curves to
-    linearise at instead.
+    then image errors themselves; order and, where ``free_knots``, the distance of the knots are those of the largest
+    likelihood. ``start``: curves to linearise at instead.
     """
     if start is not None:
         xyz = np.array(state.xyz)
@@ -47,19 +52,60 @@ def first_curves(
             state = _each_point(image, seen, state, usable, points, True)[0]
     seen = _of_whole_points(image, state, places)
     weight = robust_weights(seen.residual)
-    tried = [_each_point(image, seen, replace(state, order=order), weight, points, noise_free) for order in ORDERS]
-    best, strength, noise, _ = min(tried, key=lambda one: one[3])
-    return best, strength, float(np.median(noise))
+    state, seen = _likeliest(image, seen, state, weight, points, noise_free, free_knots)
+    best, strength, noise, _ = _each_point(image, seen, state, weight, points, noise_free)
+    return best, strength, max(1.0, float(np.median(noise)))
+
+
+def _likeliest(
+    image: ImagePoints, seen: LinearisedImages, state: TrajectoryState, weight: Array, points: Array,
+    noise_free: bool, free_knots: bool
+) -> tuple[TrajectoryState, LinearisedImages]:  # fmt: skip
+    """Return the state with order and knots of the largest likelihood of some points, and the equations with these.
+
+    Where not ``free_knots`` they stay, and orders that their degree has are compared.
+    """
+    some = points[np.unique(np.linspace(0, len(points) - 1, JUDGES).astype(int))]
+    finest = state.knots
+
+    def tried(order: int, times: float) -> tuple[float, TrajectoryState, LinearisedImages]:
+        knots = finest
+        if free_knots:
+            knots = knots_over(finest.start_s, finest.end_s, times * finest.step_s, max(DEGREE, order))
+        if knots.pieces <= order:
+            return np.inf, state, seen
+        new = replace(state, order=order, knots=knots, xyz=np.zeros((knots.count, *state.xyz.shape[1:])))
+        rows = _on_knots(image, seen, new)
+        return _each_point(image, rows, new, weight, some, noise_free)[3], new, rows
+
+    orders = [order for order in ORDERS if free_knots or order <= finest.degree]
+    at = [tried(order, 1.0) for order in orders]
+    first = int(np.argmin([one[0] for one in at]))
+    best = at[first]
+    for k in range(first, len(orders)) if free_knots else ():
+        least, times = at[k][0], COARSER
+        while (other := tried(orders[k], times))[0] < least:
+            least, times = other[0], times * COARSER
+            if least < best[0]:
+                best = other
+    return best[1], best[2]
+
+
+def _on_knots(image: ImagePoints, seen: LinearisedImages, state: TrajectoryState) -> LinearisedImages:
+    """Return equations of whole points with the coefficients that ``state`` has."""
+    first, weight = state.knots.weights(image.times(state))
+    rows = seen.rows._replace(first=np.repeat(first, 2), weights=np.repeat(weight, 2, axis=0))
+    return LinearisedImages(seen.residual, rows)
 
 
 def smoothest_noise(
     image: ImagePoints, state: TrajectoryState, places: StateLayout, points: Array
 ) -> tuple[Array, Array, Array]:
-    """Return of ``points``, each made as smooth as the highest order has it: how many times larger than stated its
+    """Return of ``points``, each as smooth as ``JITTER_ORDER`` has it: how many times larger than stated its
     image errors then are, the mean square of an image coordinate's derivative by position [1/m^2], and their number.
     """
     seen = _of_whole_points(image, state, places)
-    smooth = replace(state, order=max(ORDERS))
+    smooth = replace(state, order=JITTER_ORDER)
     # jumps are rare and far larger than what is left elsewhere: found by a first pass, they count less in the second
     once = _each_point(image, seen, smooth, robust_weights(seen.residual), points, True)[0]
     noise = _each_point(image, seen, smooth, robust_weights(image.residuals(once)), points, True)[2]

@@ -141,8 +141,8 @@ class SplinePaths:
 class ContinuousEstimate:
     """Curves, cameras' paths and clocks, the constant distances found, and what must be known about them.
 
-    ``sigma0``: image residuals in units of their stated standard deviations (1 where these are honest); ``seconds``:
-    what the estimate took.
+    ``sigma0``: image residuals in units of their stated standard deviations (1 where these are honest); ``of_camera``
+    (c,): the same of each camera; ``seconds``: what the estimate took.
     """
 
     curves: SplineCurves
@@ -151,4 +151,5 @@ class ContinuousEstimate:
     distances: tuple[ConstantDistance, ...]
     findings: tuple[str, ...]
     sigma0: float
+    of_camera: Array
     seconds: float
