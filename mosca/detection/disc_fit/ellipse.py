@@ -28,6 +28,8 @@ class Stretch(NamedTuple):
     """Symmetric matrix (xx, xy, yy) of determinant 1 in which the target is round."""
     chi2: float
     """Squared length of the step over its error."""
+    variance: float
+    """Of p and of q, geometric mean; infinite where the pixels do not give them."""
 
 
 @bare_step(fastmath=FAST)
@@ -62,7 +64,7 @@ def stretched(
     pp, pq, qq, cp, cq = f64(sums[0]), f64(sums[1]), f64(sums[2]), f64(sums[3]), f64(sums[4])
     det = pp * qq - pq * pq
     if not det > 0.0:
-        return Stretch(shape, 0.0)
+        return Stretch(shape, 0.0, math.inf)
     p, q = (qq * cp - pq * cq) / det, (pp * cq - pq * cp) / det
     chi2 = p * cp + q * cq
     hold = min(1.0, MOST_CHANGE / max(math.sqrt(p * p + q * q), 1e-9))
@@ -74,4 +76,18 @@ def stretched(
     xx, xy, yy = a * a + c * c, a * b + c * d, b * b + d * d
     root = math.sqrt(xx * yy - xy * xy)
     t = math.sqrt(xx / root + yy / root + 2.0)
-    return Stretch(((xx / root + 1.0) / t, xy / root / t, (yy / root + 1.0) / t), chi2)
+    return Stretch(((xx / root + 1.0) / t, xy / root / t, (yy / root + 1.0) / t), chi2, 1.0 / math.sqrt(det))
+
+
+@bare_step(fastmath=FAST)
+def ellipticity(shape: tuple[float, float, float]) -> tuple[float, float]:
+    """Return the ellipticity of a target that ``shape`` makes round, see ``mosca.data.detections.Detections``.
+
+    The shape is the exponential of -[[a, b], [b, -a]] / 2 with the ellipticity (a, b).
+    """
+    a, b = 0.5 * (shape[2] - shape[0]), -shape[1]
+    sine = math.sqrt(a * a + b * b)
+    if not sine > 0.0:
+        return 0.0, 0.0
+    scale = 2.0 * math.log(sine + math.sqrt(1.0 + sine * sine)) / sine
+    return scale * a, scale * b

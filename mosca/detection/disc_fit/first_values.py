@@ -89,6 +89,12 @@ def central_moments(sums_of_light: Any) -> tuple[float, float, float, float, flo
 
 
 @bare_step(fastmath=FAST)
+def least_difference(blur: float, n: int) -> float:
+    """Return the relative difference of second moments from which a region of n pixels is not taken for round."""
+    return ROUND + (ROUND_PX if parts_of(blur) == 1 else ROUND_SHARP_PX) / n
+
+
+@bare_step(fastmath=FAST)
 def stretch(xx: float, xy: float, yy: float, blur: float, n: int) -> tuple[float, float, float]:
     """Return the symmetric matrix (xx, xy, yy) of determinant 1 that makes an elliptic target round.
 
@@ -96,9 +102,8 @@ def stretch(xx: float, xy: float, yy: float, blur: float, n: int) -> tuple[float
     """
     blur2 = 0.5 * blur * blur
     size = max(0.5 * (xx + yy) - blur2, 0.5 * blur2)
-    allowed = ROUND_PX if parts_of(blur) == 1 else ROUND_SHARP_PX
     p, q = 0.5 * (xx - yy) / size, xy / size
-    if p * p + q * q < (ROUND + allowed / n) ** 2:
+    if p * p + q * q < least_difference(blur, n) ** 2:
         return 1.0, 0.0, 1.0
     e = min(math.sqrt(p * p + q * q), MOST_STRETCHED)
     k = e / math.sqrt(p * p + q * q)

@@ -14,8 +14,16 @@ from mosca.data.arrays import Array
 from mosca.data.detections import MERGED, PARTIAL, SATURATED, UNREFINED
 from mosca.detection.centroid import DIAMETER, DIAMETER_SIGMA, ELONGATION, PEAK, XX, XY, YY, X, Y
 from mosca.detection.disc_fit.disc_image import FAST, f32, part_blur, parts_of
-from mosca.detection.disc_fit.ellipse import stretched
-from mosca.detection.disc_fit.first_values import Light, Region, first_disc, light_of, reshaped, turned
+from mosca.detection.disc_fit.ellipse import ellipticity, stretched
+from mosca.detection.disc_fit.first_values import (
+    Light,
+    Region,
+    first_disc,
+    least_difference,
+    light_of,
+    reshaped,
+    turned,
+)
 from mosca.detection.disc_fit.gauss_newton import DiscFit, DiscPrior, Model, Workspace, fit_disc
 from mosca.detection.disc_fit.light_offset import (
     AMPLITUDE_SUMS,
@@ -66,11 +74,12 @@ from mosca.detection.search import (
 from mosca.numba_support.decorators import bare_step, step
 from mosca.numba_support.intrinsics import array_at
 
-FLAGS, BLUR, BLUR_INFO, MISFIT, ROUGH, PULL = range(9, 15)
+FLAGS, BLUR, BLUR_INFO, MISFIT, ROUGH, PULL, ELLIPTIC_X, ELLIPTIC_Y, ELLIPTIC_SIGMA = range(9, 18)
 """Columns of the table after those of ``mosca.detection.centroid``: flags, the blur that the target's own pixels
 give [px] and its information [px^-2], chi-square per degree of freedom, its excess over the noise as a share of the
-squared amplitude, and the difference of the region's principal moments over their sum."""
-N_COLUMNS = 15
+squared amplitude, the difference of the region's principal moments over their sum, and the ellipticity with its
+standard deviation (``mosca.data.detections.Detections``)."""
+N_COLUMNS = 18
 
 TOUCHING = 0.03
 """Standard deviation of a centroid biased by a neighbour's light, as a share of the diameter (measured)."""
@@ -222,6 +231,34 @@ def write_row(
         # fits worse than the camera's usual target: hidden in part, or no disc
         out[XX], out[XY], out[YY] = excess * out[XX], excess * out[XY], excess * out[YY]
     return odd
+
+
+@bare_step(fastmath=FAST)
+def write_ellipticity(
+    n: int,
+    pixels: Array,
+    region: Region,
+    light: Light,
+    fit: DiscFit,
+    good: bool,
+    model: Model,
+    work: Workspace,
+    out: Array,
+) -> None:
+    """Write the ellipticity of a fitted target; overwrites ``work``.
+
+    ``pixels``: the n that were fitted, mapped by the light's shape. From the residuals where they lie all around an
+    elliptic target; else from second moments, which are taken for round up to ``least_difference``, to first order
+    the ellipticity: evenly spread within a circle, it has half of that radius as its standard deviation.
+    """
+    out[ELLIPTIC_X], out[ELLIPTIC_Y] = ellipticity(light.shape)
+    out[ELLIPTIC_SIGMA] = 0.5 * least_difference(fit.blur, region.n_px) if good else 0.0
+    if not good or is_plain(light.shape) or light.crowded or light.saturated:
+        return
+    now = stretched(n, pixels, fit, model, light.shape, work)
+    if now.variance < math.inf:
+        out[ELLIPTIC_X], out[ELLIPTIC_Y] = ellipticity(now.shape)
+        out[ELLIPTIC_SIGMA] = 2.0 * math.sqrt(now.variance * max(out[MISFIT], 1.0))
 
 
 @bare_step(fastmath=FAST)
@@ -412,6 +449,7 @@ def refine_region(
         if takes_light and plain and not odd:
             reach = min(centre.radius + LIGHT_BLURS * fit.blur, most)
             add_light(image, region, reach, fit, centre.radius, buffers.pixels, buffers.terms, sums)
+    write_ellipticity(padded, pixels, region, light, fit, good, model, buffers.fit, out)
     offsets = priors.offsets[k]
     out[X], out[Y] = moved(image, centre.x, centre.y, centre.radius, offsets, buffers.terms)
 
