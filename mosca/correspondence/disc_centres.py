@@ -23,7 +23,7 @@ from mosca.correspondence.circle_fit import (
     is_elliptic,
     pixel_by_direction,
 )
-from mosca.correspondence.hypothesis import CHI2, COVARIANCE, TWICE, new_hypothesis, solve
+from mosca.correspondence.hypothesis import CHI2, COVARIANCE, DIAMETER, TWICE, judge_sizes, new_hypothesis, solve
 from mosca.correspondence.selection import TAKEN
 from mosca.data.detections import MERGED
 from mosca.data.rays import FLAGS, ROOT, SIGMA, WHITE
@@ -68,11 +68,11 @@ def aim_at_centres(kept, state, data, images):
         for c in range(cameras):
             members[c], ranks[c, TRUST] = kept.members[g, c], kept.trusts[g, c]
         values[:] = kept.values[g]
+        _whiten_as_detected(members, data, images, work[2:4])
+        values[DIAMETER] = judge_sizes(hypothesis, data)
         flat = fit_circle(members, values, circle, data)
         if flat:
             _aim(members, values, circle, ranks, data, images, pulls, work)
-        else:
-            _leave(members, data, images, work[2:4])
         error = solve(hypothesis, TWICE, data)
         if not error >= 0.0:
             continue
@@ -80,6 +80,7 @@ def aim_at_centres(kept, state, data, images):
             _widen(values, circle, pulls)
         values[CHI2] = error
         kept.values[g] = values
+        kept.trusts[g] = ranks[:, TRUST]
 
 
 @step
@@ -118,7 +119,7 @@ def _aim(members, point, circle, ranks, data, images, pulls, work):
 
 
 @step
-def _leave(members, data, images, g):
+def _whiten_as_detected(members, data, images, g):
     """Whiten rays by their detections' covariance alone; ``g``: scratch (2, 3)."""
     rays, views, _ = data
     for c in range(members.shape[0]):
