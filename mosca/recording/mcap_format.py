@@ -219,7 +219,7 @@ def unpack_detections(camera: str, message: bytes) -> tuple[int, Detections]:
     flags = np.frombuffer(message, np.uint8, n, start + n * 8 * columns)
     covariance = numbers[:, [2, 3, 3, 4]].reshape(n, 2, 2)
     diameter, peak, elongation = numbers[:, 5:8].T
-    more = {8: (), 9: (numbers[:, 8],)}.get(
-        columns, (numbers[:, 8:9].ravel(), numbers[:, 9:11], numbers[:, 11:].ravel())
-    )
-    return pulse, Detections(camera, numbers[:, :2], covariance, diameter, peak, elongation, flags, *more)
+    unknown = np.empty(0)
+    sigma = numbers[:, 8] if columns > 8 else unknown
+    shape = (numbers[:, 9:11], numbers[:, 11]) if columns > 9 else (unknown, unknown)
+    return pulse, Detections(camera, numbers[:, :2], covariance, diameter, peak, elongation, flags, sigma, *shape)
