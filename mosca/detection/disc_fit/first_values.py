@@ -116,6 +116,12 @@ def stretch(xx: float, xy: float, yy: float, blur: float, n: int) -> tuple[float
 
 
 @bare_step(fastmath=FAST)
+def is_plain(shape: tuple[float, float, float]) -> bool:
+    """Return whether a target is taken for round."""
+    return shape[1] == 0.0 and shape[0] == shape[2]
+
+
+@bare_step(fastmath=FAST)
 def light_of(
     region: Region, background: float, peak: Any, sums: Any, crowded: bool, blur: float, full_dn: float
 ) -> Light:

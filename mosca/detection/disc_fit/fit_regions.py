@@ -14,16 +14,8 @@ from mosca.data.arrays import Array
 from mosca.data.detections import MERGED, PARTIAL, SATURATED, UNREFINED
 from mosca.detection.centroid import DIAMETER, DIAMETER_SIGMA, ELONGATION, PEAK, XX, XY, YY, X, Y
 from mosca.detection.disc_fit.disc_image import FAST, f32, part_blur, parts_of
-from mosca.detection.disc_fit.ellipse import ellipticity, stretched
-from mosca.detection.disc_fit.first_values import (
-    Light,
-    Region,
-    first_disc,
-    least_difference,
-    light_of,
-    reshaped,
-    turned,
-)
+from mosca.detection.disc_fit.ellipse import ellipticity_of, stretched
+from mosca.detection.disc_fit.first_values import Light, Region, first_disc, is_plain, light_of, reshaped, turned
 from mosca.detection.disc_fit.gauss_newton import DiscFit, DiscPrior, Model, Workspace, fit_disc
 from mosca.detection.disc_fit.light_offset import (
     AMPLITUDE_SUMS,
@@ -234,34 +226,6 @@ def write_row(
 
 
 @bare_step(fastmath=FAST)
-def write_ellipticity(
-    n: int,
-    pixels: Array,
-    region: Region,
-    light: Light,
-    fit: DiscFit,
-    good: bool,
-    model: Model,
-    work: Workspace,
-    out: Array,
-) -> None:
-    """Write the ellipticity of a fitted target; overwrites ``work``.
-
-    ``pixels``: the n that were fitted, mapped by the light's shape. From the residuals where they lie all around an
-    elliptic target; else from second moments, which are taken for round up to ``least_difference``, to first order
-    the ellipticity: evenly spread within a circle, it has half of that radius as its standard deviation.
-    """
-    out[ELLIPTIC_X], out[ELLIPTIC_Y] = ellipticity(light.shape)
-    out[ELLIPTIC_SIGMA] = 0.5 * least_difference(fit.blur, region.n_px) if good else 0.0
-    if not good or is_plain(light.shape) or light.crowded or light.saturated:
-        return
-    now = stretched(n, pixels, fit, model, light.shape, work)
-    if now.variance < math.inf:
-        out[ELLIPTIC_X], out[ELLIPTIC_Y] = ellipticity(now.shape)
-        out[ELLIPTIC_SIGMA] = 2.0 * math.sqrt(now.variance * max(out[MISFIT], 1.0))
-
-
-@bare_step(fastmath=FAST)
 def disc_prior(k: int, priors: Priors, flux: float) -> DiscPrior:
     """Return what is known of a target of camera k with this flux [DN px^2]."""
     means, line = priors.amplitudes[k, :2], priors.amplitudes[k, 2:]
@@ -328,12 +292,6 @@ def gather_mapped(
     det, (slope_x, slope_y) = m0 * m2 - m1 * m1, region.slope
     level_pixels(n, buffers.pixels, ((m2 * slope_x - m1 * slope_y) / det, (m0 * slope_y - m1 * slope_x) / det))
     return n
-
-
-@bare_step(fastmath=FAST)
-def is_plain(shape: tuple[float, float, float]) -> bool:
-    """Return whether a target is taken for round."""
-    return shape[1] == 0.0 and shape[0] == shape[2]
 
 
 @bare_step(fastmath=FAST)
@@ -449,7 +407,9 @@ def refine_region(
         if takes_light and plain and not odd:
             reach = min(centre.radius + LIGHT_BLURS * fit.blur, most)
             add_light(image, region, reach, fit, centre.radius, buffers.pixels, buffers.terms, sums)
-    write_ellipticity(padded, pixels, region, light, fit, good, model, buffers.fit, out)
+    out[ELLIPTIC_X], out[ELLIPTIC_Y], out[ELLIPTIC_SIGMA] = ellipticity_of(
+        padded, pixels, region, light, fit, good, out[MISFIT], model, buffers.fit
+    )
     offsets = priors.offsets[k]
     out[X], out[Y] = moved(image, centre.x, centre.y, centre.radius, offsets, buffers.terms)
 
