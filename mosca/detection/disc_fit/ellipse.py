@@ -1,4 +1,4 @@
-"""Compiled refinement of an elliptic target's shape from the residuals of the disc that was fitted to it; its ellipticity.
+"""Compiled: an elliptic target's shape and its ellipticity, from the residuals of the disc that was fitted to it.
 
 A small stretch (1 + T) with T = [[p, q], [q, -p]] of the map in which the target is round changes a pixel's value by
 ``-g r (p cos 2 phi + q sin 2 phi)``, g being the slope of its edge. Over a window all around the target that is
