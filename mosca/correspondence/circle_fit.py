@@ -209,7 +209,7 @@ def fit_circle(members, point, circle, data):
     """Fit a circle to the images of the rays ``members`` (c,), -1 for none, of a target at ``point``.
 
     Fills ``circle`` (CIRCLE,). Returns whether the target is flat: the circle explains all images, or all but one of
-    three and more, and leaves less than a ball does by an image's worth.
+    three and more, ``Rules.discs`` at least, and leaves less than a ball does by an image's worth.
     """
     rays, best, ball, images = data.rays, math.inf, math.inf, 0
     for c in range(members.shape[0]):
@@ -234,4 +234,4 @@ def fit_circle(members, point, circle, data):
     refine(members, point, circle, data)
     normal = circle[0], circle[1], circle[2]
     left, odd = misfit(1.0, normal, circle[LN_RADIUS], members, point, data)
-    return odd <= (1 if images > 2 else 0) and left + ODD_CHI2 < ball
+    return odd <= 1 and images - odd >= data.rules[0].discs and left + ODD_CHI2 < ball

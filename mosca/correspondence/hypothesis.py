@@ -59,8 +59,8 @@ class Rules(NamedTuple):
     """Largest variance of a point in any direction."""
     judge: float
     """0, SIZES or SHAPES."""
-    discs: bool
-    """Whether targets may be flat discs, their images ellipses."""
+    discs: int
+    """Images that must fit a circle for a target to be taken for a flat disc; 0: there are none."""
     typical_m: float
     """Diameter of the targets; 0 where it is unknown."""
     low: tuple[float, float, float]
@@ -71,7 +71,7 @@ class Rules(NamedTuple):
 RULES = np.dtype(
     [
         *((name, np.float64) for name in ("gate_sigma", "outlier_sigma", "support_sigma", "worst_m2", "judge")),
-        ("discs", np.bool_),
+        ("discs", np.int64),
         *((name, np.float64) for name in ("typical_m", "low_x", "low_y", "low_z", "high_x", "high_y", "high_z")),
         ("minimum_cameras", np.int64),
     ]
@@ -177,7 +177,7 @@ def judge_sizes(hypothesis, data):
     """
     members, ranks, values, circle = hypothesis
     rules = data.rules[0]
-    if rules.discs and any_elliptic(members, data.rays) and fit_circle(members, values, circle, data):
+    if rules.discs > 0 and any_elliptic(members, data.rays) and fit_circle(members, values, circle, data):
         diameter = 2.0 * np.exp(circle[LN_RADIUS])
         for c in range(members.shape[0]):
             k = members[c]

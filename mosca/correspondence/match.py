@@ -85,7 +85,7 @@ def match_counted(
     rules = Rules(
         float(settings.gate_sigma), float(settings.outlier_sigma), float(settings.support_sigma),
         settings.minimum_cameras, float(settings.worst_sigma_m) ** 2, _judged_by(table, settings),
-        settings.target != "ball",
+        _fewest_images(table, settings),
         float(typical_diameter_m), (float(x0), float(y0), float(z0)), (float(x1), float(y1), float(z1)),
     )  # fmt: skip
     images = Images(
@@ -118,6 +118,16 @@ def match_rays(rays, views, pairs, bases, start, rules, xyz, covariance, images)
     for g in range(count):
         left_open += state[g] == OPEN
     return columns(kept, state, rays, start), count, left_open
+
+
+def _fewest_images(table: RayTable, settings: MatchSettings) -> int:
+    """Return how many images must fit a circle for a target to be taken for a disc.
+
+    Two do where many images are long; where that is rare, two grown together with neighbours may fit one by chance.
+    """
+    if settings.target == "ball":
+        return 0
+    return 3 if table.odd < USUAL * len(table.rays) else 2
 
 
 def _judged_by(table: RayTable, settings: MatchSettings) -> float:
