@@ -15,6 +15,7 @@ from mosca.data.arrays import Array
 from mosca.data.detections import MERGED, UNREFINED, Detections
 from mosca.data.rays import (
     ANGLE,
+    AREA_RADIUS,
     BONUS,
     COLUMNS,
     DENSITY,
@@ -203,7 +204,7 @@ def fill_rays(cameras, seen, start, balls, xy, covariance, extra, size, shape, f
         views[c, DENSITY] = density
         for n in range(start[c], start[c + 1]):
             good = direction_of(own, xy[n, 0], xy[n, 1], d, local)
-            across, long = _longer_axis(diameter[n], elongation[n], ellipticity[n, 0] != 0.0)
+            across, long = _longer_axis(diameter[n], elongation[n])
             odd += long or flags[n] & (UNREFINED | MERGED) == UNREFINED
             s00, s01, s11 = (covariance[n, 0, 0] + extra[c], covariance[n, 0, 1], covariance[n, 1, 1] + extra[c])
             area = s00 * s11 - s01 * s01
@@ -226,6 +227,7 @@ def fill_rays(cameras, seen, start, balls, xy, covariance, extra, size, shape, f
             rays[n, BONUS] = -np.log(2.0 * np.pi * sigma2 * density)
             rays[n, ELLIPTIC], rays[n, ELLIPTIC + 1] = ellipticity[n, 0], ellipticity[n, 1]
             rays[n, ELLIPTIC_SIGMA] = ellipticity_sigma[n]
+            rays[n, AREA_RADIUS] = 0.5 * max(diameter[n], LEAST_DIAMETER_PX)
             rays[n, ROOT] = np.sqrt(s00)
             rays[n, ROOT + 1] = s01 / rays[n, ROOT]
             # px a radian across the ray: the geometric mean of both axes
@@ -246,14 +248,11 @@ def fill_rays(cameras, seen, start, balls, xy, covariance, extra, size, shape, f
 
 
 @inlined_step
-def _longer_axis(diameter, elongation, fitted):
-    """Return the diameter [px] that an image's size is judged by, and whether its region is long.
-
-    ``fitted``: whether an ellipse was fitted to it.
-    """
+def _longer_axis(diameter, elongation):
+    """Return the diameter [px] that an image's size is judged by, and whether its region is long."""
     root = np.sqrt(elongation)
     # two targets grown together are long, and their flux and peak give no diameter: the longer axis does
-    across = max(diameter * (root if elongation > TWO_LONG and not fitted else 1.0), LEAST_DIAMETER_PX)
+    across = max(diameter * (root if elongation > TWO_LONG else 1.0), LEAST_DIAMETER_PX)
     return across, (elongation - 1.0) * (diameter + REGION_MARGIN_PX) > ROUNDED_PX * root
 
 

@@ -15,7 +15,7 @@ import math
 
 from mosca.camera.ray_table import IMAGE_NOISE
 from mosca.data.detections import MERGED, PARTIAL, UNREFINED
-from mosca.data.rays import ELLIPTIC, ELLIPTIC_SIGMA, FLAGS, RADIUS, ROOT, SHARE_SIGMA, SIGMA, WHITE
+from mosca.data.rays import AREA_RADIUS, ELLIPTIC, ELLIPTIC_SIGMA, FLAGS, ROOT, SHARE_SIGMA, SIGMA, WHITE
 from mosca.numba_support.decorators import bare_step, inlined_step
 from mosca.numba_support.linalg3 import Symmetric3, inverse3, scaled3, times3
 
@@ -94,7 +94,7 @@ def residuals(k, distance, flat, normal, ln_radius, rays):
     p, q = 0.5 * (waa - wbb) / root, wab / root
     sine = math.sqrt(p * p + q * q)
     scale = math.log(sine + math.sqrt(1.0 + sine * sine)) / sine if sine > 1e-9 else 1.0
-    area = 2.0 * (math.log(rays[k, RADIUS]) - ln_radius + math.log(distance)) - math.log(root)
+    area = 2.0 * (math.log(rays[k, AREA_RADIUS]) - ln_radius + math.log(distance)) - math.log(root)
     of_area = 1.0 / math.sqrt(rays[k, SHARE_SIGMA] ** 2 + IMAGE_NOISE**2)
     of_shape = 1.0 / math.sqrt(rays[k, ELLIPTIC_SIGMA] ** 2 + IMAGE_NOISE**2)
     return (
@@ -146,8 +146,8 @@ def circles_of_image(k, distance, rays):
     z0 = (w0 - c10 * z1) / c00
     return (
         a0 * z0 + b0 * z1, a1 * z0 + b1 * z1, a2 * z0 + b2 * z1, math.sqrt(smaller / larger),
-        math.log(rays[k, RADIUS] * distance) + 0.5 * math.log(larger),
-        math.log(rays[k, RADIUS] * distance) - 0.5 * math.log(c00 * c11),
+        math.log(rays[k, AREA_RADIUS] * distance) + 0.5 * math.log(larger),
+        math.log(rays[k, AREA_RADIUS] * distance) - 0.5 * math.log(c00 * c11),
     )  # fmt: skip
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from mosca.camera.ray_table import LONG
 from mosca.correspondence.circle_fit import CIRCLE, LN_RADIUS, any_elliptic, fit_circle
 from mosca.data.detections import MERGED, PARTIAL, SATURATED, UNREFINED
-from mosca.data.rays import ANGLE, BONUS, FLAGS, RADIUS, SHARE_SIGMA, SIGMA
+from mosca.data.rays import ANGLE, AREA_RADIUS, BONUS, FLAGS, RADIUS, SHARE_SIGMA, SIGMA
 from mosca.numba_support.decorators import inlined_step, step
 from mosca.numba_support.linalg3 import Symmetric3, cofactors3, determinant3
 from mosca.triangulation.triangulate import DEPTH, RANKS, TRUST, WHOLE, solve_rays
@@ -184,7 +184,7 @@ def judge_sizes(hypothesis, data):
             if k >= 0:
                 cosine = data.rays[k, 0] * circle[0] + data.rays[k, 1] * circle[1] + data.rays[k, 2] * circle[2]
                 ranks[c, WHOLE] = diameter * np.sqrt(max(abs(cosine), EDGE_ON))
-                size = image_size(k, c, values, data)
+                size = image_size(k, c, values, data) * data.rays[k, AREA_RADIUS] / data.rays[k, RADIUS]
                 ranks[c, TRUST] = np.sqrt(trust2_of(k, size, ranks[c, WHOLE], data.rays, min(rules.judge, SIZES)))
         return diameter
     largest, second, images = largest_image(members, values, data)

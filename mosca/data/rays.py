@@ -8,7 +8,7 @@ from mosca.data.arrays import Array
 
 DIRECTION, WHITE, SPREAD, NORMAL = 0, 3, 9, 15
 SIGMA, RADIUS, ANGLE, BONUS, FLAGS, SHARE_SIGMA = 24, 25, 26, 27, 28, 29
-ELLIPTIC, ELLIPTIC_SIGMA, ROOT, COLUMNS = 30, 32, 33, 35
+ELLIPTIC, ELLIPTIC_SIGMA, ROOT, AREA_RADIUS, COLUMNS = 30, 32, 33, 35, 36
 """Columns of ``RayTable.rays``."""
 ORIGIN, ROTATION, EDGES, DENSITY, VIEW = 0, 3, 12, 16, 17
 """Columns of ``RayTable.views``."""
@@ -33,6 +33,7 @@ class RayTable:
     - ELLIPTIC (2), ELLIPTIC_SIGMA: the image's ellipticity (``mosca.data.detections.Detections``).
     - ROOT (2) [px]: first column of the Cholesky factor of the pixel's covariance (its last element is
       SIGMA^2 / ROOT).
+    - AREA_RADIUS [px]: of a circle of the image's area; RADIUS of a long one is that of its longer axis.
 
     Matching aims those of flat round targets at their centres (``mosca.correspondence.disc_centres``).
     """
