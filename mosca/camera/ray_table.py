@@ -12,7 +12,7 @@ from mosca.camera.lens_models.arrays import direction_of, ray_row
 from mosca.camera.lens_models.row import RAY_ROW
 from mosca.camera.projection import image_grid, lens_directions
 from mosca.data.arrays import Array
-from mosca.data.detections import MERGED, UNREFINED, Detections
+from mosca.data.detections import MERGED, PARTIAL, UNREFINED, Detections
 from mosca.data.rays import (
     ANGLE,
     AREA_RADIUS,
@@ -213,7 +213,8 @@ def fill_rays(cameras, seen, start, balls, xy, covariance, extra, size, shape, f
                 continue
             to_world(views, c, d, local, g, rays, n)
             gram = gram_of(g)
-            if fields.shape[0] > 0 and not all_balls and ellipticity[n, 0] != 0.0:
+            elliptic = ellipticity[n, 0] != 0.0 and flags[n] & (MERGED | PARTIAL) == 0
+            if elliptic and fields.shape[0] > 0 and not all_balls:
                 more = _possible_eccentricity(diameter[n], ellipticity[n], ellipticity_sigma[n], gram)
                 covariance[n, 0, 0] += more[0]
                 covariance[n, 0, 1] += more[1]
