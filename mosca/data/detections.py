@@ -35,7 +35,7 @@ class Detections:
     """(n, 2) of the target's image, ``ln(a / b) (cos 2t, sin 2t)``: semi-axes a >= b, a at the angle t from x to y
     (conformal shear, Bernstein and Jarvis 2002); zero for a circle."""
     ellipticity_sigma: Array = field(default_factory=lambda: np.empty(0))
-    """(n,) standard deviation of each of the two; 0: not known (the default for all)."""
+    """(n,) standard deviation of the noise of each of the two; 0: not known (the default for all)."""
 
     def __post_init__(self) -> None:
         n = len(np.asarray(self.xy_px))

@@ -125,8 +125,8 @@ def test_a_short_message_is_refused(length):
 
 def test_another_version_says_what_to_do():
     data = bytearray(pack_detections(message()))
-    data[2] = 3
-    with pytest.raises(MessageError, match=r"version 3, this is version 2; install the same on all PCs"):
+    data[2] = 4
+    with pytest.raises(MessageError, match=r"version 4, this is version 3; install the same on all PCs"):
         unpack_detections(bytes(data))
 
 

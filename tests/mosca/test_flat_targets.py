@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from mosca.camera.ray_table import make_ray_table
+from mosca.camera.ray_table import IMAGE_NOISE, make_ray_table
 from mosca.correspondence.match import MatchSettings, match
 from mosca.data.detections import Detections
 from mosca.data.rays import Predicted
@@ -197,7 +197,7 @@ def ellipses(rng, a, b, blur, across=400, apart=25, fine=8):
 
 
 @pytest.mark.parametrize(("a", "b", "blur"), [(5.0, 2.6, 0.7), (4.0, 3.2, 0.7), (9.0, 6.0, 1.2), (4.0, 2.2, 0.4)])
-def test_the_ellipticity_of_an_image_is_without_blur_and_as_certain_as_stated(a, b, blur):
+def test_the_ellipticity_of_an_image_is_without_blur_and_its_noise_as_stated(a, b, blur):
     rng, learned = np.random.default_rng(5), NO_STATISTICS
     settings = DetectionSettings(read_noise_dn=0.35, gain_dn_per_e=0.04)
     for _ in range(3):
@@ -211,7 +211,7 @@ def test_the_ellipticity_of_an_image_is_without_blur_and_as_certain_as_stated(a,
     t, size = angle[k], np.log(a / b)
     along = found.ellipticity @ [1, 0] * np.cos(2 * t) + found.ellipticity @ [0, 1] * np.sin(2 * t) - size
     beside = found.ellipticity @ [0, 1] * np.cos(2 * t) - found.ellipticity @ [1, 0] * np.sin(2 * t)
-    error = np.stack([along, beside])
-    # blur left in would make a tenth and more of it
-    assert np.abs(error.mean(axis=1)).max() < 0.015
-    assert 0.6 < np.mean(error**2 / found.ellipticity_sigma**2) < 1.8
+    # the circle's fit allows for errors of shape that are common to images; blur left in would make 0.05 to 0.1
+    assert abs(along.mean()) < IMAGE_NOISE
+    assert abs(beside.mean()) < 0.003
+    assert 0.5 < np.mean(beside**2 / found.ellipticity_sigma**2) < 2.0

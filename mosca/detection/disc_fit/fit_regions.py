@@ -392,7 +392,6 @@ def refine_region(
         plain &= is_plain(light.shape)
     centre = centre_of(middle, light, fit)
     good = is_good(region, light, fit, centre)
-
     usual = priors.roughness[k]
     odd = write_row(region, light, fit, centre, (good, n, usual), model, out)
     tally = sums.tallies[k]
@@ -407,9 +406,8 @@ def refine_region(
         if takes_light and plain and not odd:
             reach = min(centre.radius + LIGHT_BLURS * fit.blur, most)
             add_light(image, region, reach, fit, centre.radius, buffers.pixels, buffers.terms, sums)
-    out[ELLIPTIC_X], out[ELLIPTIC_Y], out[ELLIPTIC_SIGMA] = ellipticity_of(
-        padded, pixels, region, light, fit, good, out[MISFIT], model, buffers.fit
-    )
+    shape = ellipticity_of(padded, pixels, region, light, fit, good, out[MISFIT], model, buffers.fit)
+    out[ELLIPTIC_X], out[ELLIPTIC_Y], out[ELLIPTIC_SIGMA] = shape
     offsets = priors.offsets[k]
     out[X], out[Y] = moved(image, centre.x, centre.y, centre.radius, offsets, buffers.terms)
 
