@@ -5,7 +5,7 @@ A message of detections is a head of 80 bytes, two names, and columns of n targe
 | bytes | type | field |
 |---|---|---|
 | 0-1 | 2 chars | ``MO`` |
-| 2 | uint8 | version, 2 |
+| 2 | uint8 | version, 3 |
 | 3 | uint8 | kind: 1 detections, 2 health |
 | 4 | uint8 | status: 0 detected, 1 no frame, 2 corrupt frame, 3 skipped (the station was behind) |
 | 5, 6 | uint8 | bytes of the station's and the camera's name |
@@ -21,7 +21,7 @@ A message of detections is a head of 80 bytes, two names, and columns of n targe
 | 72 | uint64 | bytes of the whole message |
 | 80 | utf-8 | station, camera; zeros up to a multiple of 8 |
 | then | float64 | xy_px (n, 2); covariance_px2 xx, xy, yy (n, 3); diameter_px, peak, elongation (n) |
-| then | float64 | diameter_sigma_px (n) |
+| then | float64 | diameter_sigma_px (n); ellipticity (n, 2), ellipticity_sigma (n) |
 | then | uint8 | flags (n) |
 
 A message of health is bytes 0-3 and a JSON object in utf-8 with the fields of ``HealthMessage``. An answer of the
@@ -43,7 +43,7 @@ from mosca.data.detections import Detections
 from mosca.data.files.toml import in_words
 from mosca.errors import MoscaError
 
-VERSION = 2
+VERSION = 3
 MAGIC = b"MO"
 DETECTIONS, HEALTH = 1, 2
 DetectionStatus = Literal["detected", "no frame", "corrupt", "skipped"]
@@ -134,6 +134,8 @@ def pack_detections(message: DetectionMessage) -> bytes:
             found.peak,
             found.elongation,
             found.diameter_sigma_px,
+            found.ellipticity.ravel(),
+            found.ellipticity_sigma,
         ]
     ).astype("<f8")
     size = _HEAD.size + len(names) + columns.nbytes + n
@@ -154,8 +156,8 @@ def unpack_detections(data: bytes) -> DetectionMessage:
      n, size) = _HEAD.unpack_from(data)  # fmt: skip
     begin = _HEAD.size + n_station + n_camera
     begin += -begin % 8
-    if n > MOST_TARGETS or size != len(data) or size != begin + 73 * n:
-        raise MessageError(f"detections: {len(data)} bytes given for {n} targets, {begin + 73 * n} are wanted")
+    if n > MOST_TARGETS or size != len(data) or size != begin + 97 * n:
+        raise MessageError(f"detections: {len(data)} bytes given for {n} targets, {begin + 97 * n} are wanted")
     if status >= len(STATUSES) or (status and n):
         raise MessageError(f"detections: status {status} with {n} targets")
     try:
@@ -163,7 +165,7 @@ def unpack_detections(data: bytes) -> DetectionMessage:
         camera = data[_HEAD.size + n_station : _HEAD.size + n_station + n_camera].decode()
     except UnicodeDecodeError:
         raise MessageError("detections: a name is not utf-8") from None
-    columns = np.frombuffer(data, "<f8", 9 * n, begin)
+    columns = np.frombuffer(data, "<f8", 12 * n, begin)
     if not np.isfinite(columns).all():
         raise MessageError(f"detections: camera '{camera}', pulse {pulse}: a number is not finite")
     covariance = columns[2 * n : 5 * n].reshape(n, 3)[:, [0, 1, 1, 2]]
@@ -174,8 +176,10 @@ def unpack_detections(data: bytes) -> DetectionMessage:
         columns[5 * n : 6 * n],
         columns[6 * n : 7 * n],
         columns[7 * n : 8 * n],
-        np.frombuffer(data, np.uint8, n, begin + 72 * n),
-        columns[8 * n :],
+        np.frombuffer(data, np.uint8, n, begin + 96 * n),
+        columns[8 * n : 9 * n],
+        columns[9 * n : 11 * n].reshape(n, 2),
+        columns[11 * n :],
     )
     return DetectionMessage(
         station, epoch, sequence, pulse, time_ns, exposure_ns, arrival_ns, sent_ns, STATUSES[status], found

@@ -12,16 +12,20 @@ from mosca.camera.lens_models.arrays import direction_of, ray_row
 from mosca.camera.lens_models.row import RAY_ROW
 from mosca.camera.projection import image_grid, lens_directions
 from mosca.data.arrays import Array
-from mosca.data.detections import MERGED, UNREFINED, Detections
+from mosca.data.detections import MERGED, PARTIAL, UNREFINED, Detections
 from mosca.data.rays import (
     ANGLE,
+    AREA_RADIUS,
     BONUS,
     COLUMNS,
     DENSITY,
     DIRECTION,
+    ELLIPTIC,
+    ELLIPTIC_SIGMA,
     FLAGS,
     NORMAL,
     RADIUS,
+    ROOT,
     ROTATION,
     SHARE_SIGMA,
     SIGMA,
@@ -47,6 +51,12 @@ LONG = 16
 """Bit of a ray's FLAGS beside those of its detection: the region is longer than pixels make that of a disc."""
 ROUNDED_PX = 1.5
 """Difference of a region's sides from which it is: those of a disc's differ by one at most."""
+
+IMAGE_NOISE = 0.035
+"""Standard deviation, besides its noise, of an image's area and of its ellipticity, relative: half of
+``mosca.correspondence.hypothesis.SIZE_DEADBAND``, the differences that blur and brightness over the target make."""
+ROUND_SIGMAS = 3.0
+"""Standard deviations up to which an image's ellipticity is that of a ball."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,22 +91,28 @@ def make_ray_table(
     target
         "ball" frees each image of a ball's eccentricity, by its own size (``mosca.camera.eccentricity``); "point"
         takes the image as it is; "auto" frees those that are round: of a disc that faces the camera the eccentricity
-        is a ball's, of one at a slant it goes with a normal that nobody knows.
+        is a ball's, of one at a slant it goes with the normal, which matching finds.
     """
     table = rig_table(rig)
     found = [detections.get(c.name) for c in rig.cameras]
     there = [f for f in found if f is not None] or [Detections.none("")]
     start = np.array([0, *accumulate(0 if f is None else len(f) for f in found)])
-    covariance = np.concatenate([f.covariance_px2 for f in there])
+    detected, xy = np.concatenate([f.covariance_px2 for f in there]), np.concatenate([f.xy_px for f in there])
+    covariance = detected.copy()
+    ellipticity = np.concatenate([f.ellipticity for f in there])
     extra = np.zeros(len(found))
     extra[:] = np.square(camera_sigma_px)
     rays, views, odd = fill_rays(
         table.cameras, table.views, start, (NO_FIELDS if target == "point" else ball_fields(rig), target == "ball"),
-        np.concatenate([f.xy_px for f in there]), covariance, extra,
+        xy, covariance, extra,
         (np.concatenate([f.diameter_px for f in there]), np.concatenate([f.diameter_sigma_px for f in there])),
-        np.concatenate([f.elongation for f in there]), np.concatenate([f.flags for f in there]),
+        (
+            np.concatenate([f.elongation for f in there]), ellipticity,
+            np.concatenate([f.ellipticity_sigma for f in there]),
+        ),
+        np.concatenate([f.flags for f in there]),
     )  # fmt: skip
-    return RayTable(rays, views, table.pairs, table.bases, start, covariance, extra, odd)
+    return RayTable(rays, views, table.pairs, table.bases, start, covariance, extra, xy, detected, table.cameras, odd)
 
 
 @lru_cache(maxsize=32)
@@ -166,14 +182,17 @@ def _ordered_pairs(rotation: Array, origin: Array) -> Array:
 
 
 @kernel
-def fill_rays(cameras, seen, start, balls, xy, covariance, extra, size, elongation, flags):
+def fill_rays(cameras, seen, start, balls, xy, covariance, extra, size, shape, flags):
     """Return the rays (n, COLUMNS) of detections, the views (c, VIEW), and how many images are odd (``RayTable``).
+
+    Adds to ``covariance`` what eccentricity images may have.
 
     ``cameras``, ``seen``: ``RigTable.cameras`` and ``.views``. ``balls``: (c, rows, columns, 2) the eccentricity of
     balls, or none of them (a ball's image of the angular diameter A is shifted by (A/2)^2 times this field), and
-    whether long images are of balls, too. ``size``: diameter and its standard deviation.
+    whether long images are of balls, too. ``size``: diameter and its standard deviation; ``shape``: elongation,
+    ellipticity and its standard deviation.
     """
-    (fields, all_balls), (diameter, diameter_sigma) = balls, size
+    (fields, all_balls), (diameter, diameter_sigma), (elongation, ellipticity, ellipticity_sigma) = balls, size, shape
     rays, views = np.empty((xy.shape[0], COLUMNS)), np.empty((cameras.shape[0], VIEW))
     d, local, g = np.empty(3), np.empty((2, 3)), np.empty((2, 3))
     odd = 0
@@ -192,12 +211,26 @@ def fill_rays(cameras, seen, start, balls, xy, covariance, extra, size, elongati
             if not (good and s00 > 0.0 and area > 0.0):
                 rays[n] = np.nan
                 continue
+            to_world(views, c, d, local, g, rays, n)
+            gram = gram_of(g)
+            elliptic = ellipticity[n, 0] != 0.0 and flags[n] & (MERGED | PARTIAL) == 0
+            if elliptic and fields.shape[0] > 0 and not all_balls:
+                more = _possible_eccentricity(diameter[n], ellipticity[n], ellipticity_sigma[n], gram)
+                covariance[n, 0, 0] += more[0]
+                covariance[n, 0, 1] += more[1]
+                covariance[n, 1, 0] += more[1]
+                covariance[n, 1, 1] += more[2]
+                s00, s01, s11 = s00 + more[0], s01 + more[1], s11 + more[2]
+                area = s00 * s11 - s01 * s01
             sigma2 = np.sqrt(area)
             rays[n, SIGMA], rays[n, FLAGS] = np.sqrt(sigma2), flags[n] + (LONG if long else 0)
             # log-likelihood ratio of a hypothesis with this image: of the target, against clutter anywhere
             rays[n, BONUS] = -np.log(2.0 * np.pi * sigma2 * density)
-            _to_world(views, c, d, local, g, rays, n)
-            gram = _gram(g)
+            rays[n, ELLIPTIC], rays[n, ELLIPTIC + 1] = ellipticity[n, 0], ellipticity[n, 1]
+            rays[n, ELLIPTIC_SIGMA] = ellipticity_sigma[n]
+            rays[n, AREA_RADIUS] = 0.5 * max(diameter[n], LEAST_DIAMETER_PX)
+            rays[n, ROOT] = np.sqrt(s00)
+            rays[n, ROOT + 1] = s01 / rays[n, ROOT]
             # px a radian across the ray: the geometric mean of both axes
             angle = across / np.sqrt(np.sqrt(gram[0] * gram[2] - gram[1] * gram[1]))
             rays[n, RADIUS], rays[n, ANGLE] = 0.5 * across, angle
@@ -208,10 +241,10 @@ def fill_rays(cameras, seen, start, balls, xy, covariance, extra, size, elongati
                 ratio = 0.25 * angle * angle
                 shift_x, shift_y = _field(fields[c], own, xy[n, 0], xy[n, 1])
                 shift_x, shift_y = shift_x * ratio, shift_y * ratio
-            _whiten(g, gram, (s00, s01, s11), shift_x, shift_y, rays, n)
+            whiten(g, gram, (s00, s01, s11), shift_x, shift_y, rays, n)
             if freed:
-                _whiten_at_shifted(rays, n)
-            _normals(rays, n, seen[c, 0], seen[c, 1], seen[c, 2])
+                whiten_at_shifted(rays, n)
+            normals(rays, n, seen[c, 0], seen[c, 1], seen[c, 2])
     return rays, views, odd
 
 
@@ -227,7 +260,26 @@ def _longer_axis(diameter, elongation):
 
 
 @inlined_step
-def _to_world(views, c, d, local, g, rays, n):
+def _possible_eccentricity(diameter, ellipticity, sigma, gram):
+    """Return the covariance (xx, xy, yy) [px^2] of an ellipse's centroid if it may be a disc at a slant, else zeros.
+
+    The disc's centre is off by b sqrt(a^2 - b^2) / f along the minor axis, to one side or the other: a and b, the
+    semi-axes; f [px/rad] (``mosca.camera.eccentricity``: (r / R)^2 f times sine and cosine of the slant). What a ball
+    would have there is no slant.
+    """
+    f2 = np.sqrt(gram[0] * gram[2] - gram[1] * gram[1])
+    p, q = ellipticity[0] - 0.5 * (gram[0] - gram[2]) / f2, ellipticity[1] - gram[1] / f2
+    size2 = p * p + q * q
+    if not size2 > ROUND_SIGMAS**2 * (sigma * sigma + IMAGE_NOISE**2):
+        return 0.0, 0.0, 0.0
+    size = np.sqrt(size2)
+    b2 = 0.25 * diameter * diameter * np.exp(-size)
+    half = 0.5 * b2 * b2 * (np.exp(2.0 * size) - 1.0) / f2
+    return half * (1.0 - p / size), -half * q / size, half * (1.0 + p / size)
+
+
+@inlined_step
+def to_world(views, c, d, local, g, rays, n):
     """Rotate a direction and the pixel's derivative by it from the camera's frame into the world's."""
     for row in range(2):
         for k in range(3):
@@ -241,7 +293,7 @@ def _to_world(views, c, d, local, g, rays, n):
 
 
 @inlined_step
-def _gram(g):
+def gram_of(g):
     """Return G G' (xx, xy, yy) of the pixel's derivative G (2, 3)."""
     return (
         g[0, 0] * g[0, 0] + g[0, 1] * g[0, 1] + g[0, 2] * g[0, 2],
@@ -251,7 +303,7 @@ def _gram(g):
 
 
 @inlined_step
-def _whiten(g, gram, covariance, shift_x, shift_y, rays, n):
+def whiten(g, gram, covariance, shift_x, shift_y, rays, n):
     """Fill WHITE and SPREAD of a ray and move its direction by an image shift [px].
 
     ``covariance``: of the pixel (xx, xy, yy) = L L'. WHITE = L^-1 G, SPREAD = G' (G G')^-1 L.
@@ -274,7 +326,7 @@ def _whiten(g, gram, covariance, shift_x, shift_y, rays, n):
 
 
 @inlined_step
-def _normals(rays, n, x, y, z):
+def normals(rays, n, x, y, z):
     """Fill a ray's share in the normal equations: A'A (xx, xy, xz, yy, yz, zz), A'A times the origin (x, y, z)."""
     k = NORMAL
     for p in range(3):
@@ -287,7 +339,7 @@ def _normals(rays, n, x, y, z):
 
 
 @inlined_step
-def _whiten_at_shifted(rays, n):
+def whiten_at_shifted(rays, n):
     """Take from the whitened errors of a ray their part along its shifted direction, where the error is zero."""
     norm2 = rays[n, 0] ** 2 + rays[n, 1] ** 2 + rays[n, 2] ** 2
     for row in (WHITE, WHITE + 3):

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mosca.camera.ray_table import LONG
+from mosca.correspondence.circle_fit import any_elliptic
 from mosca.correspondence.hypothesis import (
     MOST_ODD,
     NONE,
@@ -168,7 +169,7 @@ def _expected(track, xyz, covariance, hypothesis, state, data):
     to compete with other hypotheses: rays that meet poorly, that chance explains, that are not the nearest to their
     point.
     """
-    members, ranks, values = hypothesis
+    members, ranks, values, _ = hypothesis
     rules, cameras = data.rules[0], data.views.shape[0]
     for p in range(3):
         values[p] = xyz[track, p]
@@ -186,12 +187,15 @@ def _expected(track, xyz, covariance, hypothesis, state, data):
             doubtful |= admitted > 1
     if size < 3 or size < rules.minimum_cameras or not chance < CERTAIN:
         return 0, 0.0, 0.0, 1.0
+    # round images are trusted already by their sizes there, since the typical one is known
+    flat = rules.discs > 0 and any_elliptic(members, data.rays)
+    diameter = judge_sizes(hypothesis, data) if flat else 0.0
     error = solve(hypothesis, TWICE, data)
     if not 0.0 <= error <= limit(2 * size - 3, PLAIN):
         return 0, 0.0, 0.0, 1.0
-    # trusted already by their sizes there, since the typical one is known
-    diameter = largest_image(members, values, data)[0]
-    if not acceptable(hypothesis, size, error, diameter, data):
+    if not flat:
+        diameter = largest_image(members, values, data)[0]
+    if not acceptable(hypothesis, size, error, data):
         return 0, 0.0, 0.0, 1.0
     for c in range(cameras if doubtful else 0):
         if members[c] != nearest_ray(c, rules.typical_m, state.rays, values, data)[0]:
@@ -251,7 +255,7 @@ def _unexplained(first, last, explained, active, at):
 @inlined_step
 def _meet(i, j, a, b, away2, variance_i, variance_j, hypothesis, data):
     """Begin a hypothesis with the rays i and j of cameras a and b; False where they do not meet."""
-    members, ranks, solved = hypothesis
+    members, ranks, solved, _ = hypothesis
     rays, views, rules = data.rays, data.views, data.rules[0]
     d0, d1, d2 = rays[i, 0], rays[i, 1], rays[i, 2]
     e0, e1, e2 = rays[j, 0], rays[j, 1], rays[j, 2]
@@ -290,7 +294,7 @@ def _grown(a, b, chance, hypothesis, state, data):
     """Extend a pair to all cameras, drop outliers, judge. Returns how many rays it has (0: none), its squared error,
     diameter and the expected number of hypotheses as good by chance.
     """
-    members, ranks, values = hypothesis
+    members, ranks, values, _ = hypothesis
     rules, cameras = data.rules[0], members.shape[0]
     i, j = members[a], members[b]
     size_i, size_j = image_size(i, a, values, data), image_size(j, b, values, data)
@@ -319,7 +323,7 @@ def _grown(a, b, chance, hypothesis, state, data):
         error = solve(hypothesis, TWICE, data)
     if size > 2 and (members[a] < 0 or members[b] < 0) and _joined(members, state.partner):
         return 0, 0.0, 0.0, 1.0
-    if size < rules.minimum_cameras or not acceptable(hypothesis, size, error, diameter, data):
+    if size < rules.minimum_cameras or not acceptable(hypothesis, size, error, data):
         return 0, 0.0, 0.0, 1.0
     added = 0
     for c in range(cameras):
@@ -337,7 +341,7 @@ def _worst_ray(hypothesis, data):
     By e' (I - H)^-1 e with the ray's whitened error e and its share H = A P A' of its own error in the solution:
     exact for fixed depths, in which the problem is linear (Cook and Weisberg 1982, section 2.2).
     """
-    members, ranks, solved = hypothesis
+    members, ranks, solved, _ = hypothesis
     rays, views = data.rays, data.views
     worst, at = -1.0, -1
     for c in range(members.shape[0]):

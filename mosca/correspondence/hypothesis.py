@@ -9,11 +9,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mosca.camera.ray_table import LONG
+from mosca.correspondence.circle_fit import CIRCLE, LN_RADIUS, any_elliptic, fit_circle
 from mosca.data.detections import MERGED, PARTIAL, SATURATED, UNREFINED
-from mosca.data.rays import ANGLE, BONUS, FLAGS, RADIUS, SHARE_SIGMA, SIGMA
+from mosca.data.rays import ANGLE, AREA_RADIUS, BONUS, FLAGS, RADIUS, SHARE_SIGMA, SIGMA
 from mosca.numba_support.decorators import inlined_step, step
 from mosca.numba_support.linalg3 import Symmetric3, cofactors3, determinant3
-from mosca.triangulation.triangulate import DEPTH, RANKS, TRUST, solve_rays
+from mosca.triangulation.triangulate import DEPTH, RANKS, TRUST, WHOLE, solve_rays
 
 MOST_ODD, MOST_LARGE = 0.7, 0.9
 """Areas of small and of large images are compared up to this difference; beyond it there is no further evidence."""
@@ -34,6 +35,8 @@ are round (cut on one side; its size is little evidence); of one that is isolate
 discs fit the others: more than half of such targets is hidden, whatever their size."""
 SIZES, SHAPES = 1.0, 2.0
 """What images are judged by: their sizes alone, or whether they are long and whether a disc fits them too."""
+EDGE_ON = 0.05
+"""Least share of a disc's area that a camera sees of it: nearer to its plane the image is a line."""
 TOO_LARGE = 1.3
 """Area over a target's from which an image is taken for two targets."""
 
@@ -56,6 +59,8 @@ class Rules(NamedTuple):
     """Largest variance of a point in any direction."""
     judge: float
     """0, SIZES or SHAPES."""
+    discs: int
+    """Images that must fit a circle for a target to be taken for a flat disc; 0: there are none."""
     typical_m: float
     """Diameter of the targets; 0 where it is unknown."""
     low: tuple[float, float, float]
@@ -66,6 +71,7 @@ class Rules(NamedTuple):
 RULES = np.dtype(
     [
         *((name, np.float64) for name in ("gate_sigma", "outlier_sigma", "support_sigma", "worst_m2", "judge")),
+        ("discs", np.int64),
         *((name, np.float64) for name in ("typical_m", "low_x", "low_y", "low_z", "high_x", "high_y", "high_z")),
         ("minimum_cameras", np.int64),
     ]
@@ -81,6 +87,7 @@ def record_of(rules):
     row.gate_sigma, row.outlier_sigma = rules.gate_sigma, rules.outlier_sigma
     row.support_sigma, row.minimum_cameras = rules.support_sigma, rules.minimum_cameras
     row.worst_m2, row.judge, row.typical_m = rules.worst_m2, rules.judge, rules.typical_m
+    row.discs = rules.discs
     row.low_x, row.low_y, row.low_z = rules.low
     row.high_x, row.high_y, row.high_z = rules.high
     return table
@@ -104,6 +111,8 @@ class Hypothesis(NamedTuple):
     """(c, RANKS) what goes with each ray (``mosca.triangulation.triangulate``)."""
     values: Any
     """(VALUES,)."""
+    circle: Any
+    """(CIRCLE,) of a flat target (``mosca.correspondence.circle_fit``)."""
 
 
 class Hypotheses(NamedTuple):
@@ -120,7 +129,9 @@ class Hypotheses(NamedTuple):
 @step
 def new_hypothesis(cameras):
     """Return arrays for a hypothesis."""
-    return Hypothesis(np.empty(cameras, dtype=np.int64), np.ones((cameras, RANKS)), np.zeros(VALUES))
+    return Hypothesis(
+        np.empty(cameras, dtype=np.int64), np.ones((cameras, RANKS)), np.zeros(VALUES), np.zeros(CIRCLE)
+    )
 
 
 @step
@@ -144,7 +155,7 @@ def with_capacity(kept, count):
 @inlined_step
 def solve(hypothesis, steps, data):
     """Intersect the rays; the depths start from the point that the values hold. See ``solve_rays``."""
-    members, ranks, values = hypothesis
+    members, ranks, values, _ = hypothesis
     rays, views, _ = data
     x, y, z = values[0], values[1], values[2]
     for c in range(members.shape[0]):
@@ -162,10 +173,20 @@ def judge_sizes(hypothesis, data):
     """Set each member's trust from the size of its image; returns the target's diameter from its largest image.
 
     While no typical size is known, the second largest of four and more images is taken as unoccluded: the largest
-    may be of two targets.
+    may be of two targets. The images of a flat target are as large as its circle shows itself to each camera.
     """
-    members, ranks, values = hypothesis
+    members, ranks, values, circle = hypothesis
     rules = data.rules[0]
+    if rules.discs > 0 and any_elliptic(members, data.rays) and fit_circle(members, values, circle, data):
+        diameter = 2.0 * np.exp(circle[LN_RADIUS])
+        for c in range(members.shape[0]):
+            k = members[c]
+            if k >= 0:
+                cosine = data.rays[k, 0] * circle[0] + data.rays[k, 1] * circle[1] + data.rays[k, 2] * circle[2]
+                ranks[c, WHOLE] = diameter * np.sqrt(max(abs(cosine), EDGE_ON))
+                size = image_size(k, c, values, data) * data.rays[k, AREA_RADIUS] / data.rays[k, RADIUS]
+                ranks[c, TRUST] = np.sqrt(trust2_of(k, size, ranks[c, WHOLE], data.rays, min(rules.judge, SIZES)))
+        return diameter
     largest, second, images = largest_image(members, values, data)
     if rules.typical_m > 0.0:
         whole = rules.typical_m
@@ -176,6 +197,7 @@ def judge_sizes(hypothesis, data):
         if k >= 0:
             size = image_size(k, c, values, data)
             ranks[c, TRUST] = np.sqrt(trust2_of(k, size, whole, data.rays, rules.judge))
+            ranks[c, WHOLE] = rules.typical_m if rules.typical_m > 0.0 else largest
     return largest
 
 
@@ -267,28 +289,27 @@ def too_large(ray, camera, point, data):
 
 
 @inlined_step
-def half_hidden(members, point, diameter, data):
+def half_hidden(hypothesis, data):
     """Whether a member's image is so small that more than half of the target must be hidden."""
-    rules = data.rules[0]
-    if not rules.judge > 0.0:
+    members, ranks, point, _ = hypothesis
+    if not data.rules[0].judge > 0.0:
         return False
-    whole = rules.typical_m if rules.typical_m > 0.0 else diameter
     for c in range(members.shape[0]):
         k = members[c]
-        if k >= 0 and 1.0 - (image_size(k, c, point, data) / whole) ** 2 > HALF_HIDDEN:
+        if k >= 0 and 1.0 - (image_size(k, c, point, data) / ranks[c, WHOLE]) ** 2 > HALF_HIDDEN:
             return True
     return False
 
 
 @inlined_step
-def acceptable(hypothesis, count, error, diameter, data):
+def acceptable(hypothesis, count, error, data):
     """Whether a hypothesis is accepted: errors, volume, certainty; a pair only with images at least half visible."""
     rules, solved = data.rules[0], hypothesis.values
     if not 0.0 <= error <= limit(2 * count - 3, rules.gate_sigma if count == 2 else rules.outlier_sigma):
         return False
     if not inside(solved, rules):
         return False
-    if count == 2 and half_hidden(hypothesis.members, solved, diameter, data):
+    if count == 2 and half_hidden(hypothesis, data):
         return False
     worst = rules.worst_m2
     if solved[3] + solved[7] + solved[11] <= worst:
@@ -328,7 +349,7 @@ def store(hypothesis, error, diameter, rays, at, kept):
     targets, which all hypotheses share (Poore 1994, section 3): sum log(1 / (2 pi sigma^2 rho)) - chi2 / 2 +
     log det(2 pi P) / 2.
     """
-    members, ranks, solved = hypothesis
+    members, ranks, solved, _ = hypothesis
     covariance = Symmetric3(solved[3], solved[4], solved[5], solved[7], solved[8], solved[11])
     det = determinant3(covariance, cofactors3(covariance))
     gain = 0.5 * np.log(max(det, 1e-300) * (2.0 * np.pi) ** 3) - 0.5 * error

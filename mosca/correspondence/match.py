@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mosca.correspondence.candidates import search
+from mosca.correspondence.disc_centres import Images, aim_at_centres
 from mosca.correspondence.hypothesis import SHAPES, SIZES, Hypotheses, MatchData, Rules, record_of
 from mosca.correspondence.selection import OPEN, choose, columns
 from mosca.data.arrays import Array
@@ -84,27 +85,49 @@ def match_counted(
     rules = Rules(
         float(settings.gate_sigma), float(settings.outlier_sigma), float(settings.support_sigma),
         settings.minimum_cameras, float(settings.worst_sigma_m) ** 2, _judged_by(table, settings),
+        _fewest_images(table, settings),
         float(typical_diameter_m), (float(x0), float(y0), float(z0)), (float(x1), float(y1), float(z1)),
     )  # fmt: skip
-    found, considered, left_open = match_rays(
-        table.rays, table.views, table.pairs, table.bases, table.start, rules, predicted.xyz, predicted.covariance
+    images = Images(
+        settings.target == "auto",
+        table.cameras,
+        table.xy_px,
+        table.detected_px2,
+        table.covariance_px2,
+        table.extra_px2,
     )
+    found, considered, left_open = match_rays(
+        table.rays, table.views, table.pairs, table.bases, table.start, rules, predicted.xyz, predicted.covariance,
+        images,
+    )  # fmt: skip
     for column in found:
         column.setflags(write=False)
     return Matched(Points.handed_over(found), considered, left_open)
 
 
 @kernel
-def match_rays(rays, views, pairs, bases, start, rules, xyz, covariance):
+def match_rays(rays, views, pairs, bases, start, rules, xyz, covariance, images):
     """Return the columns of ``Points``, the number of hypotheses, and how many pairs are left open."""
     data = MatchData(rays, views, record_of(rules))
     kept, count = search(data, pairs, bases, start, xyz, covariance)
     kept = Hypotheses(kept.values[:count], kept.members[:count], kept.trusts[:count])
     state = choose(kept, data, xyz, covariance)
+    if images.freed:
+        aim_at_centres(kept, state, data, images)
     left_open = 0
     for g in range(count):
         left_open += state[g] == OPEN
     return columns(kept, state, rays, start), count, left_open
+
+
+def _fewest_images(table: RayTable, settings: MatchSettings) -> int:
+    """Return how many images must fit a circle for a target to be taken for a disc.
+
+    Two do where many images are long; where that is rare, two grown together with neighbours may fit one by chance.
+    """
+    if settings.target == "ball":
+        return 0
+    return 3 if table.odd < USUAL * len(table.rays) else 2
 
 
 def _judged_by(table: RayTable, settings: MatchSettings) -> float:

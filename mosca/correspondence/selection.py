@@ -27,7 +27,7 @@ from mosca.correspondence.spatial_index import buckets, within
 from mosca.data.rays import EDGES, SIGMA
 from mosca.numba_support.decorators import bare_step, step
 from mosca.numba_support.linalg3 import Symmetric3, mahalanobis3
-from mosca.triangulation.triangulate import TRUST
+from mosca.triangulation.triangulate import TRUST, WHOLE
 
 CLEARLY_WORSE = 9.0
 """Chi-square, 3 standard deviations, by which competing pairs must be worse for a pair to be unambiguous: larger
@@ -192,7 +192,7 @@ def _take(g, kept, track, used, assigned, data):
 def _shrink(g, kept, used, hypothesis, data):
     """Remove the used rays from a hypothesis and solve it again; False where no target is left."""
     values, members = kept.values, kept.members
-    mates, ranks, solved = hypothesis
+    mates, ranks, solved, _ = hypothesis
     count, lost = NONE, False
     for c in range(members.shape[1]):
         k = members[g, c]
@@ -203,12 +203,14 @@ def _shrink(g, kept, used, hypothesis, data):
         return True
     if count < data.rules[0].minimum_cameras:
         return False
+    typical_m = data.rules[0].typical_m
     for c in range(members.shape[1]):
         mates[c], ranks[c, TRUST] = members[g, c], kept.trusts[g, c]
+        ranks[c, WHOLE] = typical_m if typical_m > 0.0 else values[g, DIAMETER]
     for k in range(VALUES):
         solved[k] = values[g, k]
     error, diameter = solve(hypothesis, TWICE, data), values[g, DIAMETER]
-    if not acceptable(hypothesis, count, error, diameter, data):
+    if not acceptable(hypothesis, count, error, data):
         return False
     store(hypothesis, error, diameter, data.rays, g, kept)
     return True

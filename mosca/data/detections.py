@@ -31,6 +31,11 @@ class Detections:
     """(n,) uint8, bits as above, 0 where nothing is odd (the default for all)."""
     diameter_sigma_px: Array = field(default_factory=lambda: np.empty(0))
     """(n,) standard deviation of the diameter; 0: not known (the default for all)."""
+    ellipticity: Array = field(default_factory=lambda: np.empty(0))
+    """(n, 2) of the target's image, ``ln(a / b) (cos 2t, sin 2t)``: semi-axes a >= b, a at the angle t from x to y
+    (conformal shear, Bernstein and Jarvis 2002); zero for a circle."""
+    ellipticity_sigma: Array = field(default_factory=lambda: np.empty(0))
+    """(n,) standard deviation of the noise of each of the two; 0: not known (the default for all)."""
 
     def __post_init__(self) -> None:
         n = len(np.asarray(self.xy_px))
@@ -39,6 +44,10 @@ class Detections:
         object.__setattr__(self, "flags", read_only(flags, (n,), "flags", np.uint8))
         sigma = self.diameter_sigma_px if len(self.diameter_sigma_px) else np.zeros(n)
         object.__setattr__(self, "diameter_sigma_px", read_only(sigma, (n,), "diameter_sigma_px"))
+        ellipticity = self.ellipticity if len(self.ellipticity) else np.zeros((n, 2))
+        object.__setattr__(self, "ellipticity", read_only(ellipticity, (n, 2), "ellipticity"))
+        sigma = self.ellipticity_sigma if len(self.ellipticity_sigma) else np.zeros(n)
+        object.__setattr__(self, "ellipticity_sigma", read_only(sigma, (n,), "ellipticity_sigma"))
 
     def __len__(self) -> int:
         return len(self.xy_px)

@@ -7,7 +7,8 @@ import numpy as np
 from mosca.data.arrays import Array
 
 DIRECTION, WHITE, SPREAD, NORMAL = 0, 3, 9, 15
-SIGMA, RADIUS, ANGLE, BONUS, FLAGS, SHARE_SIGMA, COLUMNS = 24, 25, 26, 27, 28, 29, 30
+SIGMA, RADIUS, ANGLE, BONUS, FLAGS, SHARE_SIGMA = 24, 25, 26, 27, 28, 29
+ELLIPTIC, ELLIPTIC_SIGMA, ROOT, AREA_RADIUS, COLUMNS = 30, 32, 33, 35, 36
 """Columns of ``RayTable.rays``."""
 ORIGIN, ROTATION, EDGES, DENSITY, VIEW = 0, 3, 12, 16, 17
 """Columns of ``RayTable.views``."""
@@ -29,6 +30,12 @@ class RayTable:
     - BONUS: its log-likelihood ratio, target against clutter (``mosca.correspondence.match``).
     - FLAGS: of the detection, and LONG (``mosca.camera.ray_table``).
     - SHARE_SIGMA: relative standard deviation of the image's area.
+    - ELLIPTIC (2), ELLIPTIC_SIGMA: the image's ellipticity (``mosca.data.detections.Detections``).
+    - ROOT (2) [px]: first column of the Cholesky factor of the pixel's covariance (its last element is
+      SIGMA^2 / ROOT).
+    - AREA_RADIUS [px]: of a circle of the image's area; RADIUS of a long one is that of its longer axis.
+
+    Matching aims those of flat round targets at their centres (``mosca.correspondence.disc_centres``).
     """
     views: Array
     """(c, VIEW), one row a camera: ORIGIN (3) centre of projection [m], ROTATION (3 x 3) world_from_camera,
@@ -41,9 +48,15 @@ class RayTable:
     start: Array
     """(c + 1,) first row of each camera's rays."""
     covariance_px2: Array
-    """(n, 2, 2) of the detections; together with ``extra_px2`` it whitens."""
+    """(n, 2, 2) whitens, with ``extra_px2``: of the detections, and of what eccentricity their ellipses may have."""
     extra_px2: Array
     """(c,) variance that each camera adds to its detections, an axis."""
+    xy_px: Array
+    """(n, 2) pixels of the detections."""
+    detected_px2: Array
+    """(n, 2, 2) covariance of the detections alone."""
+    cameras: Array
+    """``mosca.camera.ray_table.RigTable.cameras``."""
     odd: int
     """Number of images that are long, or single and not fitted."""
 

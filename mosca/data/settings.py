@@ -129,7 +129,7 @@ class MatchSettings:
     less; false for particles."""
     target: Literal["auto", "point", "ball"] = "auto"
     """'ball' frees images of a ball's eccentricity; 'point' leaves them (small targets, discs); 'auto' frees
-    round images: of balls and of discs that face the camera."""
+    round images of a ball's, and a point's ellipses that are images of one circle of this circle's."""
 
 
 @dataclass(frozen=True, config=SETTINGS)

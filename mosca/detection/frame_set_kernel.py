@@ -28,7 +28,15 @@ from mosca.detection.centroid import (
     measure_regions,
 )
 from mosca.detection.centroid import N_COLUMNS as N_MEASURED
-from mosca.detection.disc_fit.fit_regions import FLAGS, N_COLUMNS, TOUCHING, refine_regions
+from mosca.detection.disc_fit.fit_regions import (
+    ELLIPTIC_SIGMA,
+    ELLIPTIC_X,
+    ELLIPTIC_Y,
+    FLAGS,
+    N_COLUMNS,
+    TOUCHING,
+    refine_regions,
+)
 from mosca.detection.disc_fit.light_offset import LEFT_OUT, StatisticsSums, no_sums_compiled
 from mosca.detection.disc_fit.priors import Priors
 from mosca.detection.images import ImageSet, image_of
@@ -142,6 +150,7 @@ def columns(table: Array, image_of: Array, n_images: int) -> tuple[Array, ...]:
     n = len(table)
     xy, covariance, flags = np.empty((n, 2)), np.empty((n, 2, 2)), np.empty(n, np.uint8)
     diameter, peak, elongation, sigma = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
+    ellipticity, ellipticity_sigma = np.empty((n, 2)), np.empty(n)
     start = np.zeros(n_images + 1, np.int64)
     for i in range(n):
         xy[i, 0], xy[i, 1] = table[i, X], table[i, Y]
@@ -149,7 +158,9 @@ def columns(table: Array, image_of: Array, n_images: int) -> tuple[Array, ...]:
         covariance[i, 1, 0], covariance[i, 1, 1] = table[i, XY], table[i, YY]
         diameter[i], peak[i], elongation[i] = table[i, DIAMETER], table[i, PEAK], table[i, ELONGATION]
         flags[i], sigma[i] = int(table[i, FLAGS]), table[i, DIAMETER_SIGMA]
+        ellipticity[i, 0], ellipticity[i, 1] = table[i, ELLIPTIC_X], table[i, ELLIPTIC_Y]
+        ellipticity_sigma[i] = table[i, ELLIPTIC_SIGMA]
         start[image_of[i] + 1] += 1
     for k in range(n_images):
         start[k + 1] += start[k]
-    return xy, covariance, diameter, peak, elongation, flags, sigma, start
+    return xy, covariance, diameter, peak, elongation, flags, sigma, ellipticity, ellipticity_sigma, start

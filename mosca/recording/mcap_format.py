@@ -16,7 +16,7 @@ The file is a plain MCAP file (mcap.dev) with uncompressed chunks; profile ``mos
   ``publish_time`` the host's time of arrival [ns] where it is known, else the stamp; ``sequence`` the low
   32 bits of the camera's counter.
 - Instead of it, where the recording holds detections: channel ``/camera/NAME/detections`` a camera, message encoding
-  ``mosca.detections.v2``, a message for each usable frame of a frame set; ``log_time``, ``publish_time`` and
+  ``mosca.detections.v3``, a message for each usable frame of a frame set; ``log_time``, ``publish_time`` and
   ``sequence`` are the frame's, as above. Channel ``/sets`` (JSON) ends each frame set, empty ones too: ``pulse`` and
   ``time_ns``, the set's number and time.
 - Channel ``/NAME`` for each further channel (commands, events, onboard streams) on the same clock as the
@@ -36,15 +36,16 @@ A ``mosca.frame.v1`` message, little-endian, without padding::
     u32 length of the note, then the note (UTF-8)
     payload: one blosc2 chunk (bitshuffle, LZ4 or Zstandard) of the pixels, row by row, little-endian
 
-A ``mosca.detections.v2`` message, little-endian, without padding::
+A ``mosca.detections.v3`` message, little-endian, without padding::
 
     u32 crc32 of the bytes that follow                     (zlib.crc32)
     u8  stamp event    as above
     u8, u16            reserved, 0
     u32 n, the number of detections
     i64 pulse of the frame set, i64 index, i64 time [ns], i64 exposure [ns], i64 row time [ns] of the frame
-    n x 9 f64          x, y [px], covariance xx, xy, yy [px2], diameter [px], peak [DN], elongation, standard
-                       deviation of the diameter [px] (v1: 8, without it)
+    n x 12 f64         x, y [px], covariance xx, xy, yy [px2], diameter [px], peak [DN], elongation, standard
+                       deviation of the diameter [px], ellipticity (2) and its standard deviation (v2: 9, without
+                       these three; v1: 8, without the diameter's either)
     n x u8             flags (1 saturated, 2 merged, 4 partly hidden, 8 unrefined)
 """
 
@@ -63,7 +64,7 @@ from mosca.data.frames import Frame, FrameStatus, StampEvent
 PROFILE = "mosca-recording"
 VERSION = "1"
 FRAME_ENCODING = "mosca.frame.v1"
-DETECTIONS_ENCODING = "mosca.detections.v2"
+DETECTIONS_ENCODING = "mosca.detections.v3"
 SETS = "sets"
 STATUSES: tuple[FrameStatus, ...] = get_args(FrameStatus)
 EVENTS: tuple[StampEvent, ...] = get_args(StampEvent)
@@ -74,7 +75,7 @@ _SUMS = struct.Struct("<II")
 _HEADER = struct.Struct("<BBBBIIqqqqI")
 _SUM = struct.Struct("<I")
 _DETECTIONS = struct.Struct("<BBHIqqqqq")
-_NUMBERS = 9
+_NUMBERS = (12, 9, 8)  # of this version and of older ones
 _CODECS = {"lz4": (blosc2.Codec.LZ4, 5), "zstd": (blosc2.Codec.ZSTD, 1)}
 
 
@@ -189,7 +190,14 @@ def _unpacked(payload: bytes, height: int, width: int, pixel: int) -> np.ndarray
 def pack_detections(pulse: int, frame: Frame, found: Detections) -> bytes:
     """Return the message of what was found in ``frame`` of the frame set ``pulse``."""
     xx, xy, yy = found.covariance_px2[:, 0, 0], found.covariance_px2[:, 0, 1], found.covariance_px2[:, 1, 1]
-    size = found.diameter_px, found.peak, found.elongation, found.diameter_sigma_px
+    size = (
+        found.diameter_px,
+        found.peak,
+        found.elongation,
+        found.diameter_sigma_px,
+        found.ellipticity,
+        found.ellipticity_sigma,
+    )
     numbers = np.column_stack((found.xy_px, xx, xy, yy, *size))
     event = EVENTS.index(frame.stamp_event)
     times = (frame.index, frame.time_ns, frame.exposure_ns, frame.row_time_ns)
@@ -204,13 +212,14 @@ def unpack_detections(camera: str, message: bytes) -> tuple[int, Detections]:
     if len(message) < start or zlib.crc32(memoryview(message)[_SUM.size :]) != _SUM.unpack_from(message)[0]:
         raise DamagedMessage("wrong checksum, or cut short")
     _, _, _, n, pulse, *_ = _DETECTIONS.unpack_from(message, _SUM.size)
-    # older recordings hold no standard deviation of the diameter
-    columns = next((k for k in (_NUMBERS, _NUMBERS - 1) if len(message) == start + n * (8 * k + 1)), 0)
+    columns = next((k for k in _NUMBERS if len(message) == start + n * (8 * k + 1)), 0)
     if not columns:
         raise DamagedMessage(f"{n} detections announced in {len(message)} bytes")
     numbers = np.frombuffer(message, "<f8", n * columns, start).reshape(n, columns)
     flags = np.frombuffer(message, np.uint8, n, start + n * 8 * columns)
     covariance = numbers[:, [2, 3, 3, 4]].reshape(n, 2, 2)
     diameter, peak, elongation = numbers[:, 5:8].T
-    sigma = numbers[:, 8] if columns == _NUMBERS else np.empty(0)
-    return pulse, Detections(camera, numbers[:, :2], covariance, diameter, peak, elongation, flags, sigma)
+    unknown = np.empty(0)
+    sigma = numbers[:, 8] if columns > 8 else unknown
+    shape = (numbers[:, 9:11], numbers[:, 11]) if columns > 9 else (unknown, unknown)
+    return pulse, Detections(camera, numbers[:, :2], covariance, diameter, peak, elongation, flags, sigma, *shape)

@@ -37,7 +37,7 @@ _FOR_PEOPLE = """\
 # u8 status (0 ok, 1 dropped, 2 corrupt), u8 stamp event (0 exposure_start, 1 exposure_middle, 2 readout),
 # u8 bytes a pixel, u8 0, u32 height, u32 width, i64 index, i64 time_ns, i64 exposure_ns, i64 row_time_ns,
 # u32 length of note, note, payload: one blosc2 chunk of the pixels, row by row.
-# A recording of detections has /camera/NAME/detections (mosca.detections.v2) instead; the schemas in the file tell.
+# A recording of detections has /camera/NAME/detections (mosca.detections.v3) instead; the schemas in the file tell.
 
 """
 

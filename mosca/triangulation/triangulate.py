@@ -22,8 +22,9 @@ REWEIGHTINGS = np.int64(3)
 SINGULAR = 1e-18
 """Determinant of the normal equations over the product of their diagonal at which rays are parallel in double
 precision: directions that differ by some 1e-9 rad."""
-TRUST, SHARE, DEPTH, RANKS = 0, 1, 2, 3
-"""Columns of what goes with each ray of a hypothesis: trust, expected number of chance rays as near, depth."""
+TRUST, SHARE, DEPTH, WHOLE, RANKS = 0, 1, 2, 3, 4
+"""Columns of what goes with each ray of a hypothesis: trust, expected number of chance rays as near, depth, size [m]
+that the image of a whole target has."""
 
 
 @inlined_step

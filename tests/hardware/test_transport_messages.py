@@ -29,7 +29,10 @@ def detections(camera, n, seed=0):
     covariance = covariance @ covariance.transpose(0, 2, 1)
     covariance[:, 1, 0] = covariance[:, 0, 1]
     flags = rng.integers(0, 16, n).astype(np.uint8)
-    return Detections(camera, rng.normal(size=(n, 2)), covariance, *rng.random((3, n)), flags, rng.random(n))
+    return Detections(
+        camera, rng.normal(size=(n, 2)), covariance, *rng.random((3, n)), flags, rng.random(n),
+        rng.normal(size=(n, 2)), rng.random(n),
+    )  # fmt: skip
 
 
 def message(camera="left", n=3, **changed):
@@ -41,7 +44,10 @@ def message(camera="left", n=3, **changed):
 
 
 SCALARS = ("station", "epoch", "sequence", "pulse", "time_ns", "exposure_ns", "arrival_ns", "sent_ns", "status")
-COLUMNS = ("xy_px", "covariance_px2", "diameter_px", "peak", "elongation", "flags", "diameter_sigma_px")
+COLUMNS = (
+    "xy_px", "covariance_px2", "diameter_px", "peak", "elongation", "flags", "diameter_sigma_px", "ellipticity",
+    "ellipticity_sigma",
+)  # fmt: skip
 
 
 @given(st.integers(0, 40), st.text(min_size=1, max_size=30), st.integers(0, 2**32), st.integers(-(2**63), 2**63 - 1))
@@ -67,17 +73,20 @@ def test_the_layout_is_the_documented_one():
         [1.0, 1.25],
         [SATURATED, MERGED],
         [0.5, 0.75],
+        [[0.125, -0.25], [0.0, 0.375]],
+        [0.0625, 0.03125],
     )
     data = pack_detections(message(detections=found, station="AB"))
-    assert data[:8] == b"MO\x02\x01\x00\x02\x02\x00"
+    assert data[:8] == b"MO\x03\x01\x00\x02\x02\x00"
     assert struct.unpack_from("<QQqqqqqQQ", data, 8) == (
         2**63 + 5, 7, -2, 20_400_000, 800_000, 10**15 + 1, 10**15 + 2, 2, len(data),
     )  # fmt: skip
     assert data[80:88] == b"ABle\0\0\0\0"
-    assert struct.unpack_from("<18d", data, 88) == (
+    assert struct.unpack_from("<24d", data, 88) == (
         1.5, 2.5, 3.0, 4.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 5.0, 6.0, 200.0, 255.0, 1.0, 1.25, 0.5, 0.75,
+        0.125, -0.25, 0.0, 0.375, 0.0625, 0.03125,
     )  # fmt: skip
-    assert data[232:] == b"\x01\x02"
+    assert data[280:] == b"\x01\x02"
 
 
 def test_an_absent_frame_is_said():
@@ -116,8 +125,8 @@ def test_a_short_message_is_refused(length):
 
 def test_another_version_says_what_to_do():
     data = bytearray(pack_detections(message()))
-    data[2] = 3
-    with pytest.raises(MessageError, match=r"version 3, this is version 2; install the same on all PCs"):
+    data[2] = 4
+    with pytest.raises(MessageError, match=r"version 4, this is version 3; install the same on all PCs"):
         unpack_detections(bytes(data))
 
 

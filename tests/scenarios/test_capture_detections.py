@@ -167,25 +167,30 @@ def test_what_is_kept_follows_the_documented_layout(takes):
         words = "\0".join(["mosca-recording", *(word for entry in entries.items() for word in entry), ""])
         assert told == {**entries, "crc32": f"{zlib.crc32(words.encode()):08x}"}
         schema, channel, message = next(reader.iter_messages(topics=["/camera/left/detections"]))
-    assert (schema.name, channel.message_encoding) == ("mosca.detections.v2",) * 2
+    assert (schema.name, channel.message_encoding) == ("mosca.detections.v3",) * 2
     data = message.data
     checksum, event, _, _, n, pulse, index, time_ns, exposure_ns, row_ns = struct.unpack_from("<IBBHIqqqqq", data)
     assert checksum == zlib.crc32(data[4:])
     assert (event, n, pulse, index, time_ns, exposure_ns, row_ns) == (0, 4, 0, 0, 0, 500_000, 0)
-    numbers = np.frombuffer(data, "<f8", 9 * n, 52).reshape(n, 9)
+    numbers = np.frombuffer(data, "<f8", 12 * n, 52).reshape(n, 12)
     camera = read_rig(takes / "rig.toml").camera("left")
     seen = project(camera, targets(0))
     away = np.linalg.norm(seen[:, None] - numbers[None, :, :2], axis=2).min(axis=0)
     assert away.max() < 0.1
     assert (numbers[:, 8] > 0).all()
-    assert len(data) == 52 + 73 * n
-    # version 1 had no column of the diameters' standard deviations
-    before = data[4:52] + numbers[:, :8].tobytes() + data[-n:]
-    old = unpack_detections("left", struct.pack("<I", zlib.crc32(before)) + before)[1]
+    assert (numbers[:, 11] > 0).all()
+    assert len(data) == 52 + 97 * n
     new = unpack_detections("left", data)[1]
-    np.testing.assert_array_equal(old.xy_px, new.xy_px)
-    np.testing.assert_array_equal(old.flags, new.flags)
-    assert not old.diameter_sigma_px.any()
+    np.testing.assert_array_equal(np.column_stack([new.ellipticity, new.ellipticity_sigma]), numbers[:, 9:])
+    # version 2 had no ellipticity, version 1 no standard deviations of the diameters either
+    for columns in (8, 9):
+        before = data[4:52] + numbers[:, :columns].tobytes() + data[-n:]
+        old = unpack_detections("left", struct.pack("<I", zlib.crc32(before)) + before)[1]
+        np.testing.assert_array_equal(old.xy_px, new.xy_px)
+        np.testing.assert_array_equal(old.flags, new.flags)
+        assert old.diameter_sigma_px.any() == (columns > 8)
+        assert not old.ellipticity.any()
+        assert not old.ellipticity_sigma.any()
 
 
 def small_detections(rng, camera, n):

@@ -1,4 +1,4 @@
-"""Compiled refinement of an elliptic target's shape from the residuals of the disc that was fitted to it.
+"""Compiled: an elliptic target's shape and its ellipticity, from the residuals of the disc that was fitted to it.
 
 A small stretch (1 + T) with T = [[p, q], [q, -p]] of the map in which the target is round changes a pixel's value by
 ``-g r (p cos 2 phi + q sin 2 phi)``, g being the slope of its edge. Over a window all around the target that is
@@ -12,6 +12,7 @@ import numpy as np
 
 from mosca.data.arrays import Array
 from mosca.detection.disc_fit.disc_image import FAST, ZERO, disc_image, f32
+from mosca.detection.disc_fit.first_values import Light, Region, is_plain, least_difference
 from mosca.detection.disc_fit.gauss_newton import DiscFit, Model, Workspace
 from mosca.numba_support.decorators import bare_step
 
@@ -28,6 +29,8 @@ class Stretch(NamedTuple):
     """Symmetric matrix (xx, xy, yy) of determinant 1 in which the target is round."""
     chi2: float
     """Squared length of the step over its error."""
+    variance: float
+    """Of p and of q, geometric mean; infinite where the pixels do not give them."""
 
 
 @bare_step(fastmath=FAST)
@@ -62,7 +65,7 @@ def stretched(
     pp, pq, qq, cp, cq = f64(sums[0]), f64(sums[1]), f64(sums[2]), f64(sums[3]), f64(sums[4])
     det = pp * qq - pq * pq
     if not det > 0.0:
-        return Stretch(shape, 0.0)
+        return Stretch(shape, 0.0, math.inf)
     p, q = (qq * cp - pq * cq) / det, (pp * cq - pq * cp) / det
     chi2 = p * cp + q * cq
     hold = min(1.0, MOST_CHANGE / max(math.sqrt(p * p + q * q), 1e-9))
@@ -74,4 +77,48 @@ def stretched(
     xx, xy, yy = a * a + c * c, a * b + c * d, b * b + d * d
     root = math.sqrt(xx * yy - xy * xy)
     t = math.sqrt(xx / root + yy / root + 2.0)
-    return Stretch(((xx / root + 1.0) / t, xy / root / t, (yy / root + 1.0) / t), chi2)
+    return Stretch(((xx / root + 1.0) / t, xy / root / t, (yy / root + 1.0) / t), chi2, 1.0 / math.sqrt(det))
+
+
+@bare_step(fastmath=FAST)
+def ellipticity(shape: tuple[float, float, float]) -> tuple[float, float]:
+    """Return the ellipticity of a target that ``shape`` makes round, see ``mosca.data.detections.Detections``.
+
+    The shape is the exponential of -[[a, b], [b, -a]] / 2 with the ellipticity (a, b).
+    """
+    a, b = 0.5 * (shape[2] - shape[0]), -shape[1]
+    sine = math.sqrt(a * a + b * b)
+    if not sine > 0.0:
+        return 0.0, 0.0
+    scale = 2.0 * math.log(sine + math.sqrt(1.0 + sine * sine)) / sine
+    return scale * a, scale * b
+
+
+@bare_step(fastmath=FAST)
+def ellipticity_of(
+    n: int,
+    pixels: Array,
+    region: Region,
+    light: Light,
+    fit: DiscFit,
+    good: bool,
+    misfit: float,
+    model: Model,
+    work: Workspace,
+) -> tuple[float, float, float]:
+    """Return the ellipticity (2) of a fitted target and its standard deviation, 0 where it is not known.
+
+    ``pixels``: the n that were fitted, mapped by the light's shape; ``misfit``: their chi-square a degree of freedom.
+    From the residuals where they lie all around an elliptic target; else from second moments, which are taken for
+    round up to ``least_difference``, to first order the ellipticity: evenly spread within a circle, it has half of
+    that radius as its standard deviation. Overwrites ``work``.
+    """
+    if not good:
+        return 0.0, 0.0, 0.0
+    if not (is_plain(light.shape) or light.crowded or light.saturated):
+        now = stretched(n, pixels, fit, model, light.shape, work)
+        if now.variance < math.inf:
+            x, y = ellipticity(now.shape)
+            return x, y, 2.0 * math.sqrt(now.variance * max(misfit, 1.0))
+    x, y = ellipticity(light.shape)
+    return x, y, 0.5 * least_difference(fit.blur, region.n_px)

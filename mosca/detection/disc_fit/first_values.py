@@ -89,6 +89,12 @@ def central_moments(sums_of_light: Any) -> tuple[float, float, float, float, flo
 
 
 @bare_step(fastmath=FAST)
+def least_difference(blur: float, n: int) -> float:
+    """Return the relative difference of second moments from which a region of n pixels is not taken for round."""
+    return ROUND + (ROUND_PX if parts_of(blur) == 1 else ROUND_SHARP_PX) / n
+
+
+@bare_step(fastmath=FAST)
 def stretch(xx: float, xy: float, yy: float, blur: float, n: int) -> tuple[float, float, float]:
     """Return the symmetric matrix (xx, xy, yy) of determinant 1 that makes an elliptic target round.
 
@@ -96,9 +102,8 @@ def stretch(xx: float, xy: float, yy: float, blur: float, n: int) -> tuple[float
     """
     blur2 = 0.5 * blur * blur
     size = max(0.5 * (xx + yy) - blur2, 0.5 * blur2)
-    allowed = ROUND_PX if parts_of(blur) == 1 else ROUND_SHARP_PX
     p, q = 0.5 * (xx - yy) / size, xy / size
-    if p * p + q * q < (ROUND + allowed / n) ** 2:
+    if p * p + q * q < least_difference(blur, n) ** 2:
         return 1.0, 0.0, 1.0
     e = min(math.sqrt(p * p + q * q), MOST_STRETCHED)
     k = e / math.sqrt(p * p + q * q)
@@ -108,6 +113,12 @@ def stretch(xx: float, xy: float, yy: float, blur: float, n: int) -> tuple[float
     a, b, c = a / root, b / root, c / root
     t = math.sqrt(a + c + 2.0)
     return (a + 1.0) / t, b / t, (c + 1.0) / t
+
+
+@bare_step(fastmath=FAST)
+def is_plain(shape: tuple[float, float, float]) -> bool:
+    """Return whether a target is taken for round."""
+    return shape[1] == 0.0 and shape[0] == shape[2]
 
 
 @bare_step(fastmath=FAST)

@@ -14,8 +14,8 @@ from mosca.data.arrays import Array
 from mosca.data.detections import MERGED, PARTIAL, SATURATED, UNREFINED
 from mosca.detection.centroid import DIAMETER, DIAMETER_SIGMA, ELONGATION, PEAK, XX, XY, YY, X, Y
 from mosca.detection.disc_fit.disc_image import FAST, f32, part_blur, parts_of
-from mosca.detection.disc_fit.ellipse import stretched
-from mosca.detection.disc_fit.first_values import Light, Region, first_disc, light_of, reshaped, turned
+from mosca.detection.disc_fit.ellipse import ellipticity_of, stretched
+from mosca.detection.disc_fit.first_values import Light, Region, first_disc, is_plain, light_of, reshaped, turned
 from mosca.detection.disc_fit.gauss_newton import DiscFit, DiscPrior, Model, Workspace, fit_disc
 from mosca.detection.disc_fit.hidden_background import compare_rims, refit_before, take_behind
 from mosca.detection.disc_fit.light_offset import (
@@ -64,11 +64,12 @@ from mosca.detection.search import (
 from mosca.numba_support.decorators import bare_step, step
 from mosca.numba_support.intrinsics import array_at
 
-FLAGS, BLUR, BLUR_INFO, MISFIT, ROUGH, PULL = range(9, 15)
+FLAGS, BLUR, BLUR_INFO, MISFIT, ROUGH, PULL, ELLIPTIC_X, ELLIPTIC_Y, ELLIPTIC_SIGMA = range(9, 18)
 """Columns of the table after those of ``mosca.detection.centroid``: flags, the blur that the target's own pixels
 give [px] and its information [px^-2], chi-square per degree of freedom, its excess over the noise as a share of the
-squared amplitude, and the difference of the region's principal moments over their sum."""
-N_COLUMNS = 15
+squared amplitude, the difference of the region's principal moments over their sum, and the ellipticity with its
+standard deviation (``mosca.data.detections.Detections``)."""
+N_COLUMNS = 18
 
 TOUCHING = 0.03
 """Standard deviation of a centroid biased by a neighbour's light, as a share of the diameter (measured)."""
@@ -251,12 +252,6 @@ def gather_mapped(
 
 
 @bare_step(fastmath=FAST)
-def is_plain(shape: tuple[float, float, float]) -> bool:
-    """Return whether a target is taken for round."""
-    return shape[1] == 0.0 and shape[0] == shape[2]
-
-
-@bare_step(fastmath=FAST)
 def refit_ellipse(
     image: Array,
     behind: Array,
@@ -361,7 +356,6 @@ def refine_region(
             compare_rims(padded, pixels, buffers.behind, light.shape, fit, prior, model, buffers.fit, sums.tallies[k])
     centre = centre_of(middle, light, fit)
     good = is_good(region, light, fit, centre)
-
     tally, usual = sums.tallies[k], priors.roughness[k]
     odd = write_row(region, light, fit, centre, (good, n, usual), model, out)
     if good and symmetric:
@@ -375,6 +369,8 @@ def refine_region(
         if takes_light and plain and not odd:
             reach = min(centre.radius + LIGHT_BLURS * fit.blur, most)
             add_light(image, region, reach, fit, centre.radius, buffers.pixels, buffers.terms, sums)
+    shape = ellipticity_of(padded, pixels, region, light, fit, good, out[MISFIT], model, buffers.fit)
+    out[ELLIPTIC_X], out[ELLIPTIC_Y], out[ELLIPTIC_SIGMA] = shape
     out[X], out[Y] = moved(image, centre.x, centre.y, centre.radius, priors.offsets[k], buffers.terms)
 
 

@@ -27,7 +27,7 @@ from mosca.data.arrays import Array
 from mosca.data.detections import MERGED, PARTIAL, SATURATED, UNREFINED
 from mosca.detection.centroid import DIAMETER, DIAMETER_SIGMA, ELONGATION, PEAK, XX, XY, YY, X, Y
 from mosca.detection.disc_fit.disc_image import FAST
-from mosca.detection.disc_fit.fit_regions import BLUR, BLUR_INFO, FLAGS, MISFIT, PULL, ROUGH
+from mosca.detection.disc_fit.fit_regions import BLUR, BLUR_INFO, FLAGS, MISFIT, N_COLUMNS, PULL, ROUGH
 from mosca.detection.disc_fit.gauss_newton import Model
 from mosca.detection.disc_fit.light_offset import N_TERMS, moved
 from mosca.detection.disc_fit.priors import Priors
@@ -125,7 +125,7 @@ def fit_pairs(
     Returns rows (k, 2, columns of the table of ``mosca.detection.disc_fit.fit_regions``) and which are two targets
     (k,).
     """
-    rows, two = np.zeros((len(candidates), 2, PULL + 1)), np.zeros(len(candidates), np.bool_)
+    rows, two = np.zeros((len(candidates), 2, N_COLUMNS)), np.zeros(len(candidates), np.bool_)
     work, terms = np.empty((10, 11)), np.empty(N_TERMS)
     runs, regions = found.runs, found.regions
     for q in range(len(candidates)):
