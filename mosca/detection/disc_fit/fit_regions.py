@@ -332,8 +332,7 @@ def refine_region(
         peak, light_sums = uncovered_sums(n, pixels, region, background, priors, model, buffers)
     prior = disc_prior(k, priors, float(light_sums[0]))
     light = light_of(region, background, peak, light_sums, crowded, blur, model.full_dn)
-    m0, m1, m2 = light.shape
-    plain = is_plain(light.shape)
+    (m0, m1, m2), plain = light.shape, is_plain(light.shape)
     amplitude, radius = first_disc(region, light, blur)
     x0, y0 = m0 * light.x + m1 * light.y, m1 * light.x + m2 * light.y
     symmetric = not light.crowded and not light.saturated
