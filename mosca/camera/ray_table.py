@@ -254,9 +254,7 @@ def _longer_axis(diameter, elongation):
     root = np.sqrt(elongation)
     # two targets grown together are long, and their flux and peak give no diameter: the longer axis does
     across = max(diameter * (root if elongation > TWO_LONG else 1.0), LEAST_DIAMETER_PX)
-    # of a side of less than two pixels one is bright: there is none between 1 x 2 and 2 x 4
-    shorter = (diameter + REGION_MARGIN_PX) / root
-    return across, (elongation - 1.0) * (shorter if shorter >= 2.0 else 1.0) > ROUNDED_PX
+    return across, (elongation - 1.0) * (diameter + REGION_MARGIN_PX) > ROUNDED_PX * root
 
 
 @inlined_step
