@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mosca.camera.ray_table import LONG
-from mosca.correspondence.circle_fit import any_elliptic
+from mosca.correspondence.circle_fit import FEWEST_ELLIPSES, ellipses
 from mosca.correspondence.hypothesis import (
     MOST_ODD,
     NONE,
@@ -188,7 +188,7 @@ def _expected(track, xyz, covariance, hypothesis, state, data):
     if size < 3 or size < rules.minimum_cameras or not chance < CERTAIN:
         return 0, 0.0, 0.0, 1.0
     # round images are trusted already by their sizes there, since the typical one is known
-    flat = rules.discs > 0 and any_elliptic(members, data.rays)
+    flat = rules.discs > 0 and ellipses(members, data.rays) >= FEWEST_ELLIPSES
     diameter = judge_sizes(hypothesis, data) if flat else 0.0
     error = solve(hypothesis, TWICE, data)
     if not 0.0 <= error <= limit(2 * size - 3, PLAIN):

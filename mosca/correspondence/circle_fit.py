@@ -24,6 +24,9 @@ FACING, LN_RADIUS, CIRCLE_COVARIANCE, CIRCLE = 0, 3, 4, 10
 logarithm and of the normal's turns towards ``across`` it [rad]."""
 ODD_CHI2 = 16.0
 """Chi-square of an image's three residuals beyond which it is no image of the circle (4 standard deviations)."""
+FEWEST_ELLIPSES = 2
+"""Images that must be ellipses: a single one among round images is of two targets, or of a ball that is hidden in
+part. Most images of a disc at a slant are."""
 STEPS = 4
 """Of the refinement: the first circle is off by the errors of one image."""
 STEP = 1e-4
@@ -45,12 +48,12 @@ def shows_shape(k, rays):
 
 
 @bare_step
-def any_elliptic(members, rays):
-    """Whether one of the rays (c,), -1 for none, has an image that is an ellipse."""
+def ellipses(members, rays):
+    """Return how many of the rays (c,), -1 for none, have an image that is an ellipse."""
+    n = 0
     for c in range(members.shape[0]):
-        if members[c] >= 0 and is_elliptic(members[c], rays) and shows_shape(members[c], rays):
-            return True
-    return False
+        n += members[c] >= 0 and is_elliptic(members[c], rays) and shows_shape(members[c], rays)
+    return n
 
 
 @inlined_step
@@ -209,17 +212,25 @@ def fit_circle(members, point, circle, data):
     """Fit a circle to the images of the rays ``members`` (c,), -1 for none, of a target at ``point``.
 
     Fills ``circle`` (CIRCLE,). Returns whether the target is flat: the circle explains all images, or all but one of
-    three and more, ``Rules.discs`` at least, and leaves less than a ball does by an image's worth.
+    three and more, ``Rules.discs`` at least, ``FEWEST_ELLIPSES`` are ellipses, and it leaves less than a ball does by
+    an image's worth.
     """
     rays, best, ball, images = data.rays, math.inf, math.inf, 0
+    if ellipses(members, rays) < FEWEST_ELLIPSES:
+        return False
+    for c in range(members.shape[0]):
+        k = members[c]
+        if k >= 0 and shows_shape(k, rays):
+            of_ball = circles_of_image(k, distance_to(point, c, data.views), rays)[5]
+            ball = min(ball, misfit(0.0, (0.0, 0.0, 0.0), of_ball, members, point, data)[0])
+            images += 1
+    if not ball > ODD_CHI2:
+        return False
     for c in range(members.shape[0]):
         k = members[c]
         if k < 0 or not shows_shape(k, rays):
             continue
-        images += 1
-        distance = distance_to(point, c, data.views)
-        x, y, z, along, ln_radius, of_ball = circles_of_image(k, distance, rays)
-        ball = min(ball, misfit(0.0, (0.0, 0.0, 0.0), of_ball, members, point, data)[0])
+        x, y, z, along, ln_radius, _ = circles_of_image(k, distance_to(point, c, data.views), rays)
         for face in range(2 if is_elliptic(k, rays) else 0):
             s = along if face else -along
             normal = x + s * rays[k, 0], y + s * rays[k, 1], z + s * rays[k, 2]

@@ -17,8 +17,8 @@ from mosca.correspondence.circle_fit import (
     CIRCLE_COVARIANCE,
     LN_RADIUS,
     across,
-    any_elliptic,
     distance_to,
+    ellipses,
     fit_circle,
     is_elliptic,
     pixel_by_direction,
@@ -63,7 +63,7 @@ def aim_at_centres(kept, state, data, images):
     hypothesis, work, pulls = new_hypothesis(cameras), np.empty((8, 3)), np.empty((3, 3))
     members, ranks, values, circle = hypothesis
     for g in range(kept.members.shape[0]):
-        if state[g] != TAKEN or not any_elliptic(kept.members[g], data.rays):
+        if state[g] != TAKEN or ellipses(kept.members[g], data.rays) == 0:
             continue
         for c in range(cameras):
             members[c], ranks[c, TRUST] = kept.members[g, c], kept.trusts[g, c]

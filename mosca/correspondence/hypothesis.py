@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mosca.camera.ray_table import LONG
-from mosca.correspondence.circle_fit import CIRCLE, LN_RADIUS, any_elliptic, fit_circle
+from mosca.correspondence.circle_fit import CIRCLE, LN_RADIUS, fit_circle
 from mosca.data.detections import MERGED, PARTIAL, SATURATED, UNREFINED
 from mosca.data.rays import ANGLE, AREA_RADIUS, BONUS, FLAGS, RADIUS, SHARE_SIGMA, SIGMA
 from mosca.numba_support.decorators import inlined_step, step
@@ -177,7 +177,7 @@ def judge_sizes(hypothesis, data):
     """
     members, ranks, values, circle = hypothesis
     rules = data.rules[0]
-    if rules.discs > 0 and any_elliptic(members, data.rays) and fit_circle(members, values, circle, data):
+    if rules.discs > 0 and fit_circle(members, values, circle, data):
         diameter = 2.0 * np.exp(circle[LN_RADIUS])
         for c in range(members.shape[0]):
             k = members[c]
