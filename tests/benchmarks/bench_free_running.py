@@ -52,6 +52,7 @@ from twin.scenes.scene import SceneSampler
 class Take:
     """What the cameras of a scenario saw, and the truth."""
 
+    name: str
     spec: Scenario
     rig: Rig
     settings: PipelineSettings
@@ -68,7 +69,7 @@ def taken(name: str, overrides: Sequence[str], workers: int = 2) -> Take:
     settings = pipeline_settings(spec)
     with twin_source(spec, build_scene(spec, path.parent), cameras, workers) as source:
         seen = detect_in_frames(source, rig.names, settings.detection)
-        return Take(spec, calibrated(spec, cameras).rig, settings, seen, source.truth())
+        return Take(name, spec, calibrated(spec, cameras).rig, settings, seen, source.truth())
 
 
 def kept(folder: Path | None, name: str, overrides: Sequence[str]) -> Take:
@@ -145,7 +146,7 @@ def jacobians(take: Take, found: TimedObservations, curves: TrueCurves) -> np.nd
 
 def least_errors(take: Take, found: TimedObservations, curves: TrueCurves) -> np.ndarray:
     """Return the bound's variances (t, points) [m^2] at the truth's instants."""
-    scene = build_scene(take.spec, find("continuous/free_running_short").parent)
+    scene = build_scene(take.spec, find(take.name).parent)
     of_motion = spectrum(lambda t: SceneSampler(scene).at(t).marker_xyz, 0.0, scene.duration_s)
     by, at = jacobians(take, found, curves), take.truth.time_ns * 1e-9
     parts = [
