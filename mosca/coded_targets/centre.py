@@ -37,9 +37,10 @@ from mosca.coded_targets.dots import (
     Y,
     light_at,
 )
-from mosca.coded_targets.pixel_noise import ROUNDING_DN2, GreyValueNoise
+from mosca.coded_targets.pixel_noise import GreyValueNoise
 from mosca.coded_targets.ring_sampling import shading
 from mosca.data.arrays import Array, looked_at
+from mosca.detection.local_background import ROUNDING_DN2
 from mosca.numba_support.decorators import kernel, step
 
 FLAT_SHARE, FLAT_PX, FLATTEST_SHARE, WIDEST_FLAT = 1.45, 1.5, 0.5, 1.25

@@ -40,12 +40,13 @@ import numpy as np
 from mosca.coded_targets.centre import measure_dots
 from mosca.coded_targets.decode import Readings, ellipses_of, read_codes
 from mosca.coded_targets.dots import AXX, AXY, AYY, SECTORS, TargetAppearance, X, Y
-from mosca.coded_targets.pixel_noise import ROUNDING_DN2, noise_of, pixel_noise
+from mosca.coded_targets.pixel_noise import noise_of, pixel_noise
 from mosca.coded_targets.ring_sampling import MARGIN, START, WORD
 from mosca.data.arrays import Array
 from mosca.data.found_targets import CodedDetections
 from mosca.data.target_codes import ring_code
 from mosca.data.targets import PLATE, RING_INNER, RING_OUTER
+from mosca.detection.local_background import ROUNDING_DN2
 from mosca.errors import InputError
 
 

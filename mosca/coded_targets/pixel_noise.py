@@ -13,12 +13,11 @@ import numpy as np
 
 from mosca.coded_targets.dots import AXX, AXY, AYY, X, Y
 from mosca.data.arrays import Array
+from mosca.detection.local_background import ROUNDING_DN2
 from mosca.detection.pixel_noise import GUESSED_DARK_E
 from mosca.numba_support.decorators import kernel
 
 SAMPLED_ROWS = 16
-ROUNDING_DN2 = 1 / 12
-"""Variance of rounding to whole grey values [DN^2]."""
 FROM_EDGE_PX = 2.5
 """Pixels of a dot lie at least this far from its edge: a blur of 0.8 px leaves them 0.1 % of it."""
 MEDIAN_VARIANCE = 10.5

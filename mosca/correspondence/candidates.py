@@ -189,7 +189,7 @@ def _expected(track, xyz, covariance, hypothesis, state, data):
         return 0, 0.0, 0.0, 1.0
     # round images are trusted already by their sizes there, since the typical one is known
     flat = rules.discs > 0 and ellipses(members, data.rays) >= FEWEST_ELLIPSES
-    diameter = judge_sizes(hypothesis, data) if flat else 0.0
+    diameter = judge_sizes(hypothesis, data)[0] if flat else 0.0
     error = solve(hypothesis, TWICE, data)
     if not 0.0 <= error <= limit(2 * size - 3, PLAIN):
         return 0, 0.0, 0.0, 1.0
@@ -308,7 +308,7 @@ def _grown(a, b, chance, hypothesis, state, data):
         if nearest >= 0:
             members[c], ranks[c, TRUST], ranks[c, SHARE] = nearest, trust, share
             size += 1
-    diameter = judge_sizes(hypothesis, data)
+    diameter, _ = judge_sizes(hypothesis, data)
     error = solve(hypothesis, TWICE, data)
     while size > 2 and not 0.0 <= error <= limit(2 * size - 3, rules.outlier_sigma):
         # an outlier pulls the point towards itself: judge each by what is left without it

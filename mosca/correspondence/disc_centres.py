@@ -19,7 +19,6 @@ from mosca.correspondence.circle_fit import (
     across,
     distance_to,
     ellipses,
-    fit_circle,
     is_elliptic,
     pixel_by_direction,
 )
@@ -69,8 +68,7 @@ def aim_at_centres(kept, state, data, images):
             members[c], ranks[c, TRUST] = kept.members[g, c], kept.trusts[g, c]
         values[:] = kept.values[g]
         _whiten_as_detected(members, data, images, work[2:4])
-        values[DIAMETER] = judge_sizes(hypothesis, data)
-        flat = fit_circle(members, values, circle, data)
+        values[DIAMETER], flat = judge_sizes(hypothesis, data)
         if flat:
             _aim(members, values, circle, ranks, data, images, pulls, work)
         error = solve(hypothesis, TWICE, data)

@@ -35,7 +35,7 @@ are round (cut on one side; its size is little evidence); of one that is isolate
 discs fit the others: more than half of such targets is hidden, whatever their size."""
 SIZES, SHAPES = 1.0, 2.0
 """What images are judged by: their sizes alone, or whether they are long and whether a disc fits them too."""
-EDGE_ON = 0.05
+LEAST_SEEN = 0.05
 """Least share of a disc's area that a camera sees of it: nearer to its plane the image is a line."""
 TOO_LARGE = 1.3
 """Area over a target's from which an image is taken for two targets."""
@@ -170,7 +170,9 @@ def solve(hypothesis, steps, data):
 
 @inlined_step
 def judge_sizes(hypothesis, data):
-    """Set each member's trust from the size of its image; returns the target's diameter from its largest image.
+    """Set each member's trust from the size of its image; returns the target's diameter and whether it is flat.
+
+    The diameter of a ball is that of its largest image.
 
     While no typical size is known, the second largest of four and more images is taken as unoccluded: the largest
     may be of two targets. The images of a flat target are as large as its circle shows itself to each camera.
@@ -183,10 +185,10 @@ def judge_sizes(hypothesis, data):
             k = members[c]
             if k >= 0:
                 cosine = data.rays[k, 0] * circle[0] + data.rays[k, 1] * circle[1] + data.rays[k, 2] * circle[2]
-                ranks[c, WHOLE] = diameter * np.sqrt(max(abs(cosine), EDGE_ON))
+                ranks[c, WHOLE] = diameter * np.sqrt(max(abs(cosine), LEAST_SEEN))
                 size = image_size(k, c, values, data) * data.rays[k, AREA_RADIUS] / data.rays[k, RADIUS]
                 ranks[c, TRUST] = np.sqrt(trust2_of(k, size, ranks[c, WHOLE], data.rays, min(rules.judge, SIZES)))
-        return diameter
+        return diameter, True
     largest, second, images = largest_image(members, values, data)
     if rules.typical_m > 0.0:
         whole = rules.typical_m
@@ -198,7 +200,7 @@ def judge_sizes(hypothesis, data):
             size = image_size(k, c, values, data)
             ranks[c, TRUST] = np.sqrt(trust2_of(k, size, whole, data.rays, rules.judge))
             ranks[c, WHOLE] = rules.typical_m if rules.typical_m > 0.0 else largest
-    return largest
+    return largest, False
 
 
 @inlined_step

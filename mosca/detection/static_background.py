@@ -25,7 +25,7 @@ AGREE_SIGMAS = 4.0
 """Grey values of one pixel that differ by less are the same; 6 in 100,000 of them differ by more."""
 LEAST_DN2 = 0.25
 """Least variance of a difference between images [DN^2]: a median of whole numbers may be 0."""
-CELL_PX, STRIDE_PX = 64, 3
+NOISE_CELL_PX, STRIDE_PX = 64, 3
 """Side of the cells in which the noise between images is measured, and the distance of its samples: 450 in a cell."""
 FILL_PX, FILL_SHARE = (5, 9, 17, 33), 0.2
 """Sides of the squares of which known pixels give those that are not, the nearest first, and their least share."""
@@ -82,7 +82,12 @@ class StaticBackground:
         texture, votes = self.texture.copy(), self.votes.copy()
         height, width = texture.shape
         cells = disagreement(
-            texture, votes, other.texture, other.votes, max(1, height // CELL_PX), max(1, width // CELL_PX)
+            texture,
+            votes,
+            other.texture,
+            other.votes,
+            max(1, height // NOISE_CELL_PX),
+            max(1, width // NOISE_CELL_PX),
         )
         vote(texture, votes, other.texture, other.votes, cv2.resize(cells, (width, height)))
         return StaticBackground(texture, votes, self.images + 1)

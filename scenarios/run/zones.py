@@ -49,7 +49,7 @@ def zone_steps(
     check_source(source, rig)
     sets = assemble(source, source.cameras, settings.assembly, assembly)
     look = FrameSetDetector(settings.detection, {info.name: info.bit_depth for info in source.cameras})
-    seen = detect_ahead(look, sets, settings.workers, settings.split or 1, sensors.attend)
+    seen = detect_ahead(look, sets, settings.workers, settings.split or 1, sensors.attend, settings.lookahead)
     yield from run_zones(seen, zones, settings, healths)
 
 
