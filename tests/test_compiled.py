@@ -1,17 +1,23 @@
-"""Bare steps (no reference counting): they must not allocate or return arrays, nor call functions that return one.
+"""Compiled functions: bare steps keep to their law, and no kernel can use another's copy of a step.
 
-Numba itself refuses a bare step that allocates an array. One that returned an array, or took one from a step that had
+Bare steps (no reference counting) must not allocate or return arrays, nor call functions that return one. Numba
+itself refuses a bare step that allocates an array. One that returned an array, or took one from a step that had
 allocated it, would compile, and would free memory in use, or leak it.
 """
 
 import importlib
 import pkgutil
+from collections.abc import Callable
+from typing import Any
 
+import numba
+import numpy as np
 import pytest
 from numba.core.dispatcher import Dispatcher
 
 import mosca
 import twin
+from mosca.numba_support.decorators import kernel, step
 
 
 def everything() -> dict[str, Dispatcher]:
@@ -57,3 +63,28 @@ def test_a_bare_step_neither_returns_arrays_nor_takes_any_from_steps_that_make_t
         other = around.get(called)
         if isinstance(other, Dispatcher) and not is_bare(other):
             assert not returns_an_array(other), f"{name} takes an array from {called}, which nobody gives back"
+
+
+def wave(length: float) -> float:
+    return np.sin(length) / length
+
+
+def replaceable_functions(a_kernel: Callable[..., Any], a_step: Callable[..., Any]) -> list[str]:
+    """Compile a kernel that calls a step, and return what another kernel's copies could replace (weak symbols)."""
+    compiled_wave = a_step(wave)
+
+    @a_kernel
+    def waves(lengths: np.ndarray) -> float:
+        total = 0.0
+        for length in lengths:
+            total += compiled_wave(length)
+        return total
+
+    assert waves(np.array([20.0, 30.0])) == pytest.approx(wave(20.0) + wave(30.0))
+    (compiled,) = waves.overloads.values()
+    return [f.name for f in compiled.library.get_defined_functions() if f.linkage.name == "linkonce_odr"]
+
+
+def test_a_kernel_s_copies_of_other_functions_are_its_own() -> None:
+    assert not replaceable_functions(kernel, step)
+    assert replaceable_functions(numba.njit, numba.njit)

@@ -16,6 +16,7 @@ from typing import Any, Protocol, overload
 import numba
 
 from mosca.numba_support.cache import kept
+from mosca.numba_support.libraries import KernelCompiler, StepCompiler
 
 FastMath = bool | set[str]
 Compiled = Callable[..., Any]
@@ -40,7 +41,10 @@ def _decorator(cached: bool, **options: Any) -> Decorator:
     def decorate(function: Any = None, *, fastmath: FastMath = False) -> Any:
         if function is None:
             return lambda f: decorate(f, fastmath=fastmath)
-        compiled = numba.njit(cache=cached, fastmath=fastmath, **{**_COMMON, **options})(function)
+        pipeline = StepCompiler if options.get("no_cpython_wrapper") else KernelCompiler
+        compiled = numba.njit(cache=cached, fastmath=fastmath, pipeline_class=pipeline, **{**_COMMON, **options})(
+            function
+        )
         return kept(compiled) if cached else compiled
 
     return decorate
