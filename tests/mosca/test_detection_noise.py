@@ -93,6 +93,31 @@ def test_gain_is_learned_by_photon_transfer(contrast, snr, blur):
     assert sigma < 0.1 * gain
 
 
+def limb(diameter, blur):
+    """A Lambert ball lit from the camera, brightness sqrt(1 - rho^2): discs of all diameters on top of each other."""
+    rho = (np.arange(24) + 0.5) / 24
+    step = np.diff(np.sqrt(1 - (np.arange(25) / 24) ** 2))
+    return sum(-s * fine_image(diameter * r, blur, across=int(diameter) + 14) for r, s in zip(rho, step, strict=True))
+
+
+@pytest.mark.parametrize(
+    "profile", [limb(12.0, 0.5), fine_image(8.3, 0.5, circle=5.0), limb(30.0, 0.5)], ids=["ball", "defocus", "large"]
+)
+def test_a_radial_profile_that_is_no_disc_s_is_no_noise(profile):
+    rng, learned, gain, side = np.random.default_rng(3), NO_STATISTICS, 0.05, len(profile) // FINE
+    for _ in range(4):
+        light = np.full((H, W), 4.0)
+        for y in range(4, H - side - 4, side + 4):
+            for x in range(4, W - side - 4, side + 4):
+                shape = pixels(profile, *rng.integers(-FINE // 2, FINE // 2, 2))
+                light[y : y + side, x : x + side] += 150.0 * shape.clip(0)
+        image = sensed(rng, light / gain, gain, 0.7)
+        learned = learned.plus(detect_with_statistics([image], ["a"], statistics=learned)[1])
+    found, sigma = gain_of(learned.sums, 0, float(np.median(learned.backgrounds["a"].variance)))
+    assert found == pytest.approx(gain, rel=0.2)  # the residuals themselves give 8 to 25 times as much
+    assert sigma < 0.15 * gain
+
+
 def test_stated_errors_hold_with_a_sensor_that_nobody_told():
     for contrast, snr in ((200, 30), (60, 20)):
         chi2 = []
