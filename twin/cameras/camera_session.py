@@ -215,6 +215,7 @@ class CameraSession:
                 lit_s,
                 exposed.shining.limb,
                 exposed.shining.shade,
+                exposed.shining.fade_rad,
             )
             return render_targets(
                 light,
