@@ -48,15 +48,15 @@ class Glow:
     """Distance at which a ring light's retro target has the brightness of the marker signal (it falls with the
     square of the distance); None: the same at all distances."""
     even_deg: float | None = None
-    """Angle off the normal up to which a retro tape sends all of it: half at ``half_deg``, nothing as far beyond. None:
-    a power of the cosine."""
+    """Angle off the normal up to which a retro tape sends all: half at ``half_deg``, nothing as far beyond. None: a
+    power of the cosine."""
     ring_m: float = 0.0
     """Mean radius of the ring light: the tape is observed at the angle ``ring_m`` over the distance off the direction
     in which it sends most. Needs ``at_m``."""
     lobe_deg: float = 1.0
     """Observation angle at which a retro tape sends 1/e of what it sends straight back."""
     lamp_half_deg: float | None = None
-    """Angle off the camera's axis at which its ring light sends half (60: Lambert's law); None: alike to all sides."""
+    """Angle off the camera's axis at which its ring light sends half (Lambert: 60); None: alike to all sides."""
     limb: float = 0.0
     """Share of its brightness that a ball's rim lacks."""
     shade: float = 0.0
@@ -83,7 +83,9 @@ class Glow:
         _within("lobe_deg", self.lobe_deg, 0.0, 90.0, open_below=True)
         _within("ring_m", self.ring_m, 0.0, math.inf)
         if self.ring_m > 0 and self.at_m is None:
-            raise ValueError(f"ring_m = {self.ring_m:g} without at_m given: say at what distance it is as bright as meant")
+            raise ValueError(
+                f"ring_m = {self.ring_m:g} without at_m given: say at what distance it is as bright as meant"
+            )
         if self.kind != "retro":
             for name in ("even_deg", "ring_m", "lamp_half_deg"):
                 if getattr(self, name):

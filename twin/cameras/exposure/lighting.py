@@ -41,7 +41,7 @@ class GlowTable:
     lamp_exponent: Array
     """(m,) of the cosine of the angle off the camera's axis; 0: lamps alike to all sides."""
     fade_rad: Array
-    """(m, 2): angles off the normal from which a tape sends less and at which it ends; NEVER_FADES: a lobe, or none."""
+    """(m, 2): angles off the normal from which a tape sends less, and none; NEVER_FADES: it has a lobe or none."""
     limb: Array
     """(m,): share that the rim lacks, the lobe's and the target's own together."""
     shade: Array
