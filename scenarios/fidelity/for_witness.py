@@ -1,9 +1,9 @@
 """A scenario rendered by the Mitsuba witness: ``python -m scenarios.fidelity.for_witness SCENARIO --out DIR``.
 
 Written into DIR are a scene file of the witness, the rig (OpenCV's lens, fitted to the scenario's), the markers'
-paths and, where something may hide markers, its surface as a mesh; then ``witness.mitsuba`` renders them. Blur, shake,
-jitter and model gap that a scenario has by default are left out: the witness's cameras are its own, and its markers
-are retroreflective under ring lights. What the scenario says and cannot be rendered is refused.
+paths and, where something may hide markers, its surface as a mesh; then ``witness.mitsuba`` renders them. What a
+scenario has by default of blur, shake, jitter and model gap is left out: the witness's cameras are its own, and its
+markers are retroreflective under ring lights. What the scenario says and cannot be rendered is refused.
 """
 
 import argparse

@@ -15,7 +15,6 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -38,7 +37,15 @@ from witness.mitsuba.__main__ import cache_folder
 from witness.mitsuba.cramer_rao import image_bounds, point_bounds, scale_e
 from witness.mitsuba.film import Render, markers
 from witness.mitsuba.recording import rendered, write_recording
-from witness.mitsuba.scene import FIRST_MID_S, LensCamera, MarkerBall, MarkerDisc, WitnessScene, quaternion
+from witness.mitsuba.scene import (
+    FIRST_MID_S,
+    LensCamera,
+    MarkerBall,
+    MarkerDisc,
+    SensorValues,
+    WitnessScene,
+    quaternion,
+)
 from witness.mitsuba.scene_file import read_scene
 from witness.mitsuba.surfaces import DARK_RAD, EVEN_RAD, LAMBERT, LOBE_RAD, RETRO_GAIN
 
@@ -55,8 +62,10 @@ SHARE = 0.1
 """Limit of all other differences, relative to the witness."""
 DRAWS, DRAW_SEED = 4, 1000
 """Draws of noise over which the pipeline's figures are averaged: nees of one differs from the next's by 6 %."""
-LEVELS_E = (-np.inf, 150.0, 1000.0, 2500.0, np.inf)
-"""Photoelectrons between which noise is compared: background, edges, middles."""
+LEVELS = (0.0, 0.03, 0.25, 0.6, 2.0)
+"""Shares of the scene's peak above the background between which noise is compared: background, edges, middles."""
+LEAST_PIXELS = 500
+"""Whose variance is known to 6 %."""
 
 
 class Difference(NamedTuple):
@@ -226,16 +235,24 @@ def image_of(contrast: Array, window: Array) -> Image:
     return Image(whole, light.max(), cx, cy, 4 * np.sqrt((small + large) / 2), np.sqrt(small / large))
 
 
-def noise(images: Callable[[int], Array], means: Array, gain: float, black_dn: float) -> Array:
-    """Return how the noise's variance [DN^2] goes with the light: a row for each of LEVELS_E's intervals."""
-    off, level = [], []
-    for frame, mean in enumerate(means):
-        off.append((images(frame) - black_dn - gain * mean).ravel())
-        level.append(np.digitize(mean.ravel(), LEVELS_E[1:-1]))
-    rest, which = np.concatenate(off), np.concatenate(level)
-    return np.array(
-        [rest[which == k].var() if (which == k).sum() > 500 else np.nan for k in range(len(LEVELS_E) - 1)]
+def noise(images: Callable[[int], Array], means: Array, sensor: SensorValues) -> tuple[float, Array]:
+    """Return the background [DN] and how the noise's variance [DN^2] goes with the light: LEVELS' intervals.
+
+    ``means`` (F, C, H, W) are the expected photoelectrons of ``images``.
+    """
+    black_dn, edges = (
+        sensor.black_dn * 2.0 ** (sensor.bits - 8),
+        sensor.stray_e + sensor.peak_e * np.array(LEVELS[1:]),
     )
+    off, level, dark = [], [], []
+    for frame, mean in enumerate(means):
+        counts = images(frame)
+        dark.append(counts[mean < edges[0]].mean())
+        off.append((counts - black_dn - sensor.gain_dn_per_e * mean).ravel())
+        level.append(np.digitize(mean.ravel(), edges))
+    rest, which = np.concatenate(off), np.concatenate(level)
+    variance = [rest[which == k].var() if (which == k).sum() > LEAST_PIXELS else np.nan for k in range(len(edges))]
+    return float(np.mean(dark)), np.array(variance)
 
 
 def _read(folder: Path, scene: WitnessScene, frame: int) -> Array:
@@ -275,7 +292,7 @@ def beside(
         table.writerow(["frame", "camera", "marker", *names])
         table.writerows(rows)
     made = _image_differences(np.array(sides), np.array([row[1] for row in rows]))
-    made += _noise_differences(scene, out, (render, scale), means)
+    made += _noise_differences(scene, out, render, scale, means)
     made += [
         relative(f"bound of {what}, median [{unit}]", _sigma(values[key]) * k, _sigma(of_twin[key]) * k)
         for what, key, unit, k in (("images", "bound_px2", "px", 1.0), ("points", "bound_m2", "mm", 1e3))
@@ -314,22 +331,18 @@ def _image_differences(sides: Array, camera: Array) -> list[Difference]:
 
 
 def _noise_differences(
-    scene: WitnessScene, out: Path, render: tuple[Render, float], twin_means: Array
+    scene: WitnessScene, out: Path, render: Render, scale: float, twin_means: Array
 ) -> list[Difference]:
     """Return what differs in background and noise."""
-    s, means = scene.sensor, np.array([render[0].images(f) * render[1] for f in range(scene.frames)])
-    means += s.stray_e
-    black = s.black_dn * 2.0 ** (s.bits - 8)
-    found = []
-    for name, expected in (("witness", means), ("twin", twin_means)):
-        images = partial(_read, out / name, scene)
-        dark = np.mean([images(f)[expected[f] < LEVELS_E[1]].mean() for f in range(scene.frames)])
-        found.append((dark, noise(images, expected, s.gain_dn_per_e, black)))
-    made = [relative("background [DN]", found[0][0], found[1][0])]
-    for k, (low, high) in enumerate(pairwise(LEVELS_E)):
-        pair = found[0][1][k], found[1][1][k]
+    means = scene.sensor.stray_e + scale * np.array([render.images(f) for f in range(scene.frames)])
+    sides = [
+        noise(partial(_read, out / name, scene), expected, scene.sensor)
+        for name, expected in (("witness", means), ("twin", twin_means))
+    ]
+    made = [relative("background [DN]", sides[0][0], sides[1][0])]
+    for low, high, *pair in zip(LEVELS[:-1], LEVELS[1:], *(one[1] for one in sides), strict=True):
         if np.isfinite(pair).all():
-            made.append(relative(f"variance from {max(low, 0):.0f} to {high:.0f} e [DN^2]", *pair))
+            made.append(relative(f"variance at {low:g} to {high:g} of the peak [DN^2]", *pair))
     return made
 
 
