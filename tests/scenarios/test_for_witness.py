@@ -34,7 +34,7 @@ def test_markers_and_cameras_are_the_scenarios(name, tmp_path):
         state = ours.sampler().at(frame / 100.0 + spec.capture.exposure_s / 2)
         assert np.abs(made.xyz[frame] - state.marker_xyz).max() < 1e-6
         if ours.model.geom_type[ours.marker_geoms[0]] != 2:
-            assert np.abs(made.normal[frame] - state.marker_axis).max() < 1e-6
+            assert np.abs(made.normal[frame] - state.marker_axis).max() < 1e-5
     for camera, other in zip(true_rig(spec, folder).cameras, scene.cameras, strict=True):
         # but for the shear, OpenCV's lens having none: up to 3 px
         plain = mosca.project(camera, made.xyz[0])
@@ -68,6 +68,7 @@ def test_what_hides_markers_is_a_mesh(tmp_path):
     # markers of 14 mm on a person's skin: half a diameter from the surface, on a base of some millimetres
     assert 1.6 < np.ptp(vertices[0, :, 2]) < 2.0
     corners = vertices[0][faces]
+    corners = corners[trimesh.triangles.area(corners) > 1e-9]  # at poles two corners are one
     for place in markers(scene).xyz[0]:
         nearest = trimesh.triangles.closest_point(corners, np.tile(place, (len(corners), 1)))
         assert 0.006 < np.linalg.norm(nearest - place, axis=1).min() < 0.02
