@@ -68,6 +68,20 @@ def test_a_tape_falls_with_the_observation_angle():
     assert electrons(glow, 0.0, 4.0) == pytest.approx(1000.0 / 4 * math.exp(-0.25) / math.exp(-1.0))
 
 
+def test_a_disc_under_a_ring_light_is_brighter_where_it_is_nearer():
+    # turned by 45 degrees, 3 m ahead: its rim of 0.05 m comes nearer by 0.05 sin(45)
+    axis = np.array([[math.sqrt(0.5), 0.0, -math.sqrt(0.5)]])
+    place, ahead = np.array([[0.0, 0.0, 3.0]]), (np.zeros(3), np.eye(3))
+    up = np.array([math.sqrt(0.5), 0.0, math.sqrt(0.5)])  # in the disc, away from the lens
+    squared = [9.0 + 0.05**2 + side * 6.0 * 0.05 * math.sqrt(0.5) for side in (-1, 1)]
+    for at_m, expected in ((2.0, (1 / squared[0] - 1 / squared[1]) * 9 / 2), (None, 0.0)):
+        # Lambert's law would add the entrance angle: an even tape has none
+        table = glow_table([Glow("retro", at_m=at_m, even_deg=80.0, half_deg=85.0)], np.array([FLAT]))
+        light = target_light(table, SIGNAL, place, axis, *ahead, radius=np.array([0.05]))
+        assert light.shade[0] @ up == pytest.approx(-expected, rel=1e-3, abs=1e-12)
+        assert light.shade[0] @ axis[0] == pytest.approx(0.0, abs=1e-12)
+
+
 def test_lamps_fall_off_the_cameras_axis():
     table = glow_table([Glow("retro", lamp_half_deg=60.0)], np.array([BALL]))
     x = 3.0 * math.tan(math.radians(30.0))

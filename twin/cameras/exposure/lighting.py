@@ -123,14 +123,40 @@ def scene_glows(scene: Scene) -> GlowTable:
 
 
 def target_light(
-    glows: GlowTable, signal_e: float, xyz: Array, axis: Array, camera_position: Array, camera_rotation: Array
+    glows: GlowTable,
+    signal_e: float,
+    xyz: Array,
+    axis: Array,
+    camera_position: Array,
+    camera_rotation: Array,
+    radius: Array | None = None,
 ) -> TargetLight:
     """Return the light of targets at ``xyz`` (m, 3) that face along ``axis`` (m, 3), world frame [m].
 
     ``signal_e``: electrons that a pixel fully covered by a target of strength 1 collects while the light is
     on for a whole exposure. ``camera_position`` (3,), also the ring light's; ``camera_rotation`` (3, 3) camera
     -> world. Paper and lobes send nothing backwards; a plain target's strength is the same from everywhere.
+    ``radius`` (m,) [m]: of flat targets, which under a ring light are brighter where they are nearer (None, 0: even).
     """
+    electrons = _electrons(glows, signal_e, xyz, axis, camera_position, camera_rotation)
+    gradient = np.zeros((len(xyz), 3))
+    uneven = ~glows.ball & ~np.isnan(glows.at_m) & (electrons > 0.0)
+    if radius is not None and uneven.any():
+        for k, to in enumerate(np.eye(3)):
+            above, below = (
+                _electrons(glows, signal_e, xyz + sign * radius[:, None] * to, axis, camera_position, camera_rotation)
+                for sign in (1.0, -1.0)
+            )
+            gradient[uneven, k] = (above - below)[uneven] / (2.0 * electrons[uneven])
+        gradient -= (gradient * axis).sum(axis=1, keepdims=True) * axis
+    fade = np.where(glows.ball[:, None], glows.fade_rad, NEVER_FADES)
+    return TargetLight(electrons, glows.limb, (glows.shade + gradient) @ camera_rotation, fade)
+
+
+def _electrons(
+    glows: GlowTable, signal_e: float, xyz: Array, axis: Array, camera_position: Array, camera_rotation: Array
+) -> Array:
+    """Return the electrons (m,) of pixels fully covered by targets, as in ``target_light``."""
     towards = camera_position - xyz
     squared = (towards * towards).sum(axis=1)
     cosine = (towards * axis).sum(axis=1) / np.sqrt(squared)
@@ -144,9 +170,8 @@ def target_light(
     ahead = np.maximum(-(towards @ camera_rotation[:, 2]) / np.sqrt(squared), 0.0)
     electrons *= ahead**glows.lamp_exponent
     flat = ~glows.ball
-    electrons[flat] *= faded(np.arccos(np.minimum(cosine[flat], 1.0)), glows.fade_rad[flat])
-    fade = np.where(glows.ball[:, None], glows.fade_rad, NEVER_FADES)
-    return TargetLight(electrons, glows.limb, glows.shade @ camera_rotation, fade)
+    electrons[flat] *= faded(np.arccos(np.clip(cosine[flat], -1.0, 1.0)), glows.fade_rad[flat])
+    return np.asarray(electrons)
 
 
 def faded(angle: Array, fade_rad: Array) -> Array:
