@@ -48,6 +48,8 @@ ALLOWED = {
     ("witness/mitsuba/scene_file.py", "open"): "scenes of the witness; it imports nothing of the project",
     ("witness/mitsuba/scene_file.py", "tomllib.load"): "the same",
     ("witness/mitsuba/scene_file.py", "read_bytes"): "the mesh that such a scene names",
+    ("witness/mitsuba/tracks.py", "open"): "rigs and paths that such a scene names",
+    ("witness/mitsuba/tracks.py", "tomllib.load"): "the same",
     ("witness/mitsuba/surfaces.py", "numpy.load"): "the same",
     ("twin/scenes/user_model.py", "mujoco.MjSpec.from_file"): "MuJoCo itself opens the meshes that a model names",
     ("twin/scenes/user_model.py", "mujoco.MjSpec.from_string"): "of a text from read_text",

@@ -11,6 +11,7 @@ import numpy as np
 
 from mosca.data.arrays import Array
 from mosca.data.rig import Lens
+from twin.cameras.exposure.lighting import NEVER_FADES
 from twin.cameras.optics.blur_parameters import Optics
 from twin.cameras.optics.lens import TwinLens
 from twin.cameras.optics.psf import psf_of
@@ -62,6 +63,7 @@ class Target:
     lit_s: tuple[float, float] = ALWAYS
     limb: float = 0.0
     shade: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    fade_rad: tuple[float, float] = NEVER_FADES
 
 
 def ball(centre: Array, radius: float, **more: Any) -> Target:
@@ -117,6 +119,7 @@ def seen_by_twin(
         np.array([t.lit_s for t in targets], dtype=float),
         np.array([t.limb for t in targets]),
         np.array([t.shade for t in targets], dtype=float),
+        np.array([t.fade_rad for t in targets], dtype=float),
     )
     k = len(occluders.geom)
     if geoms_at is None:

@@ -48,7 +48,7 @@ class ErrorsSpec(Table):
 
     trigger_jitter_s: NotNegative = Field(20e-6, description="jitter of each exposure's start, rms [s]")
     body_px: NotNegative = Field(0.03, description="shake of the camera body, rms an axis [px]")
-    psf_sigma_px: Annotated[float, Field(ge=0.2, le=10)] = Field(0.6, description="blur of the lens [px]")
+    psf_sigma_px: Annotated[float, Field(ge=0.1, le=10)] = Field(0.6, description="blur of the lens [px]")
     marker_signal: Positive = Field(0.6, description="light of a covered pixel over the full well")
     full_well_e: Positive = Field(20_000.0, description="saturation capacity [e-]")
     read_noise_e: Positive = Field(10.0, description="dark noise [e-]")

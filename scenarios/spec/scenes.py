@@ -171,6 +171,16 @@ class GlowSpec(Table):
     strength: Positive = Field(1.0, description="factor on errors.marker_signal")
     half_deg: Annotated[float, Field(gt=0, lt=90)] = Field(45.0, description="angle at which half is left")
     at_m: Positive | None = Field(None, description="distance of full brightness under the ring light [m]")
+    even_deg: Annotated[float, Field(ge=0, lt=90)] | None = Field(
+        None, description="retro: even up to here, half at half_deg, nothing as far beyond; default: a cosine's power"
+    )
+    ring_m: NotNegative = Field(0.0, description="retro: radius of the ring light, for the observation angle [m]")
+    lobe_deg: Annotated[float, Field(gt=0, le=90)] = Field(
+        1.0, description="retro: observation angle at which 1/e is left"
+    )
+    lamp_half_deg: Annotated[float, Field(gt=0, lt=90)] | None = Field(
+        None, description="retro: angle off the camera's axis at which its lamps send half; default: alike everywhere"
+    )
     limb: Annotated[float, Field(ge=0, le=1)] = Field(0.0, description="brightness that a ball's rim lacks")
     shade: Annotated[float, Field(ge=-1, le=1)] = Field(0.0, description="change from the middle to the rim")
     shade_world: Vector = Field((0.0, 0.0, 1.0), description="the side that is brighter")

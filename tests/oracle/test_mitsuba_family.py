@@ -6,11 +6,9 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from scipy.stats import chi2
 
 import mosca
-from mosca.data.settings import MatchSettings
-from mosca.pipeline import PipelineSettings
+from tests.oracle.points import point_figures
 from witness.mitsuba.__main__ import MOST_RENDER_NOISE, cache_folder
 from witness.mitsuba.recording import rendered, write_recording
 from witness.mitsuba.scene_file import read_scene
@@ -51,32 +49,8 @@ def test_places_and_points_have_no_bias(name: str, tmp_path: Path) -> None:
     off = np.concatenate([_off_px(tmp_path / name, values, frame) for frame in range(0, scene.frames, 3)])
     assert len(off) > 300
     assert np.abs(np.median(off, axis=0)).max() < MOST_BIAS_PX
-    complete, *_ = _points(tmp_path / name, values)
+    complete, *_ = point_figures(tmp_path / name, values)
     assert complete >= LEAST_COMPLETE
-
-
-def _points(
-    folder: Path, values: dict[str, Any], lookahead: int = PipelineSettings().lookahead, **match: Any
-) -> tuple[float, float, float, float]:
-    """Return completeness, rms over the Cramer-Rao bound, nees and coverage of points that stand alone."""
-    settings = PipelineSettings(match=MatchSettings(**match), lookahead=lookahead)
-    tracks = mosca.reconstruct(folder, mosca.read_rig(folder / "rig.toml"), settings)
-    alone = np.isfinite(values["bound_m2"][:, :, 0, 0])
-    frame = np.searchsorted(values["time_ns"], tracks.time_ns - 500_000)
-    radius = values["diameter_m"].max() / 2
-    found, error2, nees = 0, [], []
-    for f, point in np.argwhere(alone):
-        here = tracks.select(frame == f)
-        off = here.xyz - values["mean_xyz"][f, point]
-        distance = np.linalg.norm(off, axis=1)
-        if distance.min(initial=np.inf) < radius:
-            k = distance.argmin()
-            found += 1
-            error2.append(distance[k] ** 2)
-            nees.append(off[k] @ np.linalg.solve(here.covariance[k], off[k]))
-    bound2 = np.trace(values["bound_m2"][alone], axis1=1, axis2=2).mean()
-    within = np.mean(np.array(nees) < chi2.ppf(0.95, 3))
-    return found / alone.sum(), float(np.sqrt(np.mean(error2) / bound2)), float(np.mean(nees)), float(within)
 
 
 @pytest.mark.parametrize("name", ["balls_2px", "balls_4px", "balls_8px"])
@@ -84,26 +58,26 @@ def test_points_reach_their_bound_and_state_their_errors(name: str, tmp_path: Pa
     """With the true rig and default settings; the bound knows the targets' sizes, the pipeline does not."""
     render, _ = rendered(scene := read_scene(SCENES / f"{name}.toml"), cache_folder())
     values = write_recording(scene, render, tmp_path / name)
-    complete, ratio, nees, within = _points(tmp_path / name, values)
+    complete, ratio, nees, within, _ = point_figures(tmp_path / name, values)
     assert complete >= 0.995
     assert ratio <= 1.1
     assert 2.4 <= nees <= 3.6
     assert 0.93 <= within <= 0.97
     if name == "balls_8px":  # the control: a ball's eccentricity left in
-        assert _points(tmp_path / name, values, target="point")[1] > 1.1
+        assert point_figures(tmp_path / name, values, target="point")[1] > 1.1
 
 
 def test_targets_before_a_bright_grainy_floor_are_found_and_state_their_errors(tmp_path: Path) -> None:
     render, _ = rendered(scene := read_scene(SCENES / "bright_floor.toml"), cache_folder())
     values = write_recording(scene, render, tmp_path / "a")
-    complete, _, nees, within = _points(tmp_path / "a", values)
+    complete, _, nees, within, _ = point_figures(tmp_path / "a", values)
     assert complete >= 0.995
     assert 2.4 <= nees <= 3.6
     assert within >= 0.88  # 0.93 is aimed at
     # the control: a run that learns the floor only while it runs misses targets of its first frame sets
-    assert _points(tmp_path / "a", values, lookahead=0)[0] < 0.98
+    assert point_figures(tmp_path / "a", values, lookahead=0)[0] < 0.98
 
 
 def test_targets_of_a_pixel_become_tracks(tmp_path: Path) -> None:
     render, _ = rendered(scene := read_scene(SCENES / "balls_1p2px.toml"), cache_folder())
-    assert _points(tmp_path / "a", write_recording(scene, render, tmp_path / "a"))[0] >= 0.995
+    assert point_figures(tmp_path / "a", write_recording(scene, render, tmp_path / "a"))[0] >= 0.995

@@ -52,6 +52,57 @@ def test_ring_light_falls_with_the_square_of_the_distance_and_a_lamp_does_not_kn
     assert [electrons(Glow("paper", at_m=2.0), 0, d) for d in (1.0, 4.0)] == [1000.0, 1000.0]
 
 
+def test_a_tape_is_even_up_to_an_angle_and_ends_at_another():
+    tape = Glow("retro", even_deg=50.0, half_deg=68.5)
+    # a smooth step, 3 s^2 - 2 s^3, from 87 to 50 degrees: 27/32 at a quarter of the way, a half in the middle
+    seen = [electrons(tape, angle) for angle in (0.0, 50.0, 59.25, 68.5, 77.75, 87.0, 89.0)]
+    assert seen == pytest.approx([1000.0, 1000.0, 27000 / 32, 500.0, 5000 / 32, 0.0, 0.0], abs=1e-9)
+    # of a ball all angles are seen at once: the renderer takes the law over
+    assert electrons(tape, 80.0, ball=BALL) == pytest.approx(1000.0)
+
+
+def test_a_tape_falls_with_the_observation_angle():
+    # 0.04 m beside the lens, 2 m away: 0.02 rad; 1/e at 0.02 rad; at 4 m half the angle
+    glow = Glow("retro", at_m=2.0, ring_m=0.04, lobe_deg=math.degrees(0.02))
+    assert electrons(glow, 0.0, 2.0) == pytest.approx(1000.0)
+    assert electrons(glow, 0.0, 4.0) == pytest.approx(1000.0 / 4 * math.exp(-0.25) / math.exp(-1.0))
+
+
+def test_a_disc_under_a_ring_light_is_brighter_where_it_is_nearer():
+    # turned by 45 degrees, 3 m ahead: its rim of 0.05 m comes nearer by 0.05 sin(45)
+    axis = np.array([[math.sqrt(0.5), 0.0, -math.sqrt(0.5)]])
+    place, ahead = np.array([[0.0, 0.0, 3.0]]), (np.zeros(3), np.eye(3))
+    up = np.array([math.sqrt(0.5), 0.0, math.sqrt(0.5)])  # in the disc, away from the lens
+    squared = [9.0 + 0.05**2 + side * 6.0 * 0.05 * math.sqrt(0.5) for side in (-1, 1)]
+    for at_m, expected in ((2.0, (1 / squared[0] - 1 / squared[1]) * 9 / 2), (None, 0.0)):
+        # Lambert's law would add the entrance angle: an even tape has none
+        table = glow_table([Glow("retro", at_m=at_m, even_deg=80.0, half_deg=85.0)], np.array([FLAT]))
+        light = target_light(table, SIGNAL, place, axis, *ahead, radius=np.array([0.05]))
+        assert light.shade[0] @ up == pytest.approx(-expected, rel=1e-3, abs=1e-12)
+        assert light.shade[0] @ axis[0] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_lamps_fall_off_the_cameras_axis():
+    table = glow_table([Glow("retro", lamp_half_deg=60.0)], np.array([BALL]))
+    x = 3.0 * math.tan(math.radians(30.0))
+    light = target_light(table, SIGNAL, np.array([[x, 0.0, 3.0]]), np.eye(3)[2:], np.zeros(3), np.eye(3))
+    assert light.electrons[0] == pytest.approx(SIGNAL * math.sqrt(3) / 2)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"kind": "lamp", "even_deg": 20.0},
+        {"kind": "retro", "even_deg": 50.0, "half_deg": 45.0},
+        {"kind": "retro", "ring_m": 0.04},
+        {"kind": "retro", "lamp_half_deg": 90.0},
+    ],
+)
+def test_impossible_tapes_are_refused(wrong):
+    with pytest.raises(ValueError, match=r"given|wanted"):
+        Glow(**wrong)
+
+
 def test_paper_is_even_in_front_and_dark_behind_but_a_ball_has_no_behind():
     assert electrons(Glow("paper"), 85.0) == 1000.0
     assert electrons(Glow("paper"), 95.0) == 0.0

@@ -23,7 +23,7 @@ from twin.cameras.exposure.shutter import Exposure, check_timing, numbers_in, op
 from twin.cameras.optics.lens import TwinLens, warmed
 from twin.cameras.optics.psf import psf_of
 from twin.cameras.render.mesh_occlusion import MeshRays, SceneAt, interpolate
-from twin.cameras.render.render import TargetsInCamera, VisibleTargets, Window, has_meshes, render_targets
+from twin.cameras.render.render import FLAT, TargetsInCamera, VisibleTargets, Window, has_meshes, render_targets
 from twin.cameras.sensor.background_light import Ambient, ambient_map
 from twin.cameras.sensor.readout import expose
 from twin.cameras.subject import Subject, carrying_body
@@ -183,7 +183,8 @@ class CameraSession:
         """Return the targets' light at one of the instants of ``poses``."""
         subject = self.subject
         xyz, axis = poses.geom_xyz[at, subject.marker_at], poses.geom_rotation[at, subject.marker_at, :, 2]
-        return target_light(subject.glows, self.signal_e, xyz, axis, position, rotation)
+        flat = np.where(subject.shape == FLAT, subject.radius, 0.0)
+        return target_light(subject.glows, self.signal_e, xyz, axis, position, rotation, flat)
 
     def _lit(self, exposure: Exposure) -> LitIntervals:
         """Return when the targets shine."""
@@ -215,6 +216,7 @@ class CameraSession:
                 lit_s,
                 exposed.shining.limb,
                 exposed.shining.shade,
+                exposed.shining.fade_rad,
             )
             return render_targets(
                 light,

@@ -47,6 +47,16 @@ class Glow:
     at_m: float | None = None
     """Distance at which a ring light's retro target has the brightness of the marker signal (it falls with the
     square of the distance); None: the same at all distances."""
+    even_deg: float | None = None
+    """Angle off the normal up to which a retro tape sends all: half at ``half_deg``, nothing as far beyond. None: a
+    power of the cosine."""
+    ring_m: float = 0.0
+    """Mean radius of the ring light: the tape is observed at the angle ``ring_m`` over the distance off the direction
+    in which it sends most. Needs ``at_m``."""
+    lobe_deg: float = 1.0
+    """Observation angle at which a retro tape sends 1/e of what it sends straight back."""
+    lamp_half_deg: float | None = None
+    """Angle off the camera's axis at which its ring light sends half (Lambert: 60); None: alike to all sides."""
     limb: float = 0.0
     """Share of its brightness that a ball's rim lacks."""
     shade: float = 0.0
@@ -66,6 +76,20 @@ class Glow:
             )
         if self.at_m is not None:
             _within("at_m", self.at_m, 0.0, math.inf, open_below=True)
+        if self.even_deg is not None:
+            _within("even_deg", self.even_deg, 0.0, self.half_deg)
+        if self.lamp_half_deg is not None and not 0 < self.lamp_half_deg < 90:
+            raise ValueError(f"lamp_half_deg = {self.lamp_half_deg:g} given; above 0 and below 90 is allowed")
+        _within("lobe_deg", self.lobe_deg, 0.0, 90.0, open_below=True)
+        _within("ring_m", self.ring_m, 0.0, math.inf)
+        if self.ring_m > 0 and self.at_m is None:
+            raise ValueError(
+                f"ring_m = {self.ring_m:g} without at_m given: say at what distance it is as bright as meant"
+            )
+        if self.kind != "retro":
+            for name in ("even_deg", "ring_m", "lamp_half_deg"):
+                if getattr(self, name):
+                    raise ValueError(f"kind = '{self.kind}' with {name} given; only retro tape has it")
         _within("limb", self.limb, 0.0, 1.0)
         _within("shade", self.shade, -1.0, 1.0)  # beyond, one side would send less than nothing
         length = math.hypot(*self.shade_world)

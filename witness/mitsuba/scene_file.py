@@ -11,13 +11,16 @@
     radius_m = 3.2
     heights_m = [1.8, 2.6, 2.0, 2.8]
     focal_px = 640.0
-    [cloud]                                  # any of these: cloud, wand, l_frame, board, field, mesh, limb
+    rig = "rig.toml"                         # instead: a recording's rig; [cameras] has aperture_m and focus_m then
+    [cloud]                                  # any of these: cloud, wand, l_frame, board, field, mesh, limb, tracks
     count = 40
     diameter_m = 0.1
     shape = "ball"                           # or "disc"
     half_size_m = [0.9, 0.9, 0.6]
     amplitude_m = 0.1
     speed_mps = 0.4
+    [tracks]
+    file = "tracks.csv"                      # markers at given times, see tracks.py
     [light] [room] [sensor] [quality]        # fields of the dataclasses of the same name
 
 A key that is not known is an error.
@@ -34,6 +37,7 @@ import numpy as np
 
 from witness.mitsuba.projection import in_image, project
 from witness.mitsuba.scene import (
+    FIRST_MID_S,
     Array,
     Bar,
     Body,
@@ -53,6 +57,7 @@ from witness.mitsuba.scene import (
     WitnessScene,
     quaternion,
 )
+from witness.mitsuba.tracks import read_cameras, tracked
 
 CAMERAS: dict[str, Any] = {
     "radius_m": 3.2,
@@ -106,7 +111,7 @@ def scene_of(table: dict[str, Any], name: str, folder: Path) -> WitnessScene:
     """Return the scene of tables; ``folder`` is where files that it names lie."""
     table = dict(table)
     table.pop("title", None)
-    cameras = _cameras(_filled(table.pop("cameras", {}), CAMERAS, "cameras"))
+    cameras = _cameras_of(table, folder)
     made: dict[str, Any] = {
         key: kind(**_tuples(_known(table.pop(key, {}), kind, key)))
         for key, kind in (("light", SceneLamps), ("room", Room), ("sensor", SensorValues), ("quality", Quality))
@@ -118,6 +123,12 @@ def scene_of(table: dict[str, Any], name: str, folder: Path) -> WitnessScene:
     bodies: list[Body] = []
     if "cloud" in table:
         bodies += _cloud(_filled(table.pop("cloud"), CLOUD, "cloud"), cameras, frames, rate, seed)
+    if "tracks" in table:
+        given = dict(table.pop("tracks"))
+        last_s = FIRST_MID_S + (frames - 1) / rate + exposure / 2
+        bodies += tracked(folder / given.pop("file"), FIRST_MID_S - exposure / 2, last_s)
+        if given:
+            raise ValueError(f"[tracks]: unknown keys {sorted(given)}")
     for key, parts in (("wand", _wand), ("l_frame", _l_frame), ("board", _board), ("field", _field), ("mesh", _mesh)):
         if key in table:
             given = dict(table.pop(key))
@@ -134,6 +145,15 @@ def scene_of(table: dict[str, Any], name: str, folder: Path) -> WitnessScene:
     if table:
         raise ValueError(f"unknown keys {sorted(table)}")
     return WitnessScene(name, cameras, tuple(bodies), frames, rate, exposure, finish, seed=seed, **made)
+
+
+def _cameras_of(table: dict[str, Any], folder: Path) -> tuple[LensCamera, ...]:
+    """Return the cameras of ``table``, whose keys ``cameras`` and ``rig`` are taken out."""
+    given, rig = table.pop("cameras", {}), table.pop("rig", None)
+    if rig is None:
+        return _cameras(_filled(given, CAMERAS, "cameras"))
+    lens = {key: CAMERAS[key] for key in ("aperture_m", "focus_m")}
+    return read_cameras(folder / rig, **_filled(given, lens, "cameras"))
 
 
 def _cameras(table: dict[str, Any]) -> tuple[LensCamera, ...]:

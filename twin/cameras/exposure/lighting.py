@@ -3,7 +3,8 @@
 The amount follows from the target's ``Glow``, its distance and its angle to the camera. Every lobe is a power
 of the cosine, ``cos(a)^n`` with ``n = log(1/2) / log(cos(half))``: smooth, one half at the angle ``half``, zero at
 90 degrees. A ring light's light on a target falls with the square of the distance; the image of a surface is as
-bright from near as from far, so nothing else depends on it.
+bright from near as from far. A tape's curve may instead be even up to an angle and end at another, as makers print it
+for glass beads; it then also falls with the observation angle, and lamps fall off their axis (see ``Glow``).
 """
 
 import math
@@ -20,6 +21,7 @@ PLAIN, RETRO, PAPER, LAMP = 0, 1, 2, 3
 _KINDS = {"plain": PLAIN, "retro": RETRO, "paper": PAPER, "lamp": LAMP}
 ALWAYS = (-math.inf, math.inf)
 NEVER = (0.0, 0.0)
+NEVER_FADES = (math.pi, 2 * math.pi)
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +36,12 @@ class GlowTable:
     """(m,) of the lobe's cosine; 0: no lobe."""
     at_m: Array
     """(m,): distance of full brightness; NaN: the same at all distances."""
+    lobe_m: Array
+    """(m,): radius of the ring light over the lobe's observation angle; 0: as bright from beside the light."""
+    lamp_exponent: Array
+    """(m,) of the cosine of the angle off the camera's axis; 0: lamps alike to all sides."""
+    fade_rad: Array
+    """(m, 2): angles off the normal from which a tape sends less, and none; NEVER_FADES: it has a lobe or none."""
     limb: Array
     """(m,): share that the rim lacks, the lobe's and the target's own together."""
     shade: Array
@@ -54,6 +62,8 @@ class TargetLight:
     """(m,): share of brightness that the rim lacks."""
     shade: Array
     """(m, 3): change of brightness from the middle to the rim."""
+    fade_rad: Array
+    """(m, 2): angles off a ball's normal from which it sends less and at which it ends; NEVER_FADES: none."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,10 +85,12 @@ def glow_table(glows: Sequence[Glow], ball: Array) -> GlowTable:
     ``1 - limb (1 - cos a)``, with one half at ``half_deg``; a rim cannot be darker than dark, so below 60 degrees
     the law has its half at 60.
     """
+    fading = np.array([glow.even_deg is not None for glow in glows], dtype=bool)
     lobed = np.array([glow.kind in ("retro", "lamp") and glow.half_deg < 90.0 for glow in glows], dtype=bool)
+    lobed &= ~fading
     half = np.deg2rad([min(glow.half_deg, 89.0) for glow in glows])
     is_ball = np.asarray(ball, dtype=bool)
-    retro_ball = is_ball & np.array([glow.kind == "retro" for glow in glows], dtype=bool)
+    retro_ball = is_ball & ~fading & np.array([glow.kind == "retro" for glow in glows], dtype=bool)
     towards = np.array([glow.shade_world for glow in glows], dtype=float).reshape(-1, 3)
     length = np.linalg.norm(towards, axis=1, keepdims=True)
     own_limb = np.array([glow.limb for glow in glows], dtype=float)
@@ -88,6 +100,15 @@ def glow_table(glows: Sequence[Glow], ball: Array) -> GlowTable:
         strength=np.array([glow.strength for glow in glows], dtype=float),
         exponent=np.where(lobed & ~retro_ball, math.log(0.5) / np.log(np.cos(half)), 0.0),
         at_m=np.array([_ring_distance(glow) for glow in glows], dtype=float),
+        lobe_m=np.array([glow.ring_m / math.radians(glow.lobe_deg) for glow in glows], dtype=float),
+        lamp_exponent=np.array([_exponent(glow.lamp_half_deg) for glow in glows], dtype=float),
+        fade_rad=np.array(
+            [
+                NEVER_FADES if g.even_deg is None else np.deg2rad([g.even_deg, 2 * g.half_deg - g.even_deg])
+                for g in glows
+            ],
+            dtype=float,
+        ).reshape(-1, 2),
         limb=1.0 - (1.0 - own_limb) * (1.0 - lobe_limb),
         shade=np.array([[glow.shade] for glow in glows]).reshape(-1, 1) * towards / length,
         ball=is_ball,
@@ -102,14 +123,40 @@ def scene_glows(scene: Scene) -> GlowTable:
 
 
 def target_light(
-    glows: GlowTable, signal_e: float, xyz: Array, axis: Array, camera_position: Array, camera_rotation: Array
+    glows: GlowTable,
+    signal_e: float,
+    xyz: Array,
+    axis: Array,
+    camera_position: Array,
+    camera_rotation: Array,
+    radius: Array | None = None,
 ) -> TargetLight:
     """Return the light of targets at ``xyz`` (m, 3) that face along ``axis`` (m, 3), world frame [m].
 
     ``signal_e``: electrons that a pixel fully covered by a target of strength 1 collects while the light is
     on for a whole exposure. ``camera_position`` (3,), also the ring light's; ``camera_rotation`` (3, 3) camera
     -> world. Paper and lobes send nothing backwards; a plain target's strength is the same from everywhere.
+    ``radius`` (m,) [m]: of flat targets, which under a ring light are brighter where they are nearer (None, 0: even).
     """
+    electrons = _electrons(glows, signal_e, xyz, axis, camera_position, camera_rotation)
+    gradient = np.zeros((len(xyz), 3))
+    uneven = ~glows.ball & ~np.isnan(glows.at_m) & (electrons > 0.0)
+    if radius is not None and uneven.any():
+        for k, to in enumerate(np.eye(3)):
+            above, below = (
+                _electrons(glows, signal_e, xyz + sign * radius[:, None] * to, axis, camera_position, camera_rotation)
+                for sign in (1.0, -1.0)
+            )
+            gradient[uneven, k] = (above - below)[uneven] / (2.0 * electrons[uneven])
+        gradient -= (gradient * axis).sum(axis=1, keepdims=True) * axis
+    fade = np.where(glows.ball[:, None], glows.fade_rad, NEVER_FADES)
+    return TargetLight(electrons, glows.limb, (glows.shade + gradient) @ camera_rotation, fade)
+
+
+def _electrons(
+    glows: GlowTable, signal_e: float, xyz: Array, axis: Array, camera_position: Array, camera_rotation: Array
+) -> Array:
+    """Return the electrons (m,) of pixels fully covered by targets, as in ``target_light``."""
     towards = camera_position - xyz
     squared = (towards * towards).sum(axis=1)
     cosine = (towards * axis).sum(axis=1) / np.sqrt(squared)
@@ -118,7 +165,19 @@ def target_light(
     falling = ~np.isnan(glows.at_m)
     electrons[behind] = 0.0
     electrons[falling] *= glows.at_m[falling] ** 2 / squared[falling]
-    return TargetLight(electrons, glows.limb, glows.shade @ camera_rotation)
+    lobe = glows.lobe_m > 0.0
+    electrons[lobe] *= np.exp(glows.lobe_m[lobe] ** 2 * (1.0 / glows.at_m[lobe] ** 2 - 1.0 / squared[lobe]))
+    ahead = np.maximum(-(towards @ camera_rotation[:, 2]) / np.sqrt(squared), 0.0)
+    electrons *= ahead**glows.lamp_exponent
+    flat = ~glows.ball
+    electrons[flat] *= faded(np.arccos(np.clip(cosine[flat], -1.0, 1.0)), glows.fade_rad[flat])
+    return np.asarray(electrons)
+
+
+def faded(angle: Array, fade_rad: Array) -> Array:
+    """Return the brightness of a tape (m,) at ``angle`` (m,) off its normal: 1, then a smooth step, then nothing."""
+    rise = np.clip((fade_rad[:, 1] - angle) / (fade_rad[:, 1] - fade_rad[:, 0]), 0.0, 1.0)
+    return np.asarray(rise * rise * (3.0 - 2.0 * rise))
 
 
 def lit_during(
@@ -146,6 +205,11 @@ def lit_during(
             again += [k] * (len(intervals) - 1)
             again_s += list(intervals[1:] - opening_s)
     return LitIntervals(first, np.array(again, dtype=np.int64), np.array(again_s, dtype=float).reshape(-1, 2))
+
+
+def _exponent(half_deg: float | None) -> float:
+    """Return the power of the cosine that is one half at ``half_deg``; None: 0."""
+    return 0.0 if half_deg is None else math.log(0.5) / math.log(math.cos(math.radians(half_deg)))
 
 
 def _ring_distance(glow: Glow) -> float:

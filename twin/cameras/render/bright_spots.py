@@ -1,10 +1,10 @@
-"""The brightness of a disc beyond an even one, as spots of light: limb darkening and a gradient."""
+"""The brightness of a disc beyond an even one, as spots of light: limb darkening, a gradient, a tape's end."""
 
 import math
 from typing import Any
 
 from mosca.data.arrays import Array
-from mosca.numba_support.decorators import kernel
+from mosca.numba_support.decorators import callable_bare_step, kernel
 from twin.cameras.optics.lens import project
 from twin.cameras.render.boundary_integral import MOST_NODES, NODE_AT, NODE_SHARE
 from twin.cameras.render.inputs import TargetPose
@@ -12,6 +12,16 @@ from twin.cameras.render.outline import circle_point, outline_circle
 
 STEP_PX = 0.7
 """Distance of spots around the disc."""
+
+
+@callable_bare_step
+def fading(profile: Array, sine: float) -> Any:
+    """Brightness of a tape at an angle of this ``sine`` off the normal: 1, then a smooth step, then nothing."""
+    if profile[4] >= 0.5 * math.pi:
+        return 1.0
+    rise = (profile[5] - math.asin(min(sine, 1.0))) / (profile[5] - profile[4])
+    rise = min(1.0, max(0.0, rise))
+    return rise * rise * (3.0 - 2.0 * rise)
 
 
 @kernel
@@ -50,5 +60,6 @@ def spots(lens: Array, target: TargetPose, profile: Array, diameter: float, out:
             size = math.sqrt(gx * gx + gy * gy + gz * gz)
             shine = 1.0 - profile[0] * (1.0 - math.sqrt(1.0 - q * q))
             shine += q * (profile[1] * gx + profile[2] * gy + profile[3] * gz) / size
+            shine *= fading(profile, q)
             out[n, 0], out[n, 1], out[n, 2] = u, v, area * (shine - 1.0)
             n += 1

@@ -68,6 +68,8 @@ class TargetsInCamera:
     """(m,): share of brightness that the rim lacks."""
     shade: Array
     """(m, 3): change of brightness from the middle to the rim."""
+    fade_rad: Array
+    """(m, 2): angles off a ball's normal from which it sends less and at which it ends; beyond pi / 2: none."""
 
 
 class RowTiming(NamedTuple):
@@ -80,7 +82,7 @@ class RowTiming(NamedTuple):
 
 
 class TargetArrays(NamedTuple):
-    """The arrays of ``TargetsInCamera``; ``profile`` (m, 4): limb and shade."""
+    """The arrays of ``TargetsInCamera``; ``profile`` (m, 6): limb, shade, fade."""
 
     path: Array
     rotation: Array

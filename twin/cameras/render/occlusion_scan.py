@@ -14,6 +14,7 @@ from mosca.data.arrays import Array
 from mosca.numba_support.decorators import callable_bare_step, kernel
 from twin.cameras.optics.lens import pixel_direction, point_at_distance
 from twin.cameras.optics.lens_vector import FISHEYE, KIND, PUPIL
+from twin.cameras.render.bright_spots import fading
 from twin.cameras.render.inputs import ImageBox, NearSolids, Solid, TargetPose
 from twin.cameras.render.lit_intervals import lit_by_disc, lit_by_figure
 from twin.cameras.render.occluders import hit
@@ -58,7 +59,7 @@ def scan_hidden(
     """Return the boundary of what is hidden (n, 3) and of what is lit (k, 3) as (u, v, dv), and both areas [px^2].
 
     ``contours``: the pieces of a figure; ``box`` of the target's image; ``near``: the NearSolids; ``profile``
-    (4,): limb and shade (camera frame) of a ball or disc. Both boundaries together are that of what is left.
+    (6,): limb, shade (camera frame), fade of a ball or disc. Both boundaries together are that of what is left.
     """
     scan = _scan(lens, target, box)
     figure = target.shape == FIGURE
@@ -301,14 +302,16 @@ def _wider(edges: Array, count: int, more: int) -> Any:
 @callable_bare_step
 def has_profile(profile: Array) -> Any:
     """Whether the brightness of a target varies over it."""
-    return profile[0] != 0.0 or profile[1] != 0.0 or profile[2] != 0.0 or profile[3] != 0.0
+    shaded = profile[1] != 0.0 or profile[2] != 0.0 or profile[3] != 0.0
+    return shaded or profile[0] != 0.0 or profile[4] < 0.5 * math.pi
 
 
 @callable_bare_step
 def brightness(profile: Array, qx: float, qy: float) -> Any:
     """Brightness at (qx, qy), the position on the disc over its radius: limb darkening and a gradient."""
     inside = max(0.0, 1.0 - qx * qx - qy * qy)
-    return 1.0 - profile[0] * (1.0 - math.sqrt(inside)) + profile[1] * qx + profile[2] * qy
+    shine = 1.0 - profile[0] * (1.0 - math.sqrt(inside)) + profile[1] * qx + profile[2] * qy
+    return shine * fading(profile, math.sqrt(1.0 - inside))
 
 
 @callable_bare_step

@@ -101,7 +101,7 @@ def render_targets(
             targets.figure,
             targets.electrons,
             targets.lit_s,
-            np.column_stack([targets.limb, targets.shade]),
+            np.column_stack([targets.limb, targets.shade, targets.fade_rad]),
         ),
         figures.pieces,
         figures.first,

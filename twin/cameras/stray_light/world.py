@@ -145,16 +145,15 @@ def in_camera(
         lit_s=targets.lit_s,
         limb=light.limb,
         shade=light.shade,
+        fade_rad=light.fade_rad,
     )
 
 
 def some(targets: TargetsInWorld, chosen: Array) -> TargetsInWorld:
     """Return the ``chosen`` of the targets (indices)."""
     g = targets.glows
-    glows = GlowTable(
-        g.kind[chosen], g.strength[chosen], g.exponent[chosen], g.at_m[chosen], g.limb[chosen], g.shade[chosen],
-        g.ball[chosen], tuple(g.blinks[k] for k in chosen),
-    )  # fmt: skip
+    of_glows = {f.name: getattr(g, f.name)[chosen] for f in fields(g) if f.name != "blinks"}
+    glows = GlowTable(**of_glows, blinks=tuple(g.blinks[k] for k in chosen))
     arrays = {f.name: getattr(targets, f.name)[chosen] for f in fields(targets) if f.name != "glows"}
     return TargetsInWorld(**arrays, glows=glows)
 
