@@ -171,14 +171,19 @@ def _textured_backgrounds(
         seen.append(frame_set)
         if len(seen) % LOOK_EACH == 1:
             learned = learned.plus(detector.detect(frame_set, learned)[1])
-            size = sum(f.image.nbytes for f in frame_set.frames.values() if f.image is not None)
-            most = min(most, LOOK_BYTES // max(size, 1))
+            most = min(most, most_ahead(frame_set))
         if len(seen) >= most or not detector.wants_images(learned):
             break
     known, again = learned.textured_backgrounds(), NO_STATISTICS
     for frame_set in seen[::LOOK_EACH] if len(seen) > 1 else ():
         again = again.plus(detector.detect(frame_set, known)[1].textured_backgrounds())
     return chain(seen, left), again
+
+
+def most_ahead(frame_set: FrameSet) -> int:
+    """Return how many sets of this size may be held in memory."""
+    size = sum(f.image.nbytes for f in frame_set.frames.values() if f.image is not None)
+    return LOOK_BYTES // max(size, 1)
 
 
 @dataclass
