@@ -176,7 +176,7 @@ def _textured_backgrounds(
             break
     known, again = learned.textured_backgrounds(), NO_STATISTICS
     for frame_set in seen[::LOOK_EACH] if len(seen) > 1 else ():
-        again = again.plus(detector.detect(frame_set, known)[1].textured_backgrounds())
+        again = again.plus(detector.detect(frame_set, known)[1])
     return chain(seen, left), again
 
 
