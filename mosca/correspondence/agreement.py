@@ -15,10 +15,10 @@ import numpy as np
 
 from mosca.correspondence.candidates import worst_ray
 from mosca.correspondence.hypothesis import (
+    AREAS,
     CHI2,
     MOST_ODD,
     ODD_SHIFT,
-    SIZES,
     TWICE,
     MatchData,
     judge_sizes,
@@ -40,8 +40,8 @@ FEWEST_IMAGES = 3
 def weigh_by_agreement(kept, state, data):
     """Weigh the images of the hypotheses that were taken by how they agree, and solve these again."""
     rules = data.rules.copy()
-    rules[0].judge = min(rules[0].judge, SIZES)
-    by_size = MatchData(data.rays, data.views, rules)
+    rules[0].judge = min(rules[0].judge, AREAS)
+    by_area = MatchData(data.rays, data.views, rules)
     cameras = kept.members.shape[1]
     hypothesis = new_hypothesis(cameras)
     members, ranks, values, _ = hypothesis
@@ -51,7 +51,7 @@ def weigh_by_agreement(kept, state, data):
         for c in range(cameras):
             members[c], ranks[c, TRUST] = kept.members[g, c], kept.trusts[g, c]
         values[:] = kept.values[g]
-        if judge_sizes(hypothesis, by_size)[1]:
+        if judge_sizes(hypothesis, by_area)[1]:
             continue  # a circle's images are judged by their sizes, and solved with what is not known of it
         error = _settle(hypothesis, kept.trusts[g], data)
         if error >= 0.0 and evidence(values, error, members, ranks[:, TRUST]) > evidence(

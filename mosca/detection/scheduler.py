@@ -130,7 +130,7 @@ def detect_ahead(
     ``lookahead``: first sets that are read, where backgrounds are textured, before the first one is yielded.
     """
     attend = attend or _nobody
-    sets, known = _textured_backgrounds(detector, sets, lookahead)
+    sets, known = _first_look(detector, sets, lookahead)
     if workers <= 0:
         yield from _one_by_one(detector, sets, split, attend, known)
         return
@@ -158,12 +158,12 @@ def detect_ahead(
                 ahead.future.cancel()
 
 
-def _textured_backgrounds(
+def _first_look(
     detector: FrameSetDetector, sets: Iterable[FrameSet], lookahead: int
 ) -> tuple[Iterator[FrameSet], CameraStatistics]:
-    """Return all of the sets, and the backgrounds of those cameras whose first images show a textured one.
+    """Return all of the sets, and what is learned from the first one, or from more where backgrounds are textured.
 
-    The images are looked at twice: targets that the texture hid at first do not vote the second time.
+    These are looked at twice: targets that the texture hid at first do not vote the second time.
     """
     left, seen, learned = iter(sets), list[FrameSet](), NO_STATISTICS
     most = lookahead
@@ -174,10 +174,11 @@ def _textured_backgrounds(
             most = min(most, most_ahead(frame_set))
         if len(seen) >= most or not detector.wants_images(learned):
             break
-    known, again = learned.textured_backgrounds(), NO_STATISTICS
-    for frame_set in seen[::LOOK_EACH] if len(seen) > 1 else ():
-        again = again.plus(detector.detect(frame_set, known)[1])
-    return chain(seen, left), again
+    if len(seen) > 1:
+        known, learned = learned.textured_backgrounds(), NO_STATISTICS
+        for frame_set in seen[::LOOK_EACH]:
+            learned = learned.plus(detector.detect(frame_set, known)[1])
+    return chain(seen, left), learned
 
 
 def most_ahead(frame_set: FrameSet) -> int:
