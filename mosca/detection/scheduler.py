@@ -229,11 +229,15 @@ def _one_by_one(
 
 
 class DelayedStatistics:
-    """One camera's statistics: those of a set are added after ``DELAY`` sets and used from the next update on."""
+    """One camera's statistics: those of a set are added after ``DELAY`` sets and used from the next update on.
+
+    Until then, and while the sets so far showed fewer targets, those of a first look (``known``) are used.
+    """
 
     def __init__(self, camera: str, known: CameraStatistics = NO_STATISTICS) -> None:
         self._phase = _phase(camera) % UPDATE_PERIOD
-        self._used = self._summed = known
+        self._known = self._used = known
+        self._summed = known.textured_backgrounds()
         self._pending: deque[tuple[int, CameraStatistics]] = deque()
         self._updated = -1
 
@@ -250,7 +254,8 @@ class DelayedStatistics:
         if update > self._updated:
             while self._pending and self._pending[0][0] <= update - DELAY:
                 self._summed = self._summed.plus(self._pending.popleft()[1])
-            self._updated, self._used = update, self._summed
+            enough = self._summed.targets() >= self._known.targets()
+            self._updated, self._used = update, self._summed if enough else self._known
         return self._used
 
 
