@@ -175,7 +175,7 @@ def _first_look(
         if len(seen) >= most or not detector.wants_images(learned):
             break
     if len(seen) > 1:
-        known, learned = learned.textured_backgrounds(), NO_STATISTICS
+        known, learned = learned, NO_STATISTICS
         for frame_set in seen[::LOOK_EACH]:
             learned = learned.plus(detector.detect(frame_set, known)[1])
     return chain(seen, left), learned
