@@ -5,8 +5,7 @@ It does not depend on where the frames come from. ``run`` is a generator: one St
 
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from itertools import chain, islice
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
@@ -19,7 +18,7 @@ from mosca.data.frames import CameraInfo, FrameSet, FrameSource
 from mosca.data.rig import Rig
 from mosca.data.tracks import Points, Samples
 from mosca.detection.detect import DetectionSettings
-from mosca.detection.scheduler import FrameSetDetector, detect_ahead, most_ahead
+from mosca.detection.scheduler import FrameSetDetector, detect_ahead
 from mosca.diagnostics.camera_health import Health
 from mosca.diagnostics.sensor import Sensors
 from mosca.errors import InputError
@@ -27,16 +26,11 @@ from mosca.synchronisation import Assembly, AssemblySettings, assemble
 from mosca.tracking.nearest_neighbour import NearestSettings, NearestTracker
 from mosca.tracking.tracker import Tracker, TrackSettings
 
-Seen = tuple[FrameSet, Mapping[str, Detections], float]
-"""A frame set with its detections, and the computing time that these took [s]."""
 MOST_DETECTIONS = 5000
 """Detections an image may have; matching many more would take minutes a frame set."""
 LEAST_DIAMETER_GAIN = 0.05
 """Weight of a frame set's median in the targets' typical diameter (exponential average). At first it is more, the
 n-th median weighs 2 / (n + 1): in the first sets small targets are measured without the knowledge of others."""
-
-LOOK_SETS = 16
-"""First frame sets from which, matched once before, cameras' own errors and the targets' size are learned."""
 
 
 @dataclass(frozen=True)
@@ -57,8 +51,7 @@ class PipelineSettings:
     nearest: NearestSettings | None = None
     """Nearest-neighbour tracking of the guide, a baseline for comparisons, instead of ``track``."""
     lookahead: int = 64
-    """Frame sets that are read before the first one is processed, to learn textured backgrounds, and of the first
-    LOOK_SETS the cameras' own errors and the targets' size; 0 in a live run."""
+    """Frame sets that are read before the first one is processed, to learn textured backgrounds; 0 in a live run."""
     assembly: AssemblySettings = field(default_factory=AssemblySettings)
     """How frames become frame sets."""
 
@@ -152,7 +145,7 @@ def run_sets(
 
 
 def run_seen(
-    seen: Iterable[Seen],
+    seen: Iterable[tuple[FrameSet, Mapping[str, Detections], float]],
     rig: Rig,
     settings: PipelineSettings | None = None,
     keeper: Keeper | None = None,
@@ -164,26 +157,24 @@ def run_seen(
     """
     settings = PipelineSettings() if settings is None else settings
     health = Health.of(rig, settings.match) if health is None else health
-    ahead = _Ahead(seen, rig, settings, health) if settings.lookahead > 0 and keeper is None else None
     low, high = settings.volume or ((-np.inf,) * 3, (np.inf,) * 3)
     volume = np.asarray(low, dtype=float), np.asarray(high, dtype=float)
     tracker = Tracker(settings.track) if settings.nearest is None else NearestTracker(settings.nearest)
-    typical_diameter_m, n_diameters = (0.0, 0) if ahead is None else (ahead.diameter_m, ahead.n_diameters)
+    typical_diameter_m, n_diameters = 0.0, 0
 
-    for number, (frame_set, detections, seconds) in enumerate(seen if ahead is None else ahead.sets):
+    for frame_set, detections, seconds in seen:
         check_detections(detections, frame_set.pulse)
         timer = _StageTimer({"detect": seconds})
         predicted = tracker.predict(frame_set.time_ns * 1e-9)
         timer.lap("predict")
-        noise = ahead.health.noise if ahead is not None and number < ahead.n_sets else health.noise
-        bundle = make_ray_table(rig, detections, noise.sigma_px, settings.match.target)
+        bundle = make_ray_table(rig, detections, health.noise.sigma_px, settings.match.target)
         points = match(bundle, predicted, settings.match, volume, typical_diameter_m)
         if (diameter_m := median_diameter(points)) is not None:
             n_diameters += 1
             gain = max(2 / (n_diameters + 1), LEAST_DIAMETER_GAIN)
             typical_diameter_m += gain * (diameter_m - typical_diameter_m)
         timer.lap("match")
-        samples = tracker.update(points, frame_set.pulse, frame_set.time_ns, noise.jitter_s)
+        samples = tracker.update(points, frame_set.pulse, frame_set.time_ns, health.noise.jitter_s)
         timer.lap("track")
         measured_with = rig
         if keeper is not None:
@@ -194,22 +185,6 @@ def run_seen(
         # off the latency path
         health.attend(measured_with, frame_set, detections, points, bundle)
     health.nameless = tracker.waiting
-
-
-class _Ahead:
-    """What the first sets tell before they are processed: they are matched and tracked twice."""
-
-    def __init__(self, seen: Iterable[Seen], rig: Rig, settings: PipelineSettings, health: Health) -> None:
-        left = iter(seen)
-        first = list(islice(left, 1))
-        most = min(settings.lookahead, LOOK_SETS, most_ahead(first[0][0]) if first else 0)
-        first += islice(left, max(most - 1, 0))
-        self.sets = chain(first, left)
-        self.n_sets = len(first)
-        self.health = Health(rig, health.settings)
-        steps = run_seen(first, rig, replace(settings, lookahead=0), None, self.health)
-        found = [d for step in steps if (d := median_diameter(step.points)) is not None]
-        self.diameter_m, self.n_diameters = (float(np.median(found)) if found else 0.0), len(found)
 
 
 def median_diameter(points: Points) -> float | None:

@@ -34,8 +34,8 @@ PARTIAL_ODD, LONG_ODD, UNFITTED_ODD = 0.2, 0.3, 0.6
 are round (cut on one side; its size is little evidence); of one that is isolated and that no disc fits, where
 discs fit the others: more than half of such targets is hidden, whatever their size."""
 AREAS, SIZES, SHAPES = 0.5, 1.0, 2.0
-"""What images are judged by: their areas alone; also whether detection takes them for partly hidden; also whether they
-are long and whether a disc fits them."""
+"""What images are judged by: their areas alone; also whether detection takes them for partly hidden; also whether
+they are long and whether a disc fits them."""
 LEAST_SEEN = 0.05
 """Least share of a disc's area that a camera sees of it: nearer to its plane the image is a line."""
 TOO_LARGE = 1.3

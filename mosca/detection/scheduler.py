@@ -161,7 +161,7 @@ def detect_ahead(
 def _first_look(
     detector: FrameSetDetector, sets: Iterable[FrameSet], lookahead: int
 ) -> tuple[Iterator[FrameSet], CameraStatistics]:
-    """Return all of the sets, and what is learned from the first one, or from more where backgrounds are textured.
+    """Return all of the sets, and where the first images show textured backgrounds what is learned from several.
 
     These are looked at twice: targets that the texture hid at first do not vote the second time.
     """
@@ -174,11 +174,10 @@ def _first_look(
             most = min(most, most_ahead(frame_set))
         if len(seen) >= most or not detector.wants_images(learned):
             break
-    if len(seen) > 1:
-        known, learned = learned, NO_STATISTICS
-        for frame_set in seen[::LOOK_EACH]:
-            learned = learned.plus(detector.detect(frame_set, known)[1])
-    return chain(seen, left), learned
+    again = NO_STATISTICS
+    for frame_set in seen[::LOOK_EACH] if len(seen) > 1 else ():
+        again = again.plus(detector.detect(frame_set, learned)[1])
+    return chain(seen, left), again
 
 
 def most_ahead(frame_set: FrameSet) -> int:
