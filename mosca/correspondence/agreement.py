@@ -4,8 +4,8 @@ While hypotheses are searched for, an image of odd shape counts as one that is h
 neighbour (``mosca.correspondence.hypothesis.trust2_of``): its error may be a good part of the target's radius. A
 target in motion, or a box of whole pixels, has such images that err by their detection's noise alone; if all of a
 point's images are doubted, a merged one counts as much as they do. Once all images of a point are known, they tell
-which agree to within their noise. Each doubted image has two possible variances; the likelihood of all images with the
-point integrated out (with equal prior probabilities; ``evidence``) chooses between them.
+which agree to within their noise. Each doubted image has two possible variances; the likelihood of all images
+with the point integrated out (with equal prior probabilities; ``evidence``) chooses between them.
 
 An image that contradicts the others, beyond ``MatchSettings.outlier_sigma`` of the chi-square of those that count in
 full, is taken for one of a target that is mostly hidden or merged, though its size does not show it.
