@@ -236,7 +236,10 @@ def fill_rays(cameras, seen, start, balls, xy, covariance, extra, size, shape, f
             rays[n, RADIUS], rays[n, ANGLE] = 0.5 * across, angle
             rays[n, SHARE_SIGMA] = 2.0 * diameter_sigma[n] / across
             shift_x = shift_y = 0.0
-            freed = fields.shape[0] > 0 and (all_balls or not long)
+            as_ball = (
+                ellipticity_sigma[n] > 0.0 and _beyond_ball(ellipticity[n], ellipticity_sigma[n], gram)[2] == 0.0
+            )
+            freed = fields.shape[0] > 0 and (all_balls or as_ball or not long)
             if freed:
                 ratio = 0.25 * angle * angle
                 shift_x, shift_y = _field(fields[c], own, xy[n, 0], xy[n, 1])
@@ -261,19 +264,26 @@ def _longer_axis(diameter, elongation):
 
 
 @inlined_step
+def _beyond_ball(ellipticity, sigma, gram):
+    """Return an image's ellipticity (2) less that of a ball there, and its size, 0 where it may be a ball's."""
+    f2 = np.sqrt(gram[0] * gram[2] - gram[1] * gram[1])
+    p, q = ellipticity[0] - 0.5 * (gram[0] - gram[2]) / f2, ellipticity[1] - gram[1] / f2
+    size2 = p * p + q * q
+    return p, q, np.sqrt(size2) if size2 > ROUND_SIGMAS**2 * (sigma * sigma + IMAGE_NOISE**2) else 0.0
+
+
+@inlined_step
 def _possible_eccentricity(diameter, ellipticity, sigma, gram):
     """Return the covariance (xx, xy, yy) [px^2] of an ellipse's centroid if it may be a disc at a slant, else zeros.
 
     The disc's centre is off by b sqrt(a^2 - b^2) / f along the minor axis, to one side or the other: a and b, the
     semi-axes; f [px/rad] (``mosca.camera.eccentricity``: (r / R)^2 f times sine and cosine of the slant). What a ball
-    would have there is no slant.
+    has there is no slant.
     """
-    f2 = np.sqrt(gram[0] * gram[2] - gram[1] * gram[1])
-    p, q = ellipticity[0] - 0.5 * (gram[0] - gram[2]) / f2, ellipticity[1] - gram[1] / f2
-    size2 = p * p + q * q
-    if not size2 > ROUND_SIGMAS**2 * (sigma * sigma + IMAGE_NOISE**2):
+    p, q, size = _beyond_ball(ellipticity, sigma, gram)
+    if size == 0.0:
         return 0.0, 0.0, 0.0
-    size = np.sqrt(size2)
+    f2 = np.sqrt(gram[0] * gram[2] - gram[1] * gram[1])
     b2 = 0.25 * diameter * diameter * np.exp(-size)
     half = 0.5 * b2 * b2 * (np.exp(2.0 * size) - 1.0) / f2
     return half * (1.0 - p / size), -half * q / size, half * (1.0 + p / size)

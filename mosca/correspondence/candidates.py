@@ -312,7 +312,7 @@ def _grown(a, b, chance, hypothesis, state, data):
     error = solve(hypothesis, TWICE, data)
     while size > 2 and not 0.0 <= error <= limit(2 * size - 3, rules.outlier_sigma):
         # an outlier pulls the point towards itself: judge each by what is left without it
-        at = _worst_ray(hypothesis, data) if error >= 0.0 else -1
+        at = worst_ray(hypothesis, data) if error >= 0.0 else -1
         if at < 0:
             return 0, 0.0, 0.0, 1.0
         members[at] = -1
@@ -335,7 +335,7 @@ def _grown(a, b, chance, hypothesis, state, data):
 
 
 @inlined_step
-def _worst_ray(hypothesis, data):
+def worst_ray(hypothesis, data):
     """Return the camera whose ray, left out, lowers the hypothesis's squared error most.
 
     By e' (I - H)^-1 e with the ray's whitened error e and its share H = A P A' of its own error in the solution:

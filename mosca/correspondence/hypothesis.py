@@ -33,8 +33,9 @@ PARTIAL_ODD, LONG_ODD, UNFITTED_ODD = 0.2, 0.3, 0.6
 """Missing share, at least, of an image that detection takes for partly hidden; of one that is long where the others
 are round (cut on one side; its size is little evidence); of one that is isolated and that no disc fits, where
 discs fit the others: more than half of such targets is hidden, whatever their size."""
-SIZES, SHAPES = 1.0, 2.0
-"""What images are judged by: their sizes alone, or whether they are long and whether a disc fits them too."""
+AREAS, SIZES, SHAPES = 0.5, 1.0, 2.0
+"""What images are judged by: their areas alone; also whether detection takes them for partly hidden; also whether
+they are long and whether a disc fits them."""
 LEAST_SEEN = 0.05
 """Least share of a disc's area that a camera sees of it: nearer to its plane the image is a line."""
 TOO_LARGE = 1.3
@@ -58,7 +59,7 @@ class Rules(NamedTuple):
     worst_m2: float
     """Largest variance of a point in any direction."""
     judge: float
-    """0, SIZES or SHAPES."""
+    """0, AREAS, SIZES or SHAPES."""
     discs: int
     """Images that must fit a circle for a target to be taken for a flat disc; 0: there are none."""
     typical_m: float
@@ -248,7 +249,7 @@ def trust2_of(ray, size, whole, rays, judge):
 
     Too small: partly hidden. Too large: merged with a neighbour, whose share of the light moves the centroid.
     What detection itself takes for partly hidden counts for less, whatever its size, and what is long, or what no
-    disc fits though nothing touches it. ``judge``: 0, SIZES or SHAPES.
+    disc fits though nothing touches it. ``judge``: 0, AREAS, SIZES or SHAPES.
     """
     odd, flags = 0.0, int(rays[ray, FLAGS])
     if judge > 0.0:
@@ -257,7 +258,7 @@ def trust2_of(ray, size, whole, rays, judge):
         usual = SIZE_DEADBAND if share < 1.0 and not flags & SATURATED else SIZE_NOISE
         if odd <= max(usual, SIZE_SIGMAS * rays[ray, SHARE_SIGMA]):
             odd = 0.0
-    if flags & PARTIAL:
+    if judge != AREAS and flags & PARTIAL:
         odd = max(odd, PARTIAL_ODD)
     if judge == SHAPES and flags & LONG:
         odd = max(odd, LONG_ODD)

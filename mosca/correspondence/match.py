@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mosca.correspondence.agreement import weigh_by_agreement
 from mosca.correspondence.candidates import search
 from mosca.correspondence.disc_centres import Images, aim_at_centres
 from mosca.correspondence.hypothesis import SHAPES, SIZES, Hypotheses, MatchData, Rules, record_of
@@ -114,6 +115,7 @@ def match_rays(rays, views, pairs, bases, start, rules, xyz, covariance, images)
     state = choose(kept, data, xyz, covariance)
     if images.freed:
         aim_at_centres(kept, state, data, images)
+    weigh_by_agreement(kept, state, data)
     left_open = 0
     for g in range(count):
         left_open += state[g] == OPEN

@@ -130,7 +130,7 @@ def detect_ahead(
     ``lookahead``: first sets that are read, where backgrounds are textured, before the first one is yielded.
     """
     attend = attend or _nobody
-    sets, known = _textured_backgrounds(detector, sets, lookahead)
+    sets, known = _first_look(detector, sets, lookahead)
     if workers <= 0:
         yield from _one_by_one(detector, sets, split, attend, known)
         return
@@ -158,12 +158,12 @@ def detect_ahead(
                 ahead.future.cancel()
 
 
-def _textured_backgrounds(
+def _first_look(
     detector: FrameSetDetector, sets: Iterable[FrameSet], lookahead: int
 ) -> tuple[Iterator[FrameSet], CameraStatistics]:
-    """Return all of the sets, and the backgrounds of those cameras whose first images show a textured one.
+    """Return all of the sets, and where the first images show textured backgrounds what is learned from several.
 
-    The images are looked at twice: targets that the texture hid at first do not vote the second time.
+    These are looked at twice: targets that the texture hid at first do not vote the second time.
     """
     left, seen, learned = iter(sets), list[FrameSet](), NO_STATISTICS
     most = lookahead
@@ -171,14 +171,19 @@ def _textured_backgrounds(
         seen.append(frame_set)
         if len(seen) % LOOK_EACH == 1:
             learned = learned.plus(detector.detect(frame_set, learned)[1])
-            size = sum(f.image.nbytes for f in frame_set.frames.values() if f.image is not None)
-            most = min(most, LOOK_BYTES // max(size, 1))
+            most = min(most, most_ahead(frame_set))
         if len(seen) >= most or not detector.wants_images(learned):
             break
-    known, again = learned.textured_backgrounds(), NO_STATISTICS
+    again = NO_STATISTICS
     for frame_set in seen[::LOOK_EACH] if len(seen) > 1 else ():
-        again = again.plus(detector.detect(frame_set, known)[1].textured_backgrounds())
+        again = again.plus(detector.detect(frame_set, learned)[1])
     return chain(seen, left), again
+
+
+def most_ahead(frame_set: FrameSet) -> int:
+    """Return how many sets of this size may be held in memory."""
+    size = sum(f.image.nbytes for f in frame_set.frames.values() if f.image is not None)
+    return LOOK_BYTES // max(size, 1)
 
 
 @dataclass
@@ -223,11 +228,15 @@ def _one_by_one(
 
 
 class DelayedStatistics:
-    """One camera's statistics: those of a set are added after ``DELAY`` sets and used from the next update on."""
+    """One camera's statistics: those of a set are added after ``DELAY`` sets and used from the next update on.
+
+    Until then, and while the sets so far showed fewer targets, those of a first look (``known``) are used.
+    """
 
     def __init__(self, camera: str, known: CameraStatistics = NO_STATISTICS) -> None:
         self._phase = _phase(camera) % UPDATE_PERIOD
-        self._used = self._summed = known
+        self._known = self._used = known
+        self._summed = known.textured_backgrounds()
         self._pending: deque[tuple[int, CameraStatistics]] = deque()
         self._updated = -1
 
@@ -244,7 +253,8 @@ class DelayedStatistics:
         if update > self._updated:
             while self._pending and self._pending[0][0] <= update - DELAY:
                 self._summed = self._summed.plus(self._pending.popleft()[1])
-            self._updated, self._used = update, self._summed
+            enough = self._summed.targets() >= self._known.targets()
+            self._updated, self._used = update, self._summed if enough else self._known
         return self._used
 
 

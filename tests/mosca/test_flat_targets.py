@@ -173,6 +173,10 @@ def test_balls_smeared_by_their_motion_are_no_discs():
         name: replace(one, ellipticity=np.empty(0), ellipticity_sigma=np.empty(0)) for name, one in found.items()
     }
     (points, _, at), (expected, _, there) = matched(rig, found), matched(rig, plain)
+    # an image that may be a round ball's, of motion along the ray, is freed of a ball's eccentricity
+    clear = np.min([np.linalg.norm(one.ellipticity, axis=1) for one in found.values()], axis=0) > 0.15
+    assert clear.sum() == 3
+    at, there = at[clear], there[clear]
     np.testing.assert_allclose(points.xyz[at], expected.xyz[there], rtol=0, atol=1e-7)
     np.testing.assert_allclose(points.covariance[at], expected.covariance[there], rtol=0.02)
 

@@ -186,28 +186,32 @@ def test_order_of_detections_does_not_matter():
     np.testing.assert_allclose(one.xyz[np.lexsort(one.xyz.T)], other.xyz[np.lexsort(other.xyz.T)], atol=1e-12)
 
 
-def flagged(found, flag):
-    """The same with a flag on the first detection of the first camera."""
-    flags = np.zeros(len(found["c0"]), np.uint8)
+def flagged(found, flag, shift_px=0.0):
+    """The same with a flag on the first detection of the first camera, which lies ``shift_px`` off on both axes."""
+    flags, xy = np.zeros(len(found["c0"]), np.uint8), found["c0"].xy_px.copy()
     flags[0] = flag
-    return found | {"c0": replace(found["c0"], flags=flags)}
+    xy[0] += shift_px
+    return found | {"c0": replace(found["c0"], flags=flags, xy_px=xy)}
 
 
 def test_a_partly_hidden_image_counts_for_less():
-    rig, rng = rig_of(3), np.random.default_rng(9)
     truth3d = np.array([[0.1, 0.0, 0.2]])
-    found, _ = detected(rig, truth3d, rng, sigma=0.02)
-    whole = grouped(rig, found)
-    partly = grouped(rig, flagged(found, PARTIAL))
-    assert whole.n_cameras.tolist() == partly.n_cameras.tolist() == [3]
-    assert partly.trusted[0] < whole.trusted[0]
-    assert np.trace(partly.covariance[0]) > np.trace(whole.covariance[0])
+    for cameras, shift_px in ((2, 0.0), (3, 0.3)):
+        rig, rng = rig_of(cameras), np.random.default_rng(9)
+        found, _ = detected(rig, truth3d, rng, sigma=0.02)
+        whole = grouped(rig, found)
+        partly = grouped(rig, flagged(found, PARTIAL, shift_px))
+        assert whole.n_cameras.tolist() == partly.n_cameras.tolist() == [cameras]
+        assert partly.trusted[0] < whole.trusted[0]
+        assert np.trace(partly.covariance[0]) > np.trace(whole.covariance[0])
+    # control: two others show that it is where a whole one would be
+    assert grouped(rig, flagged(found, PARTIAL)).trusted == pytest.approx([3.0])
 
 
 def test_an_image_alone_that_no_disc_fits_is_half_hidden_where_discs_fit_others():
     rig, rng = rig_of(3), np.random.default_rng(9)
     found, _ = detected(rig, rng.uniform(-0.4, 0.4, (12, 3)), rng, sigma=0.02)
-    whole, odd = grouped(rig, found), grouped(rig, flagged(found, UNREFINED))
+    whole, odd = grouped(rig, found), grouped(rig, flagged(found, UNREFINED, 0.7))
     at = np.flatnonzero(odd.rays[:, 0] == 0)
     same = np.flatnonzero(whole.rays[:, 0] == 0)
     assert whole.trusted[same[0]] == pytest.approx(3.0)

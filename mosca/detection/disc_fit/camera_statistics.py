@@ -149,6 +149,10 @@ class CameraStatistics:
         textured = {name: background for name, background in self.backgrounds.items() if background.textured}
         return CameraStatistics(tuple(textured), no_sums(len(textured)), textured)
 
+    def targets(self) -> float:
+        """Return how many targets they hold."""
+        return float(self.sums.tallies[:, N_TARGETS].sum())
+
     def _of(self, names: tuple[str, ...]) -> "CameraStatistics":
         """Return the same for other cameras, zeros for those without any."""
         rows = np.array([self.names.index(name) if name in self.names else -1 for name in names])

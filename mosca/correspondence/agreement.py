@@ -1,0 +1,114 @@
+"""Final weights of a point's images: those that agree count in full. Compiled steps of matching.
+
+While hypotheses are searched for, an image of odd shape counts as one that is hidden in part or merged with a
+neighbour (``mosca.correspondence.hypothesis.trust2_of``): its error may be a good part of the target's radius. A
+target in motion, or a box of whole pixels, has such images that err by their detection's noise alone; if all of a
+point's images are doubted, a merged one counts as much as they do. Once all images of a point are known, they tell
+which agree to within their noise. Each doubted image has two possible variances; the likelihood of all images
+with the point integrated out (with equal prior probabilities; ``evidence``) chooses between them.
+
+An image that contradicts the others, beyond ``MatchSettings.outlier_sigma`` of the chi-square of those that count in
+full, is taken for one of a target that is mostly hidden or merged, though its size does not show it.
+"""
+
+import numpy as np
+
+from mosca.correspondence.candidates import worst_ray
+from mosca.correspondence.hypothesis import (
+    AREAS,
+    CHI2,
+    MOST_ODD,
+    ODD_SHIFT,
+    TWICE,
+    MatchData,
+    judge_sizes,
+    limit,
+    new_hypothesis,
+    solve,
+)
+from mosca.correspondence.selection import TAKEN
+from mosca.data.rays import RADIUS, SIGMA
+from mosca.numba_support.decorators import bare_step, step
+from mosca.numba_support.linalg3 import Symmetric3, cofactors3, determinant3
+from mosca.triangulation.triangulate import TRUST
+
+FEWEST_IMAGES = 3
+"""Images of a point that show which of them agree: two have one residual, along an epipolar line."""
+
+
+@step
+def weigh_by_agreement(kept, state, data):
+    """Weigh the images of the hypotheses that were taken by how they agree, and solve these again."""
+    rules = data.rules.copy()
+    rules[0].judge = min(rules[0].judge, AREAS)
+    by_area = MatchData(data.rays, data.views, rules)
+    cameras = kept.members.shape[1]
+    hypothesis = new_hypothesis(cameras)
+    members, ranks, values, _ = hypothesis
+    for g in range(kept.members.shape[0]):
+        if state[g] != TAKEN or not _is_doubtful(g, kept, data.rules[0]):
+            continue
+        for c in range(cameras):
+            members[c], ranks[c, TRUST] = kept.members[g, c], kept.trusts[g, c]
+        values[:] = kept.values[g]
+        if judge_sizes(hypothesis, by_area)[1]:
+            continue  # a circle's images are judged by their sizes, and solved with what is not known of it
+        error = _settle(hypothesis, kept.trusts[g], data)
+        if error >= 0.0 and evidence(values, error, members, ranks[:, TRUST]) > evidence(
+            kept.values[g], kept.values[g, CHI2], members, kept.trusts[g]
+        ):
+            values[CHI2] = error
+            kept.values[g] = values
+            kept.trusts[g] = ranks[:, TRUST]
+
+
+@bare_step
+def _is_doubtful(g, kept, rules):
+    """Whether an image of a point of three and more does not count in full, or contradicts the others."""
+    count = in_full = 0
+    for c in range(kept.members.shape[1]):
+        if kept.members[g, c] >= 0:
+            count += 1
+            in_full += kept.trusts[g, c] >= 1.0
+    if count < FEWEST_IMAGES:
+        return False
+    return in_full < count or kept.values[g, CHI2] > limit(2 * count - 3, rules.outlier_sigma)
+
+
+@bare_step
+def evidence(values, error, members, trusts):
+    """Return the log-likelihood of a hypothesis's images, their target's place integrated out, up to a constant.
+
+    As in ``mosca.correspondence.hypothesis.store``.
+    """
+    covariance = Symmetric3(values[3], values[4], values[5], values[7], values[8], values[11])
+    total = 0.5 * np.log(max(determinant3(covariance, cofactors3(covariance)), 1e-300)) - 0.5 * error
+    for c in range(members.shape[0]):
+        if members[c] >= 0:
+            total += 2.0 * np.log(trusts[c])
+    return total
+
+
+@bare_step
+def _settle(hypothesis, doubted, data):
+    """Lower the trusts of images that contradict the others, until those that count in full agree.
+
+    ``doubted`` (c,): trusts to fall back to. Returns the squared error, or -1 where nothing agrees.
+    """
+    members, ranks, _, _ = hypothesis
+    rays, rules = data.rays, data.rules[0]
+    count = 0
+    for c in range(members.shape[0]):
+        count += members[c] >= 0 and ranks[c, TRUST] >= 1.0
+    error = solve(hypothesis, TWICE, data)
+    while count >= 2 and error > limit(2 * count - 3, rules.outlier_sigma):
+        at = worst_ray(hypothesis, data)
+        if at < 0 or ranks[at, TRUST] < 1.0:
+            break
+        k, trust = members[at], doubted[at]
+        if trust >= 1.0:
+            trust = 1.0 / np.sqrt(1.0 + 0.5 * (ODD_SHIFT * MOST_ODD * rays[k, RADIUS] / rays[k, SIGMA]) ** 2)
+        ranks[at, TRUST] = trust
+        count -= 1
+        error = solve(hypothesis, TWICE, data)
+    return error
