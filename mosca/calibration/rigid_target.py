@@ -154,7 +154,7 @@ def _adjusted(
     seen_as = np.column_stack([sightings.camera, placement, sightings.mark])
     cell = np.unique(seen_as, axis=0, return_inverse=True)[1].reshape(-1)
     lasting = systematic_errors(result, sightings.camera, cell)
-    covariance = covariance + systematic_covariance(problem, result, cell, lasting)
+    covariance = covariance + systematic_covariance(problem, result, cell, lasting, target.normals)
     precision = result.precision
     return Calibration(
         Rig(result.cameras),

@@ -13,10 +13,12 @@ the covariance of estimates with errors correlated within cells, here a mark in 
 """
 
 import numpy as np
+from scipy.sparse import csr_array, diags_array
 
 from mosca.calibration.bundle.adjustment import Adjustment
 from mosca.calibration.bundle.exposure_shake import shifts_of
 from mosca.calibration.bundle.problem import Problem
+from mosca.calibration.bundle.shared_errors import between_cameras, shared_error, slopes_in_planes
 from mosca.data.arrays import Array
 
 FEWEST_CELLS = 20
@@ -50,17 +52,33 @@ def systematic_errors(adjustment: Adjustment, camera: Array, cell: Array) -> Arr
     return found
 
 
-def systematic_covariance(problem: Problem, adjustment: Adjustment, cell: Array, lasting_px: Array) -> Array:
+def systematic_covariance(
+    problem: Problem, adjustment: Adjustment, cell: Array, lasting_px: Array, normals: Array | None = None
+) -> Array:
     """Return what systematic errors add to the covariance (u, u) of ``adjustment.parameters``.
 
-    ``cell`` as for ``systematic_errors``; ``lasting_px`` (c,) what that found, NaN counts nothing.
+    ``cell`` as for ``systematic_errors``; ``lasting_px`` (c,) what that found, NaN counts nothing. ``normals`` (p, 3)
+    of the object points, in their own frames: what of it shifts marks in their planes is taken for shared by the
+    cameras as far as the residuals show it (``shared_errors``); None: cameras err independently.
     """
     if len(adjustment.parameters) == 0 or not np.nansum(lasting_px) > 0:
         return np.zeros((len(adjustment.parameters),) * 2)
+    see = problem.observations
     cells = shifts_of(problem, adjustment, cell, even=True)
-    camera = np.zeros(len(cells.count), dtype=np.int64)
-    camera[cells.image_of] = problem.observations.camera
+    first = np.zeros(len(cells.count), dtype=np.int64)
+    first[cells.image_of] = np.arange(len(cells.image_of))
+    camera = np.asarray(see.camera)[first]
     repeated = 1 - 1 / np.maximum(cells.count, 1)
     sigma = np.nan_to_num(lasting_px)[camera] * np.sqrt(repeated)
-    by_cell = cells.cofactors @ cells.g.T * np.repeat(sigma, 2) * cells.scale[:, None]
-    return np.asarray(by_cell @ by_cell.T)
+    by_cell = cells.cofactors @ cells.g.T * cells.scale[:, None]
+    variance = csr_array(diags_array(np.repeat(sigma**2, 2)))
+    if normals is not None:
+        slopes = slopes_in_planes(problem, adjustment, normals)[first]
+        marks = np.column_stack([see.placement, see.point])[first]
+        cluster = np.unique(marks, axis=0, return_inverse=True)[1].reshape(-1)
+        shared_m = shared_error(cells, camera, cluster, slopes)
+        # no more of a cell's systematic error than all of it
+        most = shared_m * np.linalg.norm(slopes, 2, axis=(1, 2))
+        shared = slopes * shared_m * np.minimum(1.0, sigma / np.maximum(most, 1e-300))[:, None, None]
+        variance = variance + between_cameras(cluster, shared)
+    return np.asarray(by_cell @ (variance @ by_cell.T))
