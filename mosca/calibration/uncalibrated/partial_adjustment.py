@@ -101,12 +101,14 @@ def network(
 def rods_between(tracks: PointViews, inflate: float) -> Distances:
     """Return the rods both of whose ends two cameras see, their standard deviations times ``inflate``.
 
-    Far off the solution a rod must not be so much firmer than the rays that rounding errors outweigh these.
+    Far off the solution a rod must not be so much firmer than the rays that rounding errors outweigh these. Points
+    of one wand are numbered along it: a rod with one of them between its ends is the sum of others, and would count
+    as an observation that fits by itself.
     """
-    rays = np.bincount(tracks.point, minlength=tracks.points)
-    rods = tracks.rods
-    both = (rays[rods.first] >= 2) & (rays[rods.second] >= 2)
-    return Distances(rods.first[both], rods.second[both], rods.length_m[both], rods.sigma_m[both] * inflate)
+    seen = np.bincount(tracks.point, minlength=tracks.points) >= 2
+    rods, before = tracks.rods, np.concatenate([[0], np.cumsum(seen)])
+    own = seen[rods.first] & seen[rods.second] & (before[rods.second] == before[rods.first + 1])
+    return Distances(rods.first[own], rods.second[own], rods.length_m[own], rods.sigma_m[own] * inflate)
 
 
 def imaged(tracks: PointViews, cameras: Mapping[int, Camera]) -> PointViews:
