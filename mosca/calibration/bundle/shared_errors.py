@@ -58,8 +58,8 @@ def shared_error(cells: ExposureShifts, camera: Array, cluster: Array, slopes: A
     cameras = int(camera.max(initial=0)) + 1
     of = np.repeat(camera, 2)
     own = np.bincount(of, squares, cameras) / np.maximum(np.bincount(of, count, cameras), 1e-300)
-    products = between_cameras(cluster, slopes)
-    kernel = csr_array(diags_array(by_weight) @ products @ diags_array(by_weight))
+    across = products(cluster, slopes) - products(np.arange(len(cluster)), slopes)
+    kernel = csr_array(diags_array(by_weight) @ across @ diags_array(by_weight))
     inner = (beside.T @ kernel @ beside).toarray() @ inverse.toarray()
 
     def expected(variance: csr_array) -> float:
@@ -68,23 +68,22 @@ def shared_error(cells: ExposureShifts, camera: Array, cluster: Array, slopes: A
         total -= 2 * ((beside.T @ (kernel @ weighed) @ beside) @ inverse).trace()
         return float(total + np.trace(inner @ ((beside.T @ variance @ beside) @ inverse).toarray()))
 
-    by_shift = expected(products)
+    by_shift = expected(across)
     if not by_shift > 0:
         return 0.0
     excess = float(cells.u @ (kernel @ cells.u)) - expected(csr_array(diags_array(own[of])))
     return float(np.sqrt(max(excess / by_shift, 0.0)))
 
 
-def between_cameras(cluster: Array, slopes: Array) -> csr_array:
-    """Return J_i J_k^T (2i, 2i) of the cells of each ``cluster`` (i,), zero within cells; ``slopes`` (i, 2, 2)."""
-    cells = len(cluster)
-    row = np.broadcast_to((2 * np.arange(cells))[:, None, None] + np.arange(2)[:, None], slopes.shape)
-    by_cluster, by_cell = (
-        csr_array(coo_array((slopes.ravel(), (row.ravel(), np.broadcast_to(
-            (2 * group)[:, None, None] + np.arange(2), slopes.shape).ravel())), shape=(2 * cells, 2 * cells)))
-        for group in (np.unique(cluster, return_inverse=True)[1].reshape(-1), np.arange(cells))
-    )  # fmt: skip
-    return csr_array(by_cluster @ by_cluster.T - by_cell @ by_cell.T)
+def products(cluster: Array, slopes: Array) -> csr_array:
+    """Return J_i J_k^T (2i, 2i) of all cells i, k of the same ``cluster`` (i,); ``slopes`` (i, 2, 2)."""
+    of, cells = np.unique(cluster, return_inverse=True)[1].reshape(-1), len(cluster)
+    row, column = (
+        np.broadcast_to(x, slopes.shape).ravel()
+        for x in ((2 * np.arange(cells))[:, None, None] + np.arange(2)[:, None], (2 * of)[:, None, None] + np.arange(2))
+    )
+    by_shift = csr_array(coo_array((slopes.ravel(), (row, column)), shape=(2 * cells, 2 * cells)))
+    return csr_array(by_shift @ by_shift.T)
 
 
 def _plane_axes(normals: Array) -> Array:

@@ -18,7 +18,7 @@ from scipy.sparse import csr_array, diags_array
 from mosca.calibration.bundle.adjustment import Adjustment
 from mosca.calibration.bundle.exposure_shake import shifts_of
 from mosca.calibration.bundle.problem import Problem
-from mosca.calibration.bundle.shared_errors import between_cameras, shared_error, slopes_in_planes
+from mosca.calibration.bundle.shared_errors import products, shared_error, slopes_in_planes
 from mosca.data.arrays import Array
 
 FEWEST_CELLS = 20
@@ -68,17 +68,20 @@ def systematic_covariance(
     first = np.zeros(len(cells.count), dtype=np.int64)
     first[cells.image_of] = np.arange(len(cells.image_of))
     camera = np.asarray(see.camera)[first]
-    repeated = 1 - 1 / np.maximum(cells.count, 1)
-    sigma = np.nan_to_num(lasting_px)[camera] * np.sqrt(repeated)
-    by_cell = cells.cofactors @ cells.g.T * cells.scale[:, None]
-    variance = csr_array(diags_array(np.repeat(sigma**2, 2)))
+    variance = np.nan_to_num(lasting_px)[camera] ** 2
+    shared = csr_array((2 * len(variance),) * 2)
+    own = shared
     if normals is not None:
         slopes = slopes_in_planes(problem, adjustment, normals)[first]
         marks = np.column_stack([see.placement, see.point])[first]
         cluster = np.unique(marks, axis=0, return_inverse=True)[1].reshape(-1)
-        shared_m = shared_error(cells, camera, cluster, slopes)
-        # no more of a cell's systematic error than all of it
-        most = shared_m * np.linalg.norm(slopes, 2, axis=(1, 2))
-        shared = slopes * shared_m * np.minimum(1.0, sigma / np.maximum(most, 1e-300))[:, None, None]
-        variance = variance + between_cameras(cluster, shared)
-    return np.asarray(by_cell @ (variance @ by_cell.T))
+        slopes = slopes * shared_error(cells, camera, cluster, slopes)
+        shared, own = products(cluster, slopes), products(np.arange(len(cluster)), slopes)
+        # on the average of a camera's cells the two parts are what lasts
+        part = np.bincount(camera, (slopes**2).sum(axis=(1, 2)) / 2) / np.maximum(np.bincount(camera), 1)
+        variance = np.maximum(variance - part[camera], 0.0)
+    own = own + diags_array(np.repeat(variance, 2))
+    total = shared + diags_array(np.repeat(variance, 2))
+    known = diags_array(np.repeat(1 / np.maximum(cells.count, 1), 2))
+    by_cell = cells.cofactors @ cells.g.T * cells.scale[:, None]
+    return np.asarray(by_cell @ ((total - known @ own) @ by_cell.T))
