@@ -2,13 +2,14 @@
 
 Such a shift p in the mark's plane, of one mark in one stationary interval (a *cluster*), has the image J p in each
 camera. Its variance is estimated by the method of moments (Searle, Casella and McCulloch 1992, ch. 5) from products
-of residuals of different cameras: with u = Z^T W v the weighted residuals of the cells of ``systematic_errors``, D
-their weights and P the products ``J_i J_k^T`` of cells i, k of one cluster, i and k different,
+of residuals of different cameras: with u = Z^T W v the weighted residuals of the cells of ``systematic_errors`` and P
+the products ``J_i J_k^T`` of cells i, k of one cluster, i and k different,
 
-    u^T K u,   K = D^-1 P D^-1,   has the expectation   tr(K B V B) + sigma_p^2 tr(K B P B),
+    u^T P u   has the expectation   tr(P B V B) + sigma_p^2 tr(P B P B),
 
 V the variances of cells by themselves, B = Z^T W Z - Z^T W A N^-1 A^T W Z. The first term is what the unknowns make
-residuals of one cluster alike. B is never formed: it is D less a matrix of the rank of the unknowns, blocks included.
+residuals of one cluster alike. B is never formed: it is diagonal less a matrix of the rank of the unknowns, blocks
+included.
 """
 
 import numpy as np
@@ -19,9 +20,6 @@ from mosca.calibration.bundle.exposure_shake import ExposureShifts
 from mosca.calibration.bundle.problem import Problem
 from mosca.camera.projection import project_with_jacobians
 from mosca.data.arrays import Array
-
-LEAST_LEFT = 1e-9
-"""Cells of which the adjustment leaves less than this share of their errors count nothing."""
 
 
 def slopes_in_planes(problem: Problem, adjustment: Adjustment, normals: Array) -> Array:
@@ -43,36 +41,28 @@ def slopes_in_planes(problem: Problem, adjustment: Adjustment, normals: Array) -
     return slopes
 
 
-def shared_error(cells: ExposureShifts, camera: Array, cluster: Array, slopes: Array) -> float:
-    """Return how far marks are shifted in their planes for all cameras alike [m rms, an axis]; 0: nothing shows it.
+def shared_error(cells: ExposureShifts, variance: Array, cluster: Array, slopes: Array) -> float:
+    """Return how far marks are shifted in their planes for all cameras alike [rms, an axis]; 0: nothing shows it.
 
-    Of each cell (i,): its ``camera``, its ``cluster``, whose other cells are other cameras', and ``slopes`` (i, 2, 2)
-    as ``slopes_in_planes`` has them.
+    Of each cell (i,): the ``variance`` of its mean error [px^2], its ``cluster``, whose other cells are other
+    cameras', and ``slopes`` (i, 2, 2) by the shift.
     """
     beside = csr_array(hstack([cells.s, csr_array(cells.g)]))
     inverse = csr_array(block_diag([cells.v_inverse, cells.cofactors]))
-    left = 1 - np.asarray((beside @ inverse).multiply(beside).sum(axis=1)).ravel() / np.maximum(cells.d, 1e-300)
-    told = (cells.d > 0) & (left > LEAST_LEFT)
-    by_weight = np.where(told, 1 / np.maximum(cells.d, 1e-300), 0.0)
-    squares, count = (cells.u * by_weight) ** 2, np.where(told, left, 0.0)
-    cameras = int(camera.max(initial=0)) + 1
-    of = np.repeat(camera, 2)
-    own = np.bincount(of, squares, cameras) / np.maximum(np.bincount(of, count, cameras), 1e-300)
-    across = products(cluster, slopes) - products(np.arange(len(cluster)), slopes)
-    kernel = csr_array(diags_array(by_weight) @ across @ diags_array(by_weight))
+    kernel = csr_array(products(cluster, slopes) - products(np.arange(len(cluster)), slopes))
     inner = (beside.T @ kernel @ beside).toarray() @ inverse.toarray()
 
-    def expected(variance: csr_array) -> float:
-        weighed = csr_array(diags_array(cells.d) @ variance)
+    def expected(errors: csr_array) -> float:
+        weighed = csr_array(diags_array(cells.d) @ errors)
         total = (kernel @ weighed @ diags_array(cells.d)).trace()
         total -= 2 * ((beside.T @ (kernel @ weighed) @ beside) @ inverse).trace()
-        return float(total + np.trace(inner @ ((beside.T @ variance @ beside) @ inverse).toarray()))
+        return float(total + np.trace(inner @ ((beside.T @ errors @ beside) @ inverse).toarray()))
 
-    by_shift = expected(across)
+    by_shift = expected(kernel)
     if not by_shift > 0:
         return 0.0
-    excess = float(cells.u @ (kernel @ cells.u)) - expected(csr_array(diags_array(own[of])))
-    return float(np.sqrt(max(excess / by_shift, 0.0)))
+    alone = expected(csr_array(diags_array(np.repeat(variance, 2))))
+    return float(np.sqrt(max((float(cells.u @ (kernel @ cells.u)) - alone) / by_shift, 0.0)))
 
 
 def products(cluster: Array, slopes: Array) -> csr_array:

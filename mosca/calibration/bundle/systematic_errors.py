@@ -4,21 +4,12 @@ A lens is not quite its model, and a mark's image is not quite where its light i
 errors are the same in each exposure. Least squares takes them for new ones each time. Repeats distinguish them from
 noise (pure error and lack of fit: Draper and Smith 1998, section 2.1): the mean residual of a mark that a camera saw
 n times has the variance rho (sigma_L^2 + sigma_n^2 / n), of which the scatter among the n knows sigma_n, and rho is
-what the adjustment leaves of it (redundancy numbers, Baarda 1968). What they do to the parameters p is their part of
-
-    C_L = N^-1 (sum over cells of g^T sigma_L^2 (1 - 1/n) g) N^-1,   g = sum over the cell of A^T W,
-
-the covariance of estimates with errors correlated within cells, here a mark in one stationary interval and camera
-(White 1980; Liang and Zeger 1986). The part 1/n of it is in the covariance of independent errors already.
+what the adjustment leaves of it (redundancy numbers, Baarda 1968).
 """
 
 import numpy as np
-from scipy.sparse import csr_array, diags_array
 
 from mosca.calibration.bundle.adjustment import Adjustment
-from mosca.calibration.bundle.exposure_shake import shifts_of
-from mosca.calibration.bundle.problem import Problem
-from mosca.calibration.bundle.shared_errors import products, shared_error, slopes_in_planes
 from mosca.data.arrays import Array
 
 FEWEST_CELLS = 20
@@ -51,37 +42,3 @@ def systematic_errors(adjustment: Adjustment, camera: Array, cell: Array) -> Arr
             found[c] = np.sqrt(max(float(excess[mine].sum() / left[mine].sum()), 0.0))
     return found
 
-
-def systematic_covariance(
-    problem: Problem, adjustment: Adjustment, cell: Array, lasting_px: Array, normals: Array | None = None
-) -> Array:
-    """Return what systematic errors add to the covariance (u, u) of ``adjustment.parameters``.
-
-    ``cell`` as for ``systematic_errors``; ``lasting_px`` (c,) what that found, NaN counts nothing. ``normals`` (p, 3)
-    of the object points, in their own frames: what of it shifts marks in their planes is taken for shared by the
-    cameras as far as the residuals show it (``shared_errors``); None: cameras err independently.
-    """
-    if len(adjustment.parameters) == 0 or not np.nansum(lasting_px) > 0:
-        return np.zeros((len(adjustment.parameters),) * 2)
-    see = problem.observations
-    cells = shifts_of(problem, adjustment, cell, even=True)
-    first = np.zeros(len(cells.count), dtype=np.int64)
-    first[cells.image_of] = np.arange(len(cells.image_of))
-    camera = np.asarray(see.camera)[first]
-    variance = np.nan_to_num(lasting_px)[camera] ** 2
-    shared = csr_array((2 * len(variance),) * 2)
-    own = shared
-    if normals is not None:
-        slopes = slopes_in_planes(problem, adjustment, normals)[first]
-        marks = np.column_stack([see.placement, see.point])[first]
-        cluster = np.unique(marks, axis=0, return_inverse=True)[1].reshape(-1)
-        slopes = slopes * shared_error(cells, camera, cluster, slopes)
-        shared, own = products(cluster, slopes), products(np.arange(len(cluster)), slopes)
-        # on the average of a camera's cells the two parts are what lasts
-        part = np.bincount(camera, (slopes**2).sum(axis=(1, 2)) / 2) / np.maximum(np.bincount(camera), 1)
-        variance = np.maximum(variance - part[camera], 0.0)
-    own = own + diags_array(np.repeat(variance, 2))
-    total = shared + diags_array(np.repeat(variance, 2))
-    known = diags_array(np.repeat(1 / np.maximum(cells.count, 1), 2))
-    by_cell = cells.cofactors @ cells.g.T * cells.scale[:, None]
-    return np.asarray(by_cell @ ((total - known @ own) @ by_cell.T))
