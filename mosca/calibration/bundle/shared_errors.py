@@ -70,7 +70,10 @@ def products(cluster: Array, slopes: Array) -> csr_array:
     of, cells = np.unique(cluster, return_inverse=True)[1].reshape(-1), len(cluster)
     row, column = (
         np.broadcast_to(x, slopes.shape).ravel()
-        for x in ((2 * np.arange(cells))[:, None, None] + np.arange(2)[:, None], (2 * of)[:, None, None] + np.arange(2))
+        for x in (
+            (2 * np.arange(cells))[:, None, None] + np.arange(2)[:, None],
+            (2 * of)[:, None, None] + np.arange(2),
+        )
     )
     by_shift = csr_array(coo_array((slopes.ravel(), (row, column)), shape=(2 * cells, 2 * cells)))
     return csr_array(by_shift @ by_shift.T)

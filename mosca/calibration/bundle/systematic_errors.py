@@ -41,4 +41,3 @@ def systematic_errors(adjustment: Adjustment, camera: Array, cell: Array) -> Arr
         if mine.sum() >= FEWEST_CELLS:
             found[c] = np.sqrt(max(float(excess[mine].sum() / left[mine].sum()), 0.0))
     return found
-

@@ -28,13 +28,16 @@ STEPS = 30
 
 class CellWeights(NamedTuple):
     """``variance`` (i,) of the mean error of each cell, a coordinate [px^2]; ``excess``: factor by which the variance
-    of estimates with these weights is above that of known variances."""
+    of estimates with these weights is above that of known variances.
+    """
 
     variance: Array
     excess: float
 
 
-def cell_weights(adjustment: Adjustment, camera: Array, cell: Array, sigma_px: Array, lasting_px: Array) -> CellWeights:
+def cell_weights(
+    adjustment: Adjustment, camera: Array, cell: Array, sigma_px: Array, lasting_px: Array
+) -> CellWeights:
     """Return the variances of cells (numbered from 0) from their mean residuals.
 
     ``adjustment``: with precision. Of each observation (n,): ``camera``, ``cell``, ``sigma_px`` of detection;

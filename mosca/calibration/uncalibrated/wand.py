@@ -62,9 +62,7 @@ def calibrate_wand(
     )
 
 
-def _of_centres(
-    tracks: PointViews, cameras: Mapping[int, Camera], radius_m: float, diameter_px: Array
-) -> PointViews:
+def _of_centres(tracks: PointViews, cameras: Mapping[int, Camera], radius_m: float, diameter_px: Array) -> PointViews:
     """Return the image points of the balls' centres: those of their lit discs less the eccentricity.
 
     It is a share (r / R)^2 of the distance from the principal point, R the ball's distance: rough cameras will do. A
