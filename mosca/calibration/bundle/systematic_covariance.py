@@ -1,9 +1,9 @@
 """Covariance of parameters where systematic errors do not average out.
 
 Exposures of one mark in one stationary interval and camera, a *cell*, are replaced by their mean, with the variance
-that ``systematic_weights`` has found: what they share is counted once. On top come what all marks of an interval share
-in one camera (uneven light, a body that has moved; the mixed model of ``exposure_shake``), and what all cameras share
-of one mark (``shared_errors``).
+that ``systematic_weights`` has found: what they share is counted once. On top come what all marks of an interval
+share in one camera (uneven light, a body that has moved; the mixed model of ``exposure_shake``), and what all cameras
+share of one mark (``shared_errors``).
 """
 
 from dataclasses import replace
