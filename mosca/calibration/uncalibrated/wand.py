@@ -15,9 +15,8 @@ from mosca.calibration.uncalibrated.partial_adjustment import CLEAR_SIGMAS, clea
 from mosca.calibration.uncalibrated.result import calibration_of, check
 from mosca.calibration.uncalibrated.view_graph import FEWEST_COMMON, check_links, common_bend
 from mosca.camera.eccentricity import ball_eccentricity_px
-from mosca.data.arrays import Array
 from mosca.data.calibration import Calibration
-from mosca.data.rig import Camera, Lens, principal_distances_px
+from mosca.data.rig import Camera, Lens
 from mosca.data.sightings import Sightings
 from mosca.data.wands import Wand
 from mosca.errors import CalibrationError
@@ -53,7 +52,7 @@ def calibrate_wand(
     bend = common_bend(some, rng)
     start = grow(wand_start(some, bend, rng), some, bend, rng)
     _check_shape(cleaned(tracks, start.cameras, CLEAR_SIGMAS * start.spread), start.cameras, wand)
-    tracks = _of_centres(tracks, start.cameras, wand.diameter_m / 2, sightings.diameter_px[tracks.row])
+    tracks = _of_centres(tracks, start.cameras, wand.diameter_m / 2)
     final = finished(start, tracks, free)
     check(final, tracks)
     length = wand.along_m[-1] - wand.along_m[0]
@@ -62,24 +61,16 @@ def calibrate_wand(
     )
 
 
-def _of_centres(tracks: PointViews, cameras: Mapping[int, Camera], radius_m: float, diameter_px: Array) -> PointViews:
-    """Return the image points of the balls' centres: those of their lit discs less the eccentricity.
+def _of_centres(tracks: PointViews, cameras: Mapping[int, Camera], radius_m: float) -> PointViews:
+    """Return the image points of the balls' centres: those of their outlines less the eccentricity.
 
-    It is a share (r / R)^2 of the distance from the principal point, R the ball's distance: rough cameras will do. A
-    ball whose limb is dark is seen as a smaller disc, across the line of sight as its outline is: r is that of the
-    usual image, from the ``diameter_px`` (n,) of the image points; the ball's own where images have none.
+    It is a share (r / R)^2 of the distance from the principal point, R the ball's distance: rough cameras will do.
     """
     points, xy = intersected(tracks, cameras), np.array(tracks.xy_px)
-    eccentricity, lit = np.zeros_like(xy), np.full(len(xy), np.nan)
     for k, camera in cameras.items():
         mine = tracks.camera == k
-        at = points[tracks.point[mine]]
-        eccentricity[mine] = np.nan_to_num(ball_eccentricity_px(camera, at, radius_m))
-        away = np.linalg.norm(at - camera.world_from_camera.translation, axis=1)
-        lit[mine] = np.asarray(diameter_px)[mine] * away / (2 * radius_m * principal_distances_px(camera.lens)[0])
-    known = np.isfinite(lit)
-    share = float(np.median(lit[known])) if known.any() else 1.0
-    return replace(tracks, xy_px=xy - share**2 * eccentricity)
+        xy[mine] -= np.nan_to_num(ball_eccentricity_px(camera, points[tracks.point[mine]], radius_m))
+    return replace(tracks, xy_px=xy)
 
 
 def _check_shape(tracks: PointViews, cameras: Mapping[int, Camera], wand: Wand) -> None:
