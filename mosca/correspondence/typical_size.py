@@ -47,7 +47,8 @@ class TypicalSize:
         self._sets += 1
         gain = max(2 / (self._sets + 1), LEAST_GAIN)
         median = 0.5 * float(sure[(n - 1) // 2] + sure[n // 2])
-        # an area is the diameter squared
-        scatter = 2 * math.log(float(sure[3 * n // 4]) / max(float(sure[n // 4]), 1e-3 * median)) / QUARTILES
+        # of the logarithm, since an area cannot be negative; an area is the diameter squared
+        low, high = float(sure[n // 4]), float(sure[3 * n // 4])
+        scatter = 2 * math.log(high / low) / QUARTILES if low > 0.0 else 0.0
         self.diameter_m += gain * (median - self.diameter_m)
         self.scatter += gain * (scatter - self.scatter)
