@@ -361,8 +361,8 @@ def test_tracks_without_a_settings_file(calibrated):
     published, frames = shipped()[0], np.loadtxt(EXAMPLE / "particles")[:, 7]
     away = np.linalg.norm(published - tracks.xyz[:, None], axis=2)
     away = np.where(frames == tracks.frame[:, None], away, np.inf).min(axis=1)
-    # measured: 21 tracks, each in all three frames; 33 samples are published particles, the others lie outside MyPTV's
-    # region or of particles that it lacks
+    # measured: 21 tracks, each in all three frames; 33 samples are published particles, the others are particles
+    # outside MyPTV's region or that it lacks
     assert len(np.unique(tracks.track)) >= 20
     assert len(tracks) == 3 * len(np.unique(tracks.track))
     assert np.sum(away < 5e-4) >= 30
