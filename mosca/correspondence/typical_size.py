@@ -47,8 +47,10 @@ class TypicalSize:
         self._sets += 1
         gain = max(2 / (self._sets + 1), LEAST_GAIN)
         median = 0.5 * float(sure[(n - 1) // 2] + sure[n // 2])
-        # of the logarithm, since an area cannot be negative; an area is the diameter squared
+        # of the logarithm, since an area cannot be negative; an area is the diameter squared. Hidden targets spread
+        # sizes below the median alone, merged ones above it: the narrower side counts
         low, high = float(sure[n // 4]), float(sure[3 * n // 4])
-        scatter = 2 * math.log(high / low) / QUARTILES if low > 0.0 else 0.0
+        side = min(high / median, median / low) if low > 0.0 else 1.0
+        scatter = 4 * math.log(side) / QUARTILES
         self.diameter_m += gain * (median - self.diameter_m)
         self.scatter += gain * (scatter - self.scatter)
