@@ -16,7 +16,7 @@ from mosca.data.files.target_tables import PIXEL_ORIGINS
 from mosca.data.sightings import Sightings
 from mosca.data.wands import Light
 from mosca.errors import InputError
-from mosca.formats.rigs.lens_conversion import RigFileOptions
+from mosca.formats.rigs.lens_conversion import NAME, RigFileOptions
 from mosca.formats.rigs.selfcal import camera_names, image_sizes
 
 POINTS = "points.dat"
@@ -42,9 +42,21 @@ def read_selfcal_points(folder: Path, light: Light) -> Sightings:
     frame, camera = np.nonzero(seen.T)
     n = len(frame)
     return Sightings(
-        camera_names(folder, count), sizes, xy.shape[1], camera, frame, np.zeros(n, dtype=np.int64),
+        _names(folder, count), sizes, xy.shape[1], camera, frame, np.zeros(n, dtype=np.int64),
         pixel[camera, frame], np.tile(light.sigma_px**2 * np.eye(2), (n, 1, 1)), np.full(n, np.nan),
     )  # fmt: skip
+
+
+def _names(folder: Path, count: int) -> tuple[str, ...]:
+    """Return the cameras' names; InputError for those that no rig file can hold."""
+    names = camera_names(folder, count)
+    for name in names:
+        if names.count(name) > 1 or not NAME.fullmatch(name):
+            raise InputError(
+                f"{folder / 'camera_order.txt'}: {name[:40]!r} given; a name of letters, digits, _ . - is wanted, "
+                "another one for each camera"
+            )
+    return names
 
 
 def _seen(path: Path, xy: Array) -> Array:
