@@ -35,7 +35,7 @@ from mosca.data.frames import FrameSource
 from mosca.data.rig import Rig
 from mosca.data.sightings import Sightings
 from mosca.data.targets import CodedTarget, RoundTarget, ScaleBar, TestField
-from mosca.data.wands import LFrame, Light, Wand
+from mosca.data.wands import LFrame, SingleLight, Wand
 from mosca.detection.detect import DetectionSettings, detect
 from mosca.errors import CalibrationError, InputError
 from mosca.synchronisation import assemble
@@ -202,12 +202,12 @@ def _calibrated(
             for name, (w, h) in zip(sightings.cameras, sightings.sizes, strict=True)
         ]
         rng = np.random.default_rng(SEED)
-        if isinstance(target, Light):
+        if isinstance(target, SingleLight):
             return calibrate_light(sightings, target, rng, lenses, settings.free)
         assert isinstance(target, Wand)
         return calibrate_wand(sightings, target, rng, lenses, settings.free)
 
-    if not (is_rigid(target) or isinstance(target, Wand | Light)):
+    if not (is_rigid(target) or isinstance(target, Wand | SingleLight)):
         raise InputError(
             f"a {type(target).__name__} does not calibrate cameras; give a test field, a board, a wand or a light"
         )
@@ -216,14 +216,14 @@ def _calibrated(
     rods = None
     if isinstance(target, Wand):
         rods = rods_of(target, sightings.frames)
-    elif isinstance(target, Light):
+    elif isinstance(target, SingleLight):
         rods = NO_DISTANCES
     return calibrated_with_best(with_model, settings.lens, rods)
 
 
 def _check(target: CalibrationTarget, settings: EstimateSettings) -> None:
-    if isinstance(target, Wand | Light) and settings.exterior_only:
-        name = type(target).__name__.lower()
+    if isinstance(target, Wand | SingleLight) and settings.exterior_only:
+        name = "wand" if isinstance(target, Wand) else "light"
         raise InputError(f"a {name} does not give exterior orientation alone; show the test field or the board again")
     if settings.choose_lens and (settings.exterior_only or settings.free is not None):
         raise InputError("lens parameters are named, or lenses kept: name their model, too")
@@ -232,8 +232,8 @@ def _check(target: CalibrationTarget, settings: EstimateSettings) -> None:
             raise InputError("'free' names lens parameters, and exterior orientation alone has none; leave it out")
         check_lens("cameras", settings.lens.model, settings.free)
         focal = {"c_mm"} if settings.lens.model == "mosca" else {"fx_px", "fy_px"}
-        if isinstance(target, Wand | Light) and not focal <= set(settings.free):
-            wanted, name = " and ".join(sorted(focal)), type(target).__name__.lower()
+        if isinstance(target, Wand | SingleLight) and not focal <= set(settings.free):
+            wanted, name = " and ".join(sorted(focal)), "wand" if isinstance(target, Wand) else "light"
             raise InputError(
                 f"'free' is {', '.join(settings.free)}; of a {name}'s cameras {wanted} must be estimated"
             )

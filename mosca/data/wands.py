@@ -53,7 +53,7 @@ class Wand:
 
 
 @dataclass(frozen=True)
-class Light:
+class SingleLight:
     """One small light that is waved through the volume. It has no length: ``between`` names two cameras whose centres
     are ``apart_m`` apart [m], which scales the rig; None: lengths are arbitrary.
 

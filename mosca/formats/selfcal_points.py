@@ -14,7 +14,7 @@ from mosca.data.files.bounded import MOST_TABLE_BYTES, read_text
 from mosca.data.files.decimals import real, reals
 from mosca.data.files.target_tables import PIXEL_ORIGINS
 from mosca.data.sightings import Sightings
-from mosca.data.wands import Light
+from mosca.data.wands import SingleLight
 from mosca.errors import InputError
 from mosca.formats.rigs.lens_conversion import NAME, RigFileOptions
 from mosca.formats.rigs.selfcal import camera_names, image_sizes
@@ -22,7 +22,7 @@ from mosca.formats.rigs.selfcal import camera_names, image_sizes
 POINTS = "points.dat"
 
 
-def read_selfcal_points(folder: Path, light: Light) -> Sightings:
+def read_selfcal_points(folder: Path, light: SingleLight) -> Sightings:
     """Return a session's image points, mark 0 in each frame; InputError names file, row and column of what is wrong.
 
     ``light``: how pixels are counted, and their standard deviation.

@@ -19,7 +19,7 @@ from mosca.data.files.target_tables import CalibrationTarget
 from mosca.data.files.whole_file import check_writable
 from mosca.data.sightings import Sightings
 from mosca.data.targets import ScaleBar
-from mosca.data.wands import LFrame, Light, Wand
+from mosca.data.wands import LFrame, SingleLight, Wand
 from mosca.detection.detect import DetectionSettings
 from mosca.errors import CalibrationError, InputError
 from mosca.formats.selfcal_points import read_selfcal_points
@@ -141,11 +141,11 @@ def summary_lines(calibration: Calibration) -> list[str]:
 
 def _table(request: CalibrateOptions, target: CalibrationTarget) -> Sightings | None:
     """Return the image points of a wand or a light from a table; None where the recording holds images."""
-    if not isinstance(target, Light) and request.recording.suffix.lower() != ".csv":
+    if not isinstance(target, SingleLight) and request.recording.suffix.lower() != ".csv":
         return None
     if request.every != 1:
         raise InputError(f"--every: not with a table of image points; leave out rows of {request.recording}")
-    if isinstance(target, Light):
+    if isinstance(target, SingleLight):
         return read_selfcal_points(request.recording, target)
     if not isinstance(target, Wand):
         raise InputError(

@@ -19,7 +19,7 @@ from mosca.data.motion.joint_csv import read_points_csv
 from mosca.data.motion.motion import Motion, matrices_from_quaternions
 from mosca.data.tracks import Tracks, write_npz
 from mosca.data.truth import Truth, read_truth, write_truth
-from mosca.data.wands import Light
+from mosca.data.wands import SingleLight
 from mosca.formats.selfcal_points import read_selfcal_points
 from mosca.formats.tracks.c3d import read_c3d
 from mosca.formats.tracks.marker_table import MarkerTable
@@ -254,7 +254,7 @@ def _light_seed(folder: Path) -> None:
 
 
 def _light(folder: Path) -> Any:
-    seen = read_selfcal_points(folder, Light())
+    seen = read_selfcal_points(folder, SingleLight())
     key = np.lexsort((seen.camera, seen.frame))
     return {
         "cameras": list(seen.cameras),

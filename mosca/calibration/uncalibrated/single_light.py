@@ -33,7 +33,7 @@ from mosca.calibration.uncalibrated.wand import MOST_WHILE_GROWING
 from mosca.data.calibration import Calibration
 from mosca.data.rig import Camera, Lens, Pose, Rig
 from mosca.data.sightings import Sightings
-from mosca.data.wands import Light
+from mosca.data.wands import SingleLight
 from mosca.errors import CalibrationError, InputError
 
 FOCALS = 8
@@ -44,7 +44,11 @@ FEWEST_CAMERAS = 3
 
 
 def calibrate_light(
-    sightings: Sightings, light: Light, rng: np.random.Generator, lenses: Sequence[Lens], free: Free | None = None
+    sightings: Sightings,
+    light: SingleLight,
+    rng: np.random.Generator,
+    lenses: Sequence[Lens],
+    free: Free | None = None,
 ) -> Calibration:
     """Calibrate cameras of unknown focal length from sightings of one light a frame.
 
@@ -120,7 +124,7 @@ def _pair(tracks: PointViews, first: int, second: int, found: Robust, focal: flo
     return max(trials, key=lambda trial: trial[0])[1]
 
 
-def _scaled(one: Calibration, light: Light) -> Calibration:
+def _scaled(one: Calibration, light: SingleLight) -> Calibration:
     """Return the calibration with the stated distance of two cameras, else with that of the first two as 1 m."""
     first, second = light.between or one.rig.names[:2]
     places = [one.rig.camera(name).world_from_camera.translation for name in (first, second)]

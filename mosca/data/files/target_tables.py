@@ -62,7 +62,7 @@ from mosca.data.targets import (
     Target,
     TestField,
 )
-from mosca.data.wands import LFrame, Light, Wand
+from mosca.data.wands import LFrame, SingleLight, Wand
 
 FARTHEST_M = 1000.0
 """A position farther from the origin than this was given in millimetres."""
@@ -81,7 +81,7 @@ PIXEL_ORIGINS = {"centre": 0.0, "corner": 0.5, "one": 1.0}
 """A first pixel's centre in a file's own pixel coordinates."""
 MOST_CAMERAS = 1000
 
-CalibrationTarget = TestField | Board | Wand | Light | LFrame | ScaleBar
+CalibrationTarget = TestField | Board | Wand | SingleLight | LFrame | ScaleBar
 
 
 class FieldTargetTable(Table):
@@ -223,13 +223,13 @@ class LightTable(Table):
     sigma_px: Annotated[float, Field(gt=0, le=100, description="standard deviation of a coordinate")] = 1.0
     pixel_origin: PixelOrigin = "centre"
 
-    def made(self) -> Light:
+    def made(self) -> SingleLight:
         """Return the light; ValueError where half of its scale is missing."""
         if (self.between is None) != (self.apart_m is None):
             raise ValueError("'between' and 'apart_m' go together: two cameras and the distance of their centres")
         if self.between is not None and self.between[0] == self.between[1]:
             raise ValueError(f"between = {list(self.between)}: two different cameras are wanted")
-        return Light(self.between, self.apart_m or 1.0, self.sigma_px, self.pixel_origin)
+        return SingleLight(self.between, self.apart_m or 1.0, self.sigma_px, self.pixel_origin)
 
 
 class FrameMarkerTable(Table):
