@@ -5,13 +5,14 @@ It does not depend on where the frames come from. ``run`` is a generator: one St
 
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
 
 from mosca.camera.ray_table import make_ray_table
 from mosca.correspondence.match import MatchSettings, match
+from mosca.correspondence.typical_size import TypicalSize
 from mosca.data.arrays import Array
 from mosca.data.detections import Detections
 from mosca.data.frames import CameraInfo, FrameSet, FrameSource
@@ -23,14 +24,12 @@ from mosca.diagnostics.camera_health import Health
 from mosca.diagnostics.sensor import Sensors
 from mosca.errors import InputError
 from mosca.synchronisation import Assembly, AssemblySettings, assemble
+from mosca.tracking.motion_scale import FieldWidth
 from mosca.tracking.nearest_neighbour import NearestSettings, NearestTracker
 from mosca.tracking.tracker import Tracker, TrackSettings
 
 MOST_DETECTIONS = 5000
 """Detections an image may have; matching many more would take minutes a frame set."""
-LEAST_DIAMETER_GAIN = 0.05
-"""Weight of a frame set's median in the targets' typical diameter (exponential average). At first it is more, the
-n-th median weighs 2 / (n + 1): in the first sets small targets are measured without the knowledge of others."""
 
 
 @dataclass(frozen=True)
@@ -160,7 +159,7 @@ def run_seen(
     low, high = settings.volume or ((-np.inf,) * 3, (np.inf,) * 3)
     volume = np.asarray(low, dtype=float), np.asarray(high, dtype=float)
     tracker = Tracker(settings.track) if settings.nearest is None else NearestTracker(settings.nearest)
-    typical_diameter_m, n_diameters = 0.0, 0
+    field_width, sizes, unjudged = FieldWidth(rig), TypicalSize(), replace(settings.match, judge_sizes=False)
 
     for frame_set, detections, seconds in seen:
         check_detections(detections, frame_set.pulse)
@@ -168,12 +167,14 @@ def run_seen(
         predicted = tracker.predict(frame_set.time_ns * 1e-9)
         timer.lap("predict")
         bundle = make_ray_table(rig, detections, health.noise.sigma_px, settings.match.target)
-        points = match(bundle, predicted, settings.match, volume, typical_diameter_m)
-        if (diameter_m := median_diameter(points)) is not None:
-            n_diameters += 1
-            gain = max(2 / (n_diameters + 1), LEAST_DIAMETER_GAIN)
-            typical_diameter_m += gain * (diameter_m - typical_diameter_m)
+        first = not sizes.known
+        points = match(bundle, predicted, settings.match if sizes.alike else unjudged, volume, sizes.diameter_m)
+        sizes.learn(points)
+        if first and not sizes.alike:
+            points = match(bundle, predicted, unjudged, volume, sizes.diameter_m)
         timer.lap("match")
+        if (width_m := field_width.learn(points)) is not None:
+            tracker.scale_to(width_m)
         samples = tracker.update(points, frame_set.pulse, frame_set.time_ns, health.noise.jitter_s)
         timer.lap("track")
         measured_with = rig
@@ -185,13 +186,6 @@ def run_seen(
         # off the latency path
         health.attend(measured_with, frame_set, detections, points, bundle)
     health.nameless = tracker.waiting
-
-
-def median_diameter(points: Points) -> float | None:
-    """Return the median diameter [m] of the points that three cameras and more agree on; None for less than three."""
-    sure = np.sort(points.diameter_m[points.n_cameras >= 3])
-    n = len(sure)
-    return 0.5 * float(sure[(n - 1) // 2] + sure[n // 2]) if n >= 3 else None
 
 
 def check_detections(detections: Mapping[str, Detections], pulse: int) -> None:

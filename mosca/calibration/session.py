@@ -21,6 +21,8 @@ from mosca.calibration.single_camera.interior_orientation import LensChoice, pla
 from mosca.calibration.targets.read_session import Progress, read_sightings
 from mosca.calibration.targets.reader import reader_of
 from mosca.calibration.uncalibrated.end_order import ordered
+from mosca.calibration.uncalibrated.image_points import NO_DISTANCES
+from mosca.calibration.uncalibrated.single_light import calibrate_light
 from mosca.calibration.uncalibrated.wand import calibrate_wand, rods_of
 from mosca.calibration.world_frame.l_frame import in_axes, world_from_l_frame
 from mosca.data.arrays import Array
@@ -33,7 +35,7 @@ from mosca.data.frames import FrameSource
 from mosca.data.rig import Rig
 from mosca.data.sightings import Sightings
 from mosca.data.targets import CodedTarget, RoundTarget, ScaleBar, TestField
-from mosca.data.wands import LFrame, Wand
+from mosca.data.wands import LFrame, SingleLight, Wand
 from mosca.detection.detect import DetectionSettings, detect
 from mosca.errors import CalibrationError, InputError
 from mosca.synchronisation import assemble
@@ -195,26 +197,34 @@ def _calibrated(
                 lens, settings.free, exterior_only=settings.exterior_only, reference=settings.reference
             )
             return calibrate_rigid(sightings, rigid_target(target), rigid, known)
-        assert isinstance(target, Wand)
         lenses = [
             plain_lens(lens.of(name), 1.0, (int(w), int(h)))
             for name, (w, h) in zip(sightings.cameras, sightings.sizes, strict=True)
         ]
-        return calibrate_wand(sightings, target, np.random.default_rng(SEED), lenses, settings.free)
+        rng = np.random.default_rng(SEED)
+        if isinstance(target, SingleLight):
+            return calibrate_light(sightings, target, rng, lenses, settings.free)
+        assert isinstance(target, Wand)
+        return calibrate_wand(sightings, target, rng, lenses, settings.free)
 
-    if not (is_rigid(target) or isinstance(target, Wand)):
+    if not (is_rigid(target) or isinstance(target, Wand | SingleLight)):
         raise InputError(
-            f"a {type(target).__name__} does not calibrate cameras; give a test field, a board or a wand"
+            f"a {type(target).__name__} does not calibrate cameras; give a test field, a board, a wand or a light"
         )
     if not settings.choose_lens:
         return with_model(settings.lens.model)
-    rods = rods_of(target, sightings.frames) if isinstance(target, Wand) else None
+    rods = None
+    if isinstance(target, Wand):
+        rods = rods_of(target, sightings.frames)
+    elif isinstance(target, SingleLight):
+        rods = NO_DISTANCES
     return calibrated_with_best(with_model, settings.lens, rods)
 
 
 def _check(target: CalibrationTarget, settings: EstimateSettings) -> None:
-    if isinstance(target, Wand) and settings.exterior_only:
-        raise InputError("a wand does not give exterior orientation alone; show the test field or the board again")
+    if isinstance(target, Wand | SingleLight) and settings.exterior_only:
+        name = "wand" if isinstance(target, Wand) else "light"
+        raise InputError(f"a {name} does not give exterior orientation alone; show the test field or the board again")
     if settings.choose_lens and (settings.exterior_only or settings.free is not None):
         raise InputError("lens parameters are named, or lenses kept: name their model, too")
     if settings.free is not None:
@@ -222,9 +232,11 @@ def _check(target: CalibrationTarget, settings: EstimateSettings) -> None:
             raise InputError("'free' names lens parameters, and exterior orientation alone has none; leave it out")
         check_lens("cameras", settings.lens.model, settings.free)
         focal = {"c_mm"} if settings.lens.model == "mosca" else {"fx_px", "fy_px"}
-        if isinstance(target, Wand) and not focal <= set(settings.free):
-            wanted = " and ".join(sorted(focal))
-            raise InputError(f"'free' is {', '.join(settings.free)}; of a wand's cameras {wanted} must be estimated")
+        if isinstance(target, Wand | SingleLight) and not focal <= set(settings.free):
+            wanted, name = " and ".join(sorted(focal)), "wand" if isinstance(target, Wand) else "light"
+            raise InputError(
+                f"'free' is {', '.join(settings.free)}; of a {name}'s cameras {wanted} must be estimated"
+            )
 
 
 def checked(

@@ -125,8 +125,8 @@ class MatchSettings:
     """A point whose largest standard deviation exceeds this is withheld (two cameras that face each other, an image
     of odd size)."""
     judge_sizes: bool = True
-    """Whether all targets are of one size, so that an image of odd size is partly hidden or merged and is trusted
-    less; false for particles."""
+    """Whether an image of odd size is taken as partly hidden or merged and trusted less, where targets are found to
+    be of one size (``mosca.correspondence.typical_size``)."""
     target: Literal["auto", "point", "ball"] = "auto"
     """'ball' frees images of a ball's eccentricity; 'point' leaves them (small targets, discs); 'auto' frees
     round images of a ball's, and a point's ellipses that are images of one circle of this circle's."""
@@ -140,13 +140,15 @@ class TrackSettings:
     """Singer's acceleration with a memory of ``memory_s``, or constant velocity (white acceleration)."""
     memory_s: Positive = 0.1
     """Correlation time of the acceleration [s]."""
-    acceleration_mps2: Positive = 20.0
-    """Standard deviation of the targets' acceleration, an axis; adapted for each track from there."""
-    speed_mps: Positive = 1.5
+    acceleration_mps2: Positive | None = None
+    """Standard deviation of the targets' acceleration, an axis; adapted for each track from there. By default this
+    and the other lengths and speeds are of a person (20 m/s^2, 1.5 m/s, 0.08 m, 0.6 m in 2.5 m), scaled to the volume
+    or to the cameras' fields of view (``mosca.tracking.motion_scale``)."""
+    speed_mps: Positive | None = None
     """Standard deviation of a new track's velocity, an axis."""
     gate_sigma: Positive = 4.5
     """How many standard deviations a point may lie from its prediction."""
-    gate_m: Positive = 0.08
+    gate_m: Positive | None = None
     """Never farther than this; a confirmed track takes a point of two cameras from half as far, with an image of odd
     size from a quarter (two cameras agree by chance, and the gate of a track long unseen admits much clutter)."""
     confirm_weight: Positive = 5.0
@@ -157,7 +159,7 @@ class TrackSettings:
     """How long a lost track can be reacquired under its identity."""
     name_wait_s: NotNegative = 0.2
     """How long a new track that may be a lost one waits for its identity; its samples are returned with it."""
-    limb_m: NotNegative = 0.6
+    limb_m: NotNegative | None = None
     """How far limb mates may be [m]; 0: particles, no limbs."""
 
 

@@ -52,6 +52,20 @@ class Wand:
         return result
 
 
+@dataclass(frozen=True)
+class SingleLight:
+    """One small light that is waved through the volume. It has no length: ``between`` names two cameras whose centres
+    are ``apart_m`` apart [m], which scales the rig; None: lengths are arbitrary.
+
+    ``sigma_px``: of an image coordinate; ``pixel_origin``: what (0, 0) is in its image points.
+    """
+
+    between: tuple[str, str] | None = None
+    apart_m: float = 1.0
+    sigma_px: float = 1.0
+    pixel_origin: str = "centre"
+
+
 @dataclass(frozen=True, eq=False)
 class LFrame:
     """Balls ``names`` (n) whose centres ``positions`` (n, 3) [m] define the world's axes.

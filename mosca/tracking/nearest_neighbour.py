@@ -36,6 +36,9 @@ class NearestTracker:
         self._next = 0
         self._time_s: float | None = None
 
+    def scale_to(self, edge_m: float) -> None:
+        """Do nothing: the settings leave nothing open."""
+
     def predict(self, time_s: float) -> Predicted:
         """Note the time [s]; nothing is predicted."""
         if self._time_s is not None and time_s < self._time_s:

@@ -18,6 +18,7 @@ from mosca.data.rays import Predicted
 from mosca.data.settings import TrackSettings as TrackSettings
 from mosca.data.tracks import Points, Samples
 from mosca.tracking.motion_models import motion
+from mosca.tracking.motion_scale import PERSON_SPACE_M, MotionScale, motion_scale
 from mosca.tracking.neighbour_model import learn_distances, reacquired_nearby, reidentified, take_over
 from mosca.tracking.state import (
     CONFIRMED,
@@ -48,13 +49,17 @@ CONVINCING = 6.0
 class Tracker:
     """Follows targets from frame set to frame set. It keeps state: points must come in order of time."""
 
-    def __init__(self, settings: TrackSettings) -> None:
+    def __init__(self, settings: TrackSettings, edge_m: float = PERSON_SPACE_M) -> None:
         self.settings = settings
-        self._rules = _rules(settings)
+        self.scale_to(edge_m)
         self._bank, self._neighbours = new_bank(FIRST_SLOTS), new_neighbours(FIRST_SLOTS)
         self._time_s: float | None = None
         self._step_s = 0.0
         self._waiting: list[tuple[Samples, Array]] = []
+
+    def scale_to(self, edge_m: float) -> None:
+        """Set lengths and speeds that the settings leave open to those of a space of ``edge_m`` [m]."""
+        self._rules = _rules(self.settings, motion_scale(self.settings, edge_m))
 
     def predict(self, time_s: float) -> Predicted:
         """Predict all tracks at ``time_s`` [s]; return positions and covariances of the confirmed ones."""
@@ -101,15 +106,15 @@ class Tracker:
 
         Returns serial -> identity; ``slot_of`` (m,) is corrected for tracks that continue in their earlier slot.
         """
-        bank, s = self._bank, self.settings
+        bank, s, rules = self._bank, self.settings, self._rules
         top, named, now = int(bank.counters[SLOTS_USED]), {}, self._time_s
         for slot in np.flatnonzero((bank.state[:top] == CONFIRMED) & (bank.identity[:top] < 0)).tolist():
             serial, old, possible = int(bank.serial[slot]), -1, False
-            if s.limb_m > 0.0 and bank.missed[slot] == 0:
-                speed = RETURN_SPEED * s.speed_mps
-                old, possible = reidentified(bank, self._neighbours, slot, now, CONVINCING, s.limb_m, speed)
-            elif s.limb_m > 0.0:
-                old, possible = reacquired_nearby(bank, slot, now, SAME_TARGET_SHARE * s.gate_m), True
+            if rules.limb_m > 0.0 and bank.missed[slot] == 0:
+                speed = RETURN_SPEED * rules.speed_mps
+                old, possible = reidentified(bank, self._neighbours, slot, now, CONVINCING, rules.limb_m, speed)
+            elif rules.limb_m > 0.0:
+                old, possible = reacquired_nearby(bank, slot, now, SAME_TARGET_SHARE * rules.gate_m), True
             if old >= 0 and bank.missed[slot] > 0:
                 bank.state[slot], bank.serial[slot] = FREE, -1
             elif old >= 0:
@@ -140,20 +145,20 @@ class Tracker:
         return Samples.joined([samples.select(samples.track >= 0) for samples, _ in waiting])
 
 
-def _rules(settings: TrackSettings) -> TrackRules:
+def _rules(settings: TrackSettings, scale: MotionScale) -> TrackRules:
     """Return the settings as the kernels read them."""
     s = settings
     return TrackRules(
         gate_sigma=s.gate_sigma,
-        gate_m=s.gate_m,
-        manoeuvre_mps2=MANOEUVRE_ACCELERATION * s.acceleration_mps2,
-        least_variance=(LEAST_ACCELERATION * s.acceleration_mps2) ** 2,
-        largest_variance=(LARGEST_ACCELERATION * s.acceleration_mps2) ** 2,
+        gate_m=scale.gate_m,
+        manoeuvre_mps2=MANOEUVRE_ACCELERATION * scale.acceleration_mps2,
+        least_variance=(LEAST_ACCELERATION * scale.acceleration_mps2) ** 2,
+        largest_variance=(LARGEST_ACCELERATION * scale.acceleration_mps2) ** 2,
         order=3 if s.model == "acceleration" else 2,
-        speed_mps=s.speed_mps,
+        speed_mps=scale.speed_mps,
         confirm_weight=s.confirm_weight,
         reliable_from=RELIABLE_CAMERAS,
         coast_s=s.coast_s,
         remember_s=max(s.remember_s, s.coast_s),
-        limb_m=s.limb_m,
+        limb_m=scale.limb_m,
     )

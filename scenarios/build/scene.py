@@ -16,6 +16,7 @@ from mosca.detection.detect import DetectionSettings
 from mosca.errors import InputError
 from mosca.pipeline import PipelineSettings
 from mosca.synchronisation import AssemblySettings
+from mosca.tracking.motion_scale import PERSON_SPACE_M, motion_scale
 from mosca.tracking.nearest_neighbour import NearestSettings
 from mosca.tracking.tracker import TrackSettings
 from scenarios.build.worn_lamps import check_no_lamps, worn_lamps
@@ -40,7 +41,6 @@ from twin.streams import rng
 
 MARGIN = 1.15
 """Points are searched in the working space enlarged by this factor, so that none at its edge is cut."""
-PERSON_SPACE_M = 2.5
 WORST_SIGMA_M = 0.005
 TargetScene = FieldScene | BoardScene | WandScene | ScaleBarScene | LFrameScene | LightScene
 T = TypeVar("T")
@@ -186,29 +186,23 @@ def pipeline_settings(spec: Scenario) -> PipelineSettings:
     if spec.pipeline.step_by == "pulse":
         settings = replace(settings, assembly=AssemblySettings(nominal_times=True))
     if spec.pipeline.tracker == "nearest":
-        return replace(settings, nearest=NearestSettings(settings.track.gate_m, settings.track.coast_s))
+        return replace(settings, nearest=NearestSettings(motion_scale(settings.track).gate_m, settings.track.coast_s))
     return settings
 
 
 def stage_settings(stages: StageTables, volume: Volume | None, edge_m: float | None = None) -> PipelineSettings:
     """Return the pipeline's defaults overridden by the tables detection, match and track of ``stages``.
 
-    The tracker's defaults are lengths and speeds of a person in 2.5 m; they are scaled to the volume's longest
-    edge. Points with a larger uncertainty than 0.2 % of it are withheld. ``edge_m``: that edge, where it is not the
+    The tracker's lengths and speeds are those of the volume's longest edge, without a volume those that the pipeline
+    learns. Points with a larger uncertainty than 0.2 % of it are withheld. ``edge_m``: that edge, where it is not the
     volume's.
     """
     track, match = TrackSettings(), MatchSettings()
     if volume is not None:
         longest = max(high - low for low, high in zip(*volume, strict=True)) / MARGIN
-        scale = (longest if edge_m is None else edge_m) / PERSON_SPACE_M
-        track = replace(
-            track,
-            acceleration_mps2=track.acceleration_mps2 * scale,
-            speed_mps=track.speed_mps * scale,
-            gate_m=track.gate_m * scale,
-            limb_m=track.limb_m * scale,
-        )
-        match = replace(match, worst_sigma_m=WORST_SIGMA_M * scale)
+        edge_m = longest if edge_m is None else edge_m
+        track = replace(track, **motion_scale(track, edge_m)._asdict())
+        match = replace(match, worst_sigma_m=WORST_SIGMA_M * edge_m / PERSON_SPACE_M)
     return PipelineSettings(
         replace(DetectionSettings(), **_given(stages.detection)),
         replace(match, **_given(stages.match)),

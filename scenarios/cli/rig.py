@@ -67,7 +67,8 @@ def calibrate(**given: Any) -> None:
 
     The target file's kind selects the method: a test field or a board (its first pose is the world frame), a wand
     (focal lengths estimated, scale from its length; give --axes), or points measured in the images before. A wand's
-    image points may come from a table of EasyWand, DLTdv or Argus (RECORDING ends in .csv; see docs/calibration.md).
+    image points may come from a table of EasyWand, DLTdv or Argus (RECORDING ends in .csv), those of a
+    single light from a session of MultiCamSelfCal (points.dat; see docs/calibration.md).
 
     \b
     Example:  mosca calibrate lab/field --target field.toml --out rig.toml

@@ -19,9 +19,10 @@ from mosca.data.files.target_tables import CalibrationTarget
 from mosca.data.files.whole_file import check_writable
 from mosca.data.sightings import Sightings
 from mosca.data.targets import ScaleBar
-from mosca.data.wands import LFrame, Wand
+from mosca.data.wands import LFrame, SingleLight, Wand
 from mosca.detection.detect import DetectionSettings
 from mosca.errors import CalibrationError, InputError
+from mosca.formats.selfcal_points import read_selfcal_points
 from mosca.formats.wand_points import read_wand_points
 from mosca.recording import open_recording
 from reports.calibration_page import write_calibration_page
@@ -95,7 +96,7 @@ def calibrate(request: CalibrateOptions, progress: Callable[[int, int | None], N
         raise InputError("--exterior-only keeps the lenses of an earlier rig; give it with --known RIG.toml")
     page = out.with_suffix(".html")
     LOG.info("%s: target %s, reading and adjusting", request.recording, request.target)
-    sightings = _table(request, target) if request.recording.suffix.lower() == ".csv" else None
+    sightings = _table(request, target)
     if sightings is None:
         with open_recording(request.recording, known, request.fps, times_matter=False) as source:
             check_shown(
@@ -138,15 +139,19 @@ def summary_lines(calibration: Calibration) -> list[str]:
     return lines + [f"{mark[one.severity]} {one.code}: {one.message}" for one in calibration.findings]
 
 
-def _table(request: CalibrateOptions, target: CalibrationTarget) -> Sightings:
-    """Return the image points of a wand from a table."""
+def _table(request: CalibrateOptions, target: CalibrationTarget) -> Sightings | None:
+    """Return the image points of a wand or a light from a table; None where the recording holds images."""
+    if not isinstance(target, SingleLight) and request.recording.suffix.lower() != ".csv":
+        return None
+    if request.every != 1:
+        raise InputError(f"--every: not with a table of image points; leave out rows of {request.recording}")
+    if isinstance(target, SingleLight):
+        return read_selfcal_points(request.recording, target)
     if not isinstance(target, Wand):
         raise InputError(
             f'{request.recording}: a table of image points calibrates with kind = "wand"; {request.target} describes '
             f"a {type(target).__name__}"
         )
-    if request.every != 1:
-        raise InputError(f"--every: not with a table of image points; leave out rows of {request.recording}")
     return read_wand_points(request.recording, read_wand_points_table(request.target), len(target.along_m))
 
 

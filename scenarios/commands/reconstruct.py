@@ -150,8 +150,8 @@ def _why_no_tracks(counts: Array, settings: PipelineSettings) -> str:
             f"({settings.match.camera_sigma_px:g}) and match.worst_sigma_m ({settings.match.worst_sigma_m:g})"
         )
     return (
-        f"no tracks: look at track.confirm_weight ({settings.track.confirm_weight:g}), track.gate_m "
-        f"({settings.track.gate_m:g}) and, where targets differ in size, match.judge_sizes"
+        f"no tracks: look at track.confirm_weight ({settings.track.confirm_weight:g}), at the frame rate, and at "
+        "track.speed_mps and track.gate_m, which come from the cameras' fields of view by default"
     )
 
 

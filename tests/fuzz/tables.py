@@ -19,6 +19,8 @@ from mosca.data.motion.joint_csv import read_points_csv
 from mosca.data.motion.motion import Motion, matrices_from_quaternions
 from mosca.data.tracks import Tracks, write_npz
 from mosca.data.truth import Truth, read_truth, write_truth
+from mosca.data.wands import SingleLight
+from mosca.formats.selfcal_points import read_selfcal_points
 from mosca.formats.tracks.c3d import read_c3d
 from mosca.formats.tracks.marker_table import MarkerTable
 from mosca.formats.tracks.tracks_file import read_tracks, write_tracks
@@ -236,6 +238,55 @@ def _wand_points_expected(folder: Path) -> Any:
     if (np.isnan(xy[..., 0]) != np.isnan(xy[..., 1])).any() or not (abs(2 * seen - [639, 479]) <= [640, 480]).all():
         raise ValueError("outside, or half a point")
     return {"cameras": [f"cam{k + 1}" for k in range(xy.shape[2])], "frames": len(xy), "of": of, "xy": seen}
+
+
+LIGHT = {
+    "points.dat": "1.5 2 NaN 4\n3 4 NaN 1e2\n1 1 NaN 1\n5 6 7 0\n8 9 10.25 0\n1 1 1 1\n",
+    "IdMat.dat": "1 1 0 1\n1 0 1 0\n",
+    "Res.dat": "640 480\n320 240\n",
+    "camera_order.txt": "left\nright\n",
+}
+
+
+def _light_seed(folder: Path) -> None:
+    for name, text in LIGHT.items():
+        (folder / name).write_text(text)
+
+
+def _light(folder: Path) -> Any:
+    seen = read_selfcal_points(folder, SingleLight())
+    key = np.lexsort((seen.camera, seen.frame))
+    return {
+        "cameras": list(seen.cameras),
+        "sizes": seen.sizes,
+        "frames": seen.frames,
+        "of": np.stack([seen.frame, seen.camera], axis=1)[key],
+        "xy": seen.xy_px[key],
+    }
+
+
+def _light_expected(folder: Path) -> Any:
+    def rows(name: str) -> np.ndarray:
+        lines = (folder / name).read_text("utf-8-sig").split("\n")
+        return np.array([plain(line.split()) for line in lines if line.strip()])
+
+    sizes = plain((folder / "Res.dat").read_text("utf-8-sig").split()).reshape(-1, 2)
+    names = (folder / "camera_order.txt").read_text("utf-8-sig").split()
+    xy = rows("points.dat").reshape(len(sizes), 3, -1)[:, :2]
+    seen = rows("IdMat.dat")
+    if seen.shape != xy[:, 0].shape or not np.isin(seen, (0, 1)).all():
+        raise ValueError("IdMat.dat")
+    of = np.argwhere(seen.T == 1)
+    places = xy[of[:, 1], :, of[:, 0]]
+    if not (abs(2 * places - sizes[of[:, 1]] + 1) <= sizes[of[:, 1]]).all():
+        raise ValueError("outside")
+    return {
+        "cameras": names if len(names) == len(sizes) else [f"cam_{k + 1}" for k in range(len(sizes))],
+        "sizes": sizes,
+        "frames": xy.shape[2],
+        "of": of,
+        "xy": places,
+    }
 
 
 BVH = """HIERARCHY
@@ -478,6 +529,7 @@ READERS = (
     ),
     Reader("truth.csv", (toml_seed(TRUTH_CSV, "truth.csv"),), ("truth.csv",), _reference, _reference_expected),
     Reader("points csv", (toml_seed(WIDE_CSV, "a.csv"),), ("a.csv",), _wide, _wide_expected),
+    Reader("multicamselfcal points", (_light_seed,), ("*",), _light, _light_expected),
     Reader("wand points", (toml_seed(WAND_CSV, "a.csv"),), ("a.csv",), _wand_points, _wand_points_expected),
     Reader(
         "bvh",

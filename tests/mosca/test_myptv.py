@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
+from mosca.api import reconstruct
 from mosca.calibration.single_camera.adjust import CameraAdjustment
 from mosca.calibration.single_camera.from_points import calibrate_from_points
 from mosca.camera.projection import project, rays
@@ -22,10 +23,12 @@ from mosca.data.detections import Detections
 from mosca.data.files.rig_file import read_rig
 from mosca.data.files.target_file import PointsTarget, read_target_file
 from mosca.data.rig import Rig
+from mosca.data.settings import TrackSettings
 from mosca.detection.detect import DetectionSettings, detect
 from mosca.formats.tracks.tracks_csv import read_tracks_csv
-from mosca.pipeline import run
+from mosca.pipeline import PipelineSettings, run
 from mosca.recording import open_recording
+from mosca.tracking.motion_scale import MotionScale
 from scenarios.commands.calibrate import CalibrateOptions, calibrate
 from scenarios.commands.reconstruct import (
     reconstruct_recording,
@@ -343,6 +346,31 @@ def test_from_images_to_the_published_points(tmp_path):
     shown = Counter(mark.kind for mark in result.marks)
     assert shown["missing"] == n - result.published["recovered"]
     assert shown["extra"] == result.own.total() - result.published["recovered"]
+
+
+def steps_mm(tracks):
+    """How far each track goes from frame to frame."""
+    ordered = tracks.select(np.lexsort((tracks.frame, tracks.track)))
+    return 1000 * np.linalg.norm(np.diff(ordered.xyz, axis=0), axis=1)[np.diff(ordered.track) == 0]
+
+
+def test_tracks_without_a_settings_file(calibrated):
+    """Default settings: nothing is said of the tank, of sizes or of how many frames there are."""
+    rig, _ = calibrated["mosca"]
+    tracks = reconstruct(EXAMPLE, rig, fps=50)
+    published, frames = shipped()[0], np.loadtxt(EXAMPLE / "particles")[:, 7]
+    away = np.linalg.norm(published - tracks.xyz[:, None], axis=2)
+    away = np.where(frames == tracks.frame[:, None], away, np.inf).min(axis=1)
+    # measured: 21 tracks, each in all three frames; 33 samples are published particles, the others are particles
+    # outside MyPTV's region or that it lacks
+    assert len(np.unique(tracks.track)) >= 20
+    assert len(tracks) == 3 * len(np.unique(tracks.track))
+    assert np.sum(away < 5e-4) >= 30
+    # d_max of MyPTV's params_file.yml, "tracking"
+    assert steps_mm(tracks).max() < 1.0
+    # control: with the lengths of a room of 2.5 m, tracks jump to other particles
+    person = PipelineSettings(track=TrackSettings(**MotionScale()._asdict()))
+    assert steps_mm(reconstruct(EXAMPLE, rig, person, fps=50)).max() > 10
 
 
 def test_swapped_cameras_do_not_give_the_published_points(calibrated):

@@ -46,7 +46,7 @@ def pair_guesses(
     own = np.geomspace(*FOCAL_RANGE, GRID)
     known = np.array([focal_first]) if focal_first is not None else own
     f1, f2 = (side.ravel() for side in np.meshgrid(known, own, indexing="ij"))
-    rotations, shifts = _motions(fundamental, f1, f2)
+    rotations, shifts = motions(fundamental, f1, f2)
     cost, scale, sign = _scores(rotations, shifts, f1, f2, first, second, length)
     # the better of the two rotations
     better = np.argmin(cost, axis=1)
@@ -62,7 +62,7 @@ def pair_guesses(
     return found
 
 
-def _motions(fundamental: Array, f1: Array, f2: Array) -> tuple[Array, Array]:
+def motions(fundamental: Array, f1: Array, f2: Array) -> tuple[Array, Array]:
     """Return both rotations (g, 2, 3, 3) second_from_first and the unit shift (g, 3) of each two focal lengths."""
     k1 = np.stack([f1, f1, np.ones_like(f1)], axis=1)
     k2 = np.stack([f2, f2, np.ones_like(f2)], axis=1)

@@ -11,6 +11,8 @@ from mosca.data.rig import Lens, MoscaLens, OpenCVLens, principal_distances_px
 from mosca.data.sightings import Sightings
 from mosca.errors import InputError
 
+NO_DISTANCES = Distances(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0))
+
 
 @dataclass(frozen=True, eq=False)
 class PointViews:
@@ -145,7 +147,6 @@ def point_views(
                 f"camera '{name}': lens model '{lens.model}' cannot be found without a known target; allowed: mosca, "
                 "opencv; calibrate a fisheye with a board or a test field"
             )
-    none = np.zeros(0)
     return PointViews(
         sightings.cameras,
         sightings.sizes,
@@ -155,6 +156,6 @@ def point_views(
         sightings.xy_px[known],
         np.maximum(sightings.sigma_px[known], 1e-3),
         sightings.frames * marks,
-        Distances(none, none, none, none) if rods is None else rods,
+        NO_DISTANCES if rods is None else rods,
         known,
     )

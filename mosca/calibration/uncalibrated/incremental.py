@@ -37,7 +37,7 @@ def grow(start: Network, tracks: PointViews, bend: float, rng: np.random.Generat
     one, tracks = start, cleaned(tracks, start.cameras, CLEAR_SIGMAS * start.spread)
     failures: dict[int, CalibrationError] = {}
     while len(one.cameras) < len(tracks.names):
-        found, failures = _next(one, tracks, bend, rng)
+        found, failures = with_next_camera(one, tracks, bend, rng)
         if found is None:
             break
         one, tracks = found, cleaned(tracks, found.cameras, CLEAR_SIGMAS * found.spread)
@@ -52,7 +52,7 @@ def grow(start: Network, tracks: PointViews, bend: float, rng: np.random.Generat
     return one
 
 
-def _next(
+def with_next_camera(
     one: Network, tracks: PointViews, bend: float, rng: np.random.Generator
 ) -> tuple[Network | None, dict[int, CalibrationError]]:
     """Return the network with one camera more, or None, and why cameras with views in common did not fit."""

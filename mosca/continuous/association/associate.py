@@ -25,6 +25,7 @@ from mosca.data.frames import FrameSource
 from mosca.data.rig import Rig
 from mosca.errors import InputError
 from mosca.pipeline import PipelineSettings, check_source
+from mosca.tracking.motion_scale import motion_scale
 
 SHORTEST_S = 0.1
 """Shorter recordings determine the motion too poorly [s]."""
@@ -146,7 +147,7 @@ def markers_of(
     off_px = float(np.hypot(CURVE_PX, between_px)) if moving is None else CURVE_PX
     curves = curves_of(tracks, track.coast_s)
     found, row = observed(seen, ties, rig, curves, sigma, off_px, moving)
-    tracks = joined(tracks, curves, found, tracklet, row, track.acceleration_mps2)
+    tracks = joined(tracks, curves, found, tracklet, row, motion_scale(track).acceleration_mps2)
     curves = curves_of(tracks, track.coast_s)
     found, row = observed(seen, ties, rig, curves, sigma, off_px, moving)
     return Associated(found, row, curves, ties, seen, np.asarray(sigma), count, searched, between_px)

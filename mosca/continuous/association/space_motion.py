@@ -13,6 +13,7 @@ from mosca.continuous.association.tracklets_2d import Tracklets
 from mosca.data.arrays import Array
 from mosca.data.rig import Rig, principal_distances_px
 from mosca.pipeline import PipelineSettings
+from mosca.tracking.motion_scale import motion_scale
 
 
 @dataclass(frozen=True)
@@ -46,21 +47,21 @@ def space_motion(paths: Sequence[Tracklets], rig: Rig) -> SpaceMotion:
 
 def quick_for(settings: PipelineSettings, motion: SpaceMotion, step_s: float) -> bool:
     """Whether the motion leaves the settings' gate within ``step_s``, so that instants should be nearer."""
-    return GATE_SIGMA * motion.acceleration_mps2 * step_s**2 > settings.track.gate_m
+    return GATE_SIGMA * motion.acceleration_mps2 * step_s**2 > motion_scale(settings.track).gate_m
 
 
 def settings_for(settings: PipelineSettings, motion: SpaceMotion, step_s: float) -> PipelineSettings:
     """Return the settings with gates as wide as the motion needs at instants ``step_s`` apart."""
-    track, match = settings.track, settings.match
+    track, match, scale = settings.track, settings.match, motion_scale(settings.track)
     wide = GATE_SIGMA * float(np.hypot(motion.acceleration_mps2 * step_s**2, motion.between_m))
-    fast = motion.acceleration_mps2 > track.acceleration_mps2
+    fast = motion.acceleration_mps2 > scale.acceleration_mps2
     track = replace(
         track,
-        acceleration_mps2=max(track.acceleration_mps2, motion.acceleration_mps2),
-        speed_mps=max(track.speed_mps, motion.speed_mps),
+        acceleration_mps2=max(scale.acceleration_mps2, motion.acceleration_mps2),
+        speed_mps=max(scale.speed_mps, motion.speed_mps),
         # how long an acceleration lasts: of oscillations it is the time of a speed to change by itself
         memory_s=min(track.memory_s, motion.speed_mps / motion.acceleration_mps2) if fast else track.memory_s,
-        gate_m=max(track.gate_m, 2.0 * wide),
+        gate_m=max(scale.gate_m, 2.0 * wide),
     )
     worst = float(np.hypot(match.worst_sigma_m, GATE_SIGMA * motion.between_m))
     return replace(settings, track=track, match=replace(match, worst_sigma_m=worst))

@@ -11,7 +11,7 @@ size_px = [1280, 1024]
 name = "left"
 file = "Calibration/left_points.txt"   # relative to the recording
 
-What is put there is described by the kinds "field", "board", "wand", "l_frame" and "scale_bar" of
+What is put there is described by the kinds "field", "board", "wand", "light", "l_frame" and "scale_bar" of
 ``mosca.data.files.target_tables``.
 """
 

@@ -25,6 +25,10 @@
     y_axis = "up"                         # its origin is at the images' lower left
     size_px = [1280, 1024]
 
+    kind = "light"                        # one light that was waved, as MultiCamSelfCal's points.dat has it
+    between = ["left", "right"]           # cameras whose centres are apart_m apart; without them: no scale
+    apart_m = 2.31
+
     kind = "l_frame"                      # these balls define the world's axes
     diameter_m = 0.014
     [[marker]]
@@ -58,7 +62,7 @@ from mosca.data.targets import (
     Target,
     TestField,
 )
-from mosca.data.wands import LFrame, Wand
+from mosca.data.wands import LFrame, SingleLight, Wand
 
 FARTHEST_M = 1000.0
 """A position farther from the origin than this was given in millimetres."""
@@ -77,7 +81,7 @@ PIXEL_ORIGINS = {"centre": 0.0, "corner": 0.5, "one": 1.0}
 """A first pixel's centre in a file's own pixel coordinates."""
 MOST_CAMERAS = 1000
 
-CalibrationTarget = TestField | Board | Wand | LFrame | ScaleBar
+CalibrationTarget = TestField | Board | Wand | SingleLight | LFrame | ScaleBar
 
 
 class FieldTargetTable(Table):
@@ -210,6 +214,24 @@ class WandTable(Table):
         return Wand(self.along_m, self.diameter_m, self.sigma_m)
 
 
+class LightTable(Table):
+    """``kind = "light"``: one small light; its image points come as a table."""
+
+    kind: Literal["light"]
+    between: tuple[Name, Name] | None = Field(None, description="two cameras whose distance is known")
+    apart_m: Length | None = Field(None, description="distance of their centres of projection")
+    sigma_px: Annotated[float, Field(gt=0, le=100, description="standard deviation of a coordinate")] = 1.0
+    pixel_origin: PixelOrigin = "centre"
+
+    def made(self) -> SingleLight:
+        """Return the light; ValueError where half of its scale is missing."""
+        if (self.between is None) != (self.apart_m is None):
+            raise ValueError("'between' and 'apart_m' go together: two cameras and the distance of their centres")
+        if self.between is not None and self.between[0] == self.between[1]:
+            raise ValueError(f"between = {list(self.between)}: two different cameras are wanted")
+        return SingleLight(self.between, self.apart_m or 1.0, self.sigma_px, self.pixel_origin)
+
+
 class FrameMarkerTable(Table):
     """``[[marker]]``: one ball of an L-frame."""
 
@@ -258,11 +280,12 @@ class ScaleBarTable(Table):
         return ScaleBar(self.length_m, self.sigma_m, (end, end))
 
 
-CalibrationTable = FieldTable | BoardTable | WandTable | LFrameTable | ScaleBarTable
+CalibrationTable = FieldTable | BoardTable | WandTable | LightTable | LFrameTable | ScaleBarTable
 TABLES: dict[str, type[CalibrationTable]] = {
     "field": FieldTable,
     "board": BoardTable,
     "wand": WandTable,
+    "light": LightTable,
     "l_frame": LFrameTable,
     "scale_bar": ScaleBarTable,
 }

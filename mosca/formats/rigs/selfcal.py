@@ -41,7 +41,7 @@ def read_selfcal(path: Path, options: RigFileOptions) -> tuple[tuple[Camera, ...
         count += 1
     if count == 0:
         raise InputError(f"{path}: no basename1.rad in it")
-    sizes, names = _sizes(path, count, options), _names(path, count)
+    sizes, names = image_sizes(path, count, options), camera_names(path, count)
     notes: Notes = (
         f"{path}: lengths are in the unit of MultiCamSelfCal's alignment, read as {options.unit or 'm'}; "
         "without an alignment the scale is arbitrary",
@@ -108,7 +108,8 @@ def _factors(projection: Array, path: Path) -> tuple[Array, Array, Array]:
     return interior / interior[2, 2], rotation, -np.linalg.solve(projection[:, :3], projection[:, 3])
 
 
-def _sizes(folder: Path, count: int, options: RigFileOptions) -> list[tuple[int, int]]:
+def image_sizes(folder: Path, count: int, options: RigFileOptions) -> list[tuple[int, int]]:
+    """Return width and height of each camera's images, of ``Res.dat``."""
     path = folder / "Res.dat"
     if not path.is_file() and options.size_px is not None:
         return [options.size_px] * count
@@ -120,10 +121,11 @@ def _sizes(folder: Path, count: int, options: RigFileOptions) -> list[tuple[int,
     return [(int(values[2 * k]), int(values[2 * k + 1])) for k in range(count)]
 
 
-def _names(folder: Path, count: int) -> list[str]:
+def camera_names(folder: Path, count: int) -> tuple[str, ...]:
+    """Return the cameras' names, of ``camera_order.txt`` where it has as many."""
     path = folder / "camera_order.txt"
     names = read_text(path, CALIBRATION, "utf-8-sig").split() if path.is_file() else []
-    return names if len(names) == count else [f"cam_{k + 1}" for k in range(count)]
+    return tuple(names) if len(names) == count else tuple(f"cam_{k + 1}" for k in range(count))
 
 
 def _without_comments(text: str) -> str:

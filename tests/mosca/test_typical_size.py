@@ -1,0 +1,44 @@
+"""Targets of one size are judged by it, particles are not: learned from the points."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from track_points import points
+
+from mosca.correspondence.typical_size import TypicalSize
+
+
+def learned(diameter_m, sets=1):
+    sizes = TypicalSize()
+    for _ in range(sets):
+        sizes.learn(replace(points(np.zeros((len(diameter_m), 3))), diameter_m=diameter_m))
+    return sizes
+
+
+@pytest.mark.parametrize(
+    ("scatter", "alike"),
+    # a half-hidden target lacks 0.55 of its area, at four standard deviations: 0.14 of the area, 0.07 of the diameter
+    [(0.0, True), (0.03, True), (0.06, True), (0.08, False), (0.3, False)],
+)
+def test_scatter_of_sizes_decides(scatter, alike):
+    rng = np.random.default_rng(1)
+    sizes = learned(0.01 * np.exp(scatter * rng.normal(size=2000)))
+    assert sizes.alike == alike
+    assert sizes.scatter == pytest.approx(2 * scatter, rel=0.1)
+    assert sizes.diameter_m == pytest.approx(0.01, rel=0.02)
+
+
+def test_a_few_hidden_and_merged_targets_do_not_stop_judging():
+    rng = np.random.default_rng(2)
+    whole = 0.01 * (1 + 0.02 * rng.normal(size=40))
+    assert learned(np.concatenate([whole[:30], 0.7 * whole[30:35], 1.4 * whole[35:]])).alike
+    # on a drone, most markers are hidden in part by its arms
+    assert learned(np.concatenate([whole[:25], rng.uniform(0.5, 1.0, 15) * whole[25:]])).alike
+    assert not learned(np.concatenate([whole[:20], 0.5 * whole[20:]])).alike
+
+
+def test_nothing_is_known_of_two_points():
+    assert not learned(np.array([0.01, 0.02])).known
+    assert learned(np.array([0.01, 0.02])).alike
+    assert learned(np.zeros(5)).alike
