@@ -255,21 +255,9 @@ def fill_rays(cameras, seen, start, balls, xy, covariance, extra, size, shape, f
 def _longer_axis(diameter, elongation):
     """Return the diameter [px] that an image's size is judged by, and whether its region is long."""
     root = np.sqrt(elongation)
-    shorter = (diameter + REGION_MARGIN_PX) / root
-    # of a region that is one pixel high, the neighbours above and below lie under the limit: it shows no length
-    long = (elongation - 1.0) * (shorter if shorter >= 2.0 else 1.0) > ROUNDED_PX
     # two targets grown together are long, and their flux and peak give no diameter: the longer axis does
-    across = max(diameter * (root if long and elongation > TWO_LONG else 1.0), LEAST_DIAMETER_PX)
-    return across, long
-
-
-@inlined_step
-def _beyond_ball(ellipticity, sigma, gram):
-    """Return an image's ellipticity (2) less that of a ball there, and its size, 0 where it may be a ball's."""
-    f2 = np.sqrt(gram[0] * gram[2] - gram[1] * gram[1])
-    p, q = ellipticity[0] - 0.5 * (gram[0] - gram[2]) / f2, ellipticity[1] - gram[1] / f2
-    size2 = p * p + q * q
-    return p, q, np.sqrt(size2) if size2 > ROUND_SIGMAS**2 * (sigma * sigma + IMAGE_NOISE**2) else 0.0
+    across = max(diameter * (root if elongation > TWO_LONG else 1.0), LEAST_DIAMETER_PX)
+    return across, (elongation - 1.0) * (diameter + REGION_MARGIN_PX) > ROUNDED_PX * root
 
 
 @inlined_step
