@@ -261,6 +261,15 @@ def _longer_axis(diameter, elongation):
 
 
 @inlined_step
+def _beyond_ball(ellipticity, sigma, gram):
+    """Return an image's ellipticity (2) less that of a ball there, and its size, 0 where it may be a ball's."""
+    f2 = np.sqrt(gram[0] * gram[2] - gram[1] * gram[1])
+    p, q = ellipticity[0] - 0.5 * (gram[0] - gram[2]) / f2, ellipticity[1] - gram[1] / f2
+    size2 = p * p + q * q
+    return p, q, np.sqrt(size2) if size2 > ROUND_SIGMAS**2 * (sigma * sigma + IMAGE_NOISE**2) else 0.0
+
+
+@inlined_step
 def _possible_eccentricity(diameter, ellipticity, sigma, gram):
     """Return the covariance (xx, xy, yy) [px^2] of an ellipse's centroid if it may be a disc at a slant, else zeros.
 
