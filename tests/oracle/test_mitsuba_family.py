@@ -53,7 +53,7 @@ def test_places_and_points_have_no_bias(name: str, tmp_path: Path) -> None:
     assert complete >= LEAST_COMPLETE
 
 
-@pytest.mark.parametrize("name", ["balls_2px", "balls_4px", "balls_8px"])
+@pytest.mark.parametrize("name", ["balls_2px", "balls_4px", "balls_8px", "defocus_4px"])
 def test_points_reach_their_bound_and_state_their_errors(name: str, tmp_path: Path) -> None:
     """With the true rig and default settings; the bound knows the targets' sizes, the pipeline does not."""
     render, _ = rendered(scene := read_scene(SCENES / f"{name}.toml"), cache_folder())
