@@ -26,9 +26,7 @@ from mosca.calibration.bundle.solver import (
     Problem,
     solve,
 )
-from mosca.calibration.bundle.systematic_covariance import systematic_covariance
-from mosca.calibration.bundle.systematic_errors import systematic_errors
-from mosca.calibration.bundle.systematic_weights import CellWeights, cell_weights
+from mosca.calibration.bundle.systematic_errors import systematic_covariance, systematic_errors
 from mosca.calibration.initial.pose_graph import View, chain
 from mosca.calibration.initial.target_pose import TargetPoseFit, poses_of
 from mosca.calibration.single_camera.interior_orientation import CameraViews, LensChoice, TargetView, starting_camera
@@ -54,8 +52,6 @@ LEAST_SIGMA_PX = 0.003
 """No centre is better known than this: what shape and light of a mark leave after all corrections."""
 SEED = 2002
 ECCENTRICITY_ROUNDS = 2
-WEIGHT_ROUNDS = 4
-"""Adjustments with weights of systematic errors: each takes nine tenths off what the weights still change."""
 EXACTLY = 1e-6
 """Share of its standard deviation by which no unknown moves any more."""
 
@@ -148,29 +144,18 @@ def _adjusted(
     shake = body_shake(problem, result, sightings.frame) if settings.steady else 0.0
     steady = steadied(problem, result, sightings.frame, shake)
     problem = replace(problem, observations=replace(problem.observations, xy_px=steady))
+    if target.sigma_m > 0:
+        # only now: with the marks' positions among the unknowns every step costs a hundred times as much
+        problem = replace(problem, points=ObjectPoints.weighted(target.marks_m, target.sigma_m))
     result = solve(problem, bundle, result)
-    sigma0 = result.sigma0
+    assert result.precision is not None
+    covariance = shaken_covariance(problem, result, sightings.frame, shake)
     # a mark in one stationary interval and camera: what is wrong with it is wrong in each exposure
     seen_as = np.column_stack([sightings.camera, placement, sightings.mark])
     cell = np.unique(seen_as, axis=0, return_inverse=True)[1].reshape(-1)
     lasting = systematic_errors(result, sightings.camera, cell)
-    weights = CellWeights(np.zeros(0), 1.0)
-    for _ in range(WEIGHT_ROUNDS if np.isfinite(lasting).any() else 0):
-        weights = cell_weights(result, sightings.camera, cell, sigma, lasting)
-        exposures = np.bincount(cell[result.used], minlength=len(weights.variance))
-        each = np.sqrt(weights.variance * np.maximum(exposures, 1))[cell]
-        problem = replace(problem, observations=replace(problem.observations, sigma_px=each))
-        result = solve(problem, bundle, result)
-    if target.sigma_m > 0:
-        # only now: with the marks' positions among the unknowns every step costs a hundred times as much
-        problem = replace(problem, points=ObjectPoints.weighted(target.marks_m, target.sigma_m))
-        result = solve(problem, bundle, result)
+    covariance = covariance + systematic_covariance(problem, result, cell, lasting)
     precision = result.precision
-    assert precision is not None
-    if len(weights.variance):
-        covariance = systematic_covariance(problem, result, cell, weights, target.normals)
-    else:
-        covariance, sigma0 = shaken_covariance(problem, result, sightings.frame, shake), result.sigma0
     return Calibration(
         Rig(result.cameras),
         target.kind,
@@ -183,7 +168,7 @@ def _adjusted(
         placement,
         result.placements.rotation,
         result.placements.translation,
-        sigma0,
+        result.sigma0,
         np.column_stack([precision.sigma_x_px, precision.sigma_y_px]),
         np.column_stack([precision.sigma_x_m, precision.sigma_y_m]),
         result.weak,

@@ -4,12 +4,19 @@ A lens is not quite its model, and a mark's image is not quite where its light i
 errors are the same in each exposure. Least squares takes them for new ones each time. Repeats distinguish them from
 noise (pure error and lack of fit: Draper and Smith 1998, section 2.1): the mean residual of a mark that a camera saw
 n times has the variance rho (sigma_L^2 + sigma_n^2 / n), of which the scatter among the n knows sigma_n, and rho is
-what the adjustment leaves of it (redundancy numbers, Baarda 1968).
+what the adjustment leaves of it (redundancy numbers, Baarda 1968). What they do to the parameters p is their part of
+
+    C_L = N^-1 (sum over cells of g^T sigma_L^2 (1 - 1/n) g) N^-1,   g = sum over the cell of A^T W,
+
+the covariance of estimates with errors correlated within cells, here a mark in one stationary interval and camera
+(White 1980; Liang and Zeger 1986). The part 1/n of it is in the covariance of independent errors already.
 """
 
 import numpy as np
 
 from mosca.calibration.bundle.adjustment import Adjustment
+from mosca.calibration.bundle.exposure_shake import shifts_of
+from mosca.calibration.bundle.problem import Problem
 from mosca.data.arrays import Array
 
 FEWEST_CELLS = 20
@@ -41,3 +48,19 @@ def systematic_errors(adjustment: Adjustment, camera: Array, cell: Array) -> Arr
         if mine.sum() >= FEWEST_CELLS:
             found[c] = np.sqrt(max(float(excess[mine].sum() / left[mine].sum()), 0.0))
     return found
+
+
+def systematic_covariance(problem: Problem, adjustment: Adjustment, cell: Array, lasting_px: Array) -> Array:
+    """Return what systematic errors add to the covariance (u, u) of ``adjustment.parameters``.
+
+    ``cell`` as for ``systematic_errors``; ``lasting_px`` (c,) what that found, NaN counts nothing.
+    """
+    if len(adjustment.parameters) == 0 or not np.nansum(lasting_px) > 0:
+        return np.zeros((len(adjustment.parameters),) * 2)
+    cells = shifts_of(problem, adjustment, cell, even=True)
+    camera = np.zeros(len(cells.count), dtype=np.int64)
+    camera[cells.image_of] = problem.observations.camera
+    repeated = 1 - 1 / np.maximum(cells.count, 1)
+    sigma = np.nan_to_num(lasting_px)[camera] * np.sqrt(repeated)
+    by_cell = cells.cofactors @ cells.g.T * np.repeat(sigma, 2) * cells.scale[:, None]
+    return np.asarray(by_cell @ by_cell.T)

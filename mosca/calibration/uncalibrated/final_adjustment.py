@@ -67,7 +67,7 @@ def finished(start: Network, tracks: PointViews, only: Free | None = None) -> Ne
         gain = (one.adjustment.cost - trial.adjustment.cost) / trial.adjustment.sigma0**2
         if trial.adjustment.converged and not _held_more(trial, one) and chi2.sf(gain, joined) < SIGNIFICANT:
             one, free = trial, richer
-    judged = replace(plain, precision=True, blunder_significance=BLUNDER_SIGNIFICANCE)
+    judged = replace(plain, precision=True)
     one = network(usable, one.cameras, free, judged, points=one.points)
     one = without_hidden(one, lambda now, tracks: network(tracks, now.cameras, free, judged, points=now.points))
     last = BundleSettings(blunder_significance=BLUNDER_SIGNIFICANCE)

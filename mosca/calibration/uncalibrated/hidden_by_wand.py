@@ -45,9 +45,8 @@ class BarDirections:
 def without_hidden(start: Network, adjusted: Callable[[Network, PointViews], Network]) -> Network:
     """Return the network adjusted without what the wand's bars shift, the rest in the standard deviations.
 
-    ``start``: with precision; ``adjusted``: adjusts a network again with other image points, with precision and
-    without blunders, since one of them would make the variance of its class. A wand that hides nothing leaves the
-    network as it is.
+    ``start``: with precision; ``adjusted``: adjusts a network again with other image points, with precision. A wand
+    that hides nothing leaves the network as it is.
     """
     base, one = start.tracks, start
     bars = bar_directions(start)
@@ -124,7 +123,7 @@ def _variance_factors(one: Network, moved_px: Array, base: PointViews, cosine: A
     squares, stated = ((one.residuals_px - moved_px) ** 2).sum(axis=1), np.asarray(base.sigma_px) ** 2
     # the adjustment leaves of an error what redundancy is there: little where few others are as good
     left = one.adjustment.precision.redundancy_numbers.sum(axis=1)
-    known = one.adjustment.used & np.isfinite(cosine) & np.isfinite(squares) & np.isfinite(left)
+    known = np.isfinite(cosine) & np.isfinite(squares) & np.isfinite(left)
     # class 0: bars that point away
     of = np.ceil(np.clip(np.nan_to_num(cosine), 0.0, 1.0) * KNOTS).astype(int)
     redundancy = np.bincount(of[known], left[known], KNOTS + 1)
@@ -134,4 +133,4 @@ def _variance_factors(one: Network, moved_px: Array, base: PointViews, cosine: A
     factor = ratio / ratio[0]
     chance = f_distribution.sf(factor, redundancy, redundancy[0])
     differs = (redundancy >= LEAST_REDUNDANCY) & (np.minimum(chance, 1 - chance) < SIGNIFICANT / 2)
-    return np.where(np.isfinite(cosine) & differs[of], factor[of], 1.0)
+    return np.where(known & differs[of], factor[of], 1.0)

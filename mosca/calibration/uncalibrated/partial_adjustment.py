@@ -91,26 +91,22 @@ def network(
             number[tracks.camera], tracks.point, tracks.xy_px, sigma_px=tracks.sigma_px * inflate
         ),
         ObjectPoints.free(start),
-        distances=rods_between(tracks, inflate, settings.precision),
+        distances=rods_between(tracks, inflate),
         datum="points"
     )  # fmt: skip
     done = solve(problem, settings)
     return Network(dict(zip(order, done.cameras, strict=True)), tracks, done.points, done)
 
 
-def rods_between(tracks: PointViews, inflate: float, independent: bool) -> Distances:
+def rods_between(tracks: PointViews, inflate: float) -> Distances:
     """Return the rods both of whose ends two cameras see, their standard deviations times ``inflate``.
 
     Far off the solution a rod must not be so much firmer than the rays that rounding errors outweigh these.
-    ``independent``: without those that are sums of others. Points of one wand are numbered along it, and a rod with
-    one of them between its ends would count as an observation that fits by itself; far off it keeps wands straight.
     """
-    seen = np.bincount(tracks.point, minlength=tracks.points) >= 2
-    rods, before = tracks.rods, np.concatenate([[0], np.cumsum(seen)])
-    own = seen[rods.first] & seen[rods.second]
-    if independent:
-        own &= before[rods.second] == before[rods.first + 1]
-    return Distances(rods.first[own], rods.second[own], rods.length_m[own], rods.sigma_m[own] * inflate)
+    rays = np.bincount(tracks.point, minlength=tracks.points)
+    rods = tracks.rods
+    both = (rays[rods.first] >= 2) & (rays[rods.second] >= 2)
+    return Distances(rods.first[both], rods.second[both], rods.length_m[both], rods.sigma_m[both] * inflate)
 
 
 def imaged(tracks: PointViews, cameras: Mapping[int, Camera]) -> PointViews:
