@@ -36,6 +36,7 @@ marker_m = 0.03
 dictionary = "DICT_5X5_50"
 """
 WAND = 'kind = "wand"\nalong_m = [0, 0.15, 0.5]\ndiameter_m = 0.014\n'
+LIGHT = 'kind = "light"\nbetween = ["a", "b"]\napart_m = 1.5\n'
 FRAME = """kind = "l_frame"
 diameter_m = 0.014
 marker = [
@@ -86,7 +87,12 @@ def test_measured_points(tmp_path):
 @pytest.mark.parametrize(
     ("text", "old", "new", "said"),
     [
-        (FIELD, '"field"', '"feld"', "kind = 'feld' given; allowed: 'points', 'field', 'board', 'wand', 'l_frame'"),
+        (
+            FIELD,
+            '"field"',
+            '"feld"',
+            "kind = 'feld' given; allowed: 'points', 'field', 'board', 'wand', 'light', 'l_frame'",
+        ),
         (FIELD, "number = 17", "number = 507", "target[0].number"),
         (FIELD, "dot_radius_m", "dot_radius", "unknown key 'dot_radius'; did you mean 'dot_radius_m'?"),
         (FIELD, "0.35]", "3500]", "target[0].position_m[2]': 3500 given"),
@@ -172,7 +178,7 @@ KEYS = sorted({key for table in TABLES.values() for key in table.model_fields} -
 @given(st.sampled_from(sorted(TABLES)), st.dictionaries(st.sampled_from(KEYS), values, max_size=5), st.data())
 def test_any_values_are_read_or_refused(tmp_path, kind, changes, data):
     """Well-formed files of which a few keys hold anything."""
-    base = {"field": FIELD, "board": BOARD, "wand": WAND, "l_frame": FRAME, "scale_bar": BAR}[kind]
+    base = {"field": FIELD, "board": BOARD, "wand": WAND, "light": LIGHT, "l_frame": FRAME, "scale_bar": BAR}[kind]
     document = tomllib.loads(base)
     keep = {k: v for k, v in changes.items() if data.draw(st.booleans()) or k in document}
     path = tmp_path / "any.toml"

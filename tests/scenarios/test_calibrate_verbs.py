@@ -395,7 +395,7 @@ def test_the_schema_of_target_files_knows_every_kind():
     code, out, _ = mosca("schema", "target")
     assert code == 0
     kinds = json.loads(out)["discriminator"]["mapping"]
-    assert set(kinds) == {"points", "field", "board", "wand", "l_frame", "scale_bar"}
+    assert set(kinds) == {"points", "field", "board", "wand", "light", "l_frame", "scale_bar"}
 
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "docs/examples"
