@@ -236,10 +236,9 @@ def fill_rays(cameras, seen, start, balls, xy, covariance, extra, size, shape, f
             rays[n, RADIUS], rays[n, ANGLE] = 0.5 * across, angle
             rays[n, SHARE_SIGMA] = 2.0 * diameter_sigma[n] / across
             shift_x = shift_y = 0.0
-            as_ball = (
-                ellipticity_sigma[n] > 0.0 and _beyond_ball(ellipticity[n], ellipticity_sigma[n], gram)[2] == 0.0
-            )
-            freed = fields.shape[0] > 0 and (all_balls or as_ball or not long)
+            freed = fields.shape[0] > 0 and (all_balls or not long)
+            if fields.shape[0] > 0 and not freed and ellipticity_sigma[n] > 0.0:
+                freed = _beyond_ball(ellipticity[n], ellipticity_sigma[n], gram)[2] == 0.0
             if freed:
                 ratio = 0.25 * angle * angle
                 shift_x, shift_y = _field(fields[c], own, xy[n, 0], xy[n, 1])

@@ -9,6 +9,7 @@ import math
 import numpy as np
 
 from mosca.correspondence.hypothesis import HALF_HIDDEN, SIZE_SIGMAS
+from mosca.data.arrays import middle
 from mosca.data.tracks import Points
 
 LEAST_GAIN = 0.05
@@ -46,7 +47,7 @@ class TypicalSize:
             return
         self._sets += 1
         gain = max(2 / (self._sets + 1), LEAST_GAIN)
-        median = 0.5 * float(sure[(n - 1) // 2] + sure[n // 2])
+        median = middle(sure)
         # of the logarithm, since an area cannot be negative; an area is the diameter squared. Hidden targets spread
         # sizes below the median alone, merged ones above it: the narrower side counts
         low, high = float(sure[n // 4]), float(sure[3 * n // 4])

@@ -11,11 +11,11 @@ import numpy as np
 
 from mosca.data.arrays import Array
 from mosca.data.files.bounded import MOST_TABLE_BYTES, read_text
-from mosca.data.files.decimals import real, reals
 from mosca.data.files.target_tables import PIXEL_ORIGINS
 from mosca.data.sightings import Sightings
 from mosca.data.wands import SingleLight
 from mosca.errors import InputError
+from mosca.formats.number_table import number_table
 from mosca.formats.rigs.lens_conversion import NAME, RigFileOptions
 from mosca.formats.rigs.selfcal import camera_names, image_sizes
 
@@ -85,20 +85,7 @@ def _numbers(path: Path) -> Array:
     rows = [(number, line.split()) for number, line in enumerate(text.split("\n"), start=1) if line.strip()]
     if not rows:
         raise InputError(f"{path}: no numbers in it; a row of them for each camera is wanted")
-    table = np.empty((len(rows), len(rows[0][1])))
-    for k, (number, cells) in enumerate(rows):
-        if len(cells) != table.shape[1]:
-            raise InputError(
-                f"{path}, line {number}: {len(cells)} values given, {table.shape[1]} wanted as in the first row"
-            )
-        try:
-            table[k] = reals(cells)
-        except ValueError:
-            column = next(j for j, cell in enumerate(cells) if not _is_number(cell))
-            raise InputError(
-                f"{path}, line {number}, column {column + 1}: {cells[column][:40]!r} given; a number or NaN is wanted"
-            ) from None
-    return table
+    return number_table(path, rows, "line", "a number or NaN")
 
 
 def _check_inside(path: Path, given: Array, pixel: Array, seen: Array, sizes: Array) -> None:
@@ -111,11 +98,3 @@ def _check_inside(path: Path, given: Array, pixel: Array, seen: Array, sizes: Ar
             f"{path}, rows {3 * k + 1} and {3 * k + 2}, column {f + 1}: ({x:g}, {y:g}) lies outside the image of "
             f"{width} x {height} px; {int(outside.sum())} points do: check Res.dat, 'pixel_origin' and the order"
         )
-
-
-def _is_number(cell: str) -> bool:
-    try:
-        real(cell)
-    except ValueError:
-        return False
-    return True

@@ -14,10 +14,11 @@ from pathlib import Path
 import numpy as np
 
 from mosca.data.arrays import Array
-from mosca.data.files.decimals import BLANKS, real, reals
+from mosca.data.files.decimals import BLANKS
 from mosca.data.files.target_tables import PIXEL_ORIGINS, WandPointsTable
 from mosca.data.sightings import Sightings
 from mosca.errors import InputError
+from mosca.formats.number_table import number_table
 from mosca.formats.tracks.csv_columns import read_rows
 
 NAME = re.compile(r"(.+)_cam_?(\d{1,4})_([xy])", re.IGNORECASE)
@@ -93,21 +94,7 @@ def _check_names(path: Path, names: Sequence[str], cameras: int) -> None:
 
 def _numbers(path: Path, rows: Sequence[Sequence[str]], first: int) -> Array:
     """Return the cells (n, columns) as numbers, NaN where there is none."""
-    table = np.empty((len(rows) - first, len(rows[0])))
-    for k, row in enumerate(rows[first:]):
-        if len(row) != table.shape[1]:
-            raise InputError(
-                f"{path}, row {first + k + 1}: {len(row)} values given, {table.shape[1]} wanted as in the first row"
-            )
-        cells = [cell.strip(BLANKS) or "nan" for cell in row]
-        try:
-            table[k] = reals(cells)
-        except ValueError:
-            column = next(j for j, cell in enumerate(cells) if not _is_number(cell))
-            raise InputError(
-                f"{path}, row {first + k + 1}, column {column + 1}: {row[column][:40]!r} given; a number, NaN or "
-                "nothing is wanted"
-            ) from None
+    table = number_table(path, list(enumerate(rows, 1))[first:], "row", "a number, NaN or nothing")
     half = np.isnan(table[:, ::2]) != np.isnan(table[:, 1::2])
     if half.any():
         k, j = np.argwhere(half)[0]
@@ -130,11 +117,3 @@ def _check_inside(path: Path, given: Array, pixel: Array, sizes: Array, first: i
             f"image of {width} x {height} px; {int(outside.sum())} points do: check 'size_px' and 'pixel_origin', "
             "and the order of the columns"
         )
-
-
-def _is_number(cell: str) -> bool:
-    try:
-        real(cell)
-    except ValueError:
-        return False
-    return True

@@ -12,12 +12,13 @@ from typing import NamedTuple
 import numpy as np
 
 from mosca.camera.projection import lens_directions
-from mosca.data.arrays import Array
+from mosca.data.arrays import Array, middle
 from mosca.data.rig import Camera, Rig
 from mosca.data.settings import TrackSettings
 from mosca.data.tracks import Points
 
 PERSON_SPACE_M = 2.5
+"""Longest edge [m] of the space for which the lengths and speeds of ``PERSON`` are meant."""
 LEARNED_FROM = 100
 """Frame sets with points from which the field's width is learned."""
 
@@ -51,7 +52,7 @@ class FieldWidth:
         if len(points) == 0 or self._sets >= LEARNED_FROM:
             return None
         distance = np.linalg.norm(points.xyz[:, None] - self._centre, axis=2)
-        self._sum += float(np.median((distance * self._width)[points.rays >= 0]))
+        self._sum += middle(np.sort((distance * self._width)[points.rays >= 0]))
         self._sets += 1
         return self._sum / self._sets
 

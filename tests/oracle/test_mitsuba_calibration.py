@@ -6,13 +6,10 @@ import numpy as np
 import pytest
 
 from tests.oracle.blind_calibration import sessions
+from tests.oracle.needs_mitsuba import needs_mitsuba
 from witness.mitsuba.__main__ import cache_folder
 
-surfaces = pytest.importorskip("witness.mitsuba.surfaces")
-try:
-    surfaces.load_mitsuba()
-except ImportError as error:
-    pytest.skip(f"no Mitsuba: {error}; pip install -e '.[witness]'", allow_module_level=True)
+needs_mitsuba()
 
 pytestmark = pytest.mark.slow
 MOST_RAYS_PX = 0.03

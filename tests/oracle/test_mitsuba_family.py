@@ -8,16 +8,13 @@ import numpy as np
 import pytest
 
 import mosca
+from tests.oracle.needs_mitsuba import needs_mitsuba
 from tests.oracle.points import point_figures
 from witness.mitsuba.__main__ import MOST_RENDER_NOISE, cache_folder
 from witness.mitsuba.recording import rendered, write_recording
 from witness.mitsuba.scene_file import read_scene
 
-surfaces = pytest.importorskip("witness.mitsuba.surfaces")
-try:
-    surfaces.load_mitsuba()
-except ImportError as error:
-    pytest.skip(f"no Mitsuba: {error}; pip install -e '.[witness]'", allow_module_level=True)
+needs_mitsuba()
 
 pytestmark = pytest.mark.slow
 SCENES = Path(__file__).parents[2] / "witness" / "scenes"

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.oracle.needs_mitsuba import needs_mitsuba
 from witness.mitsuba.cramer_rao import image_bounds, render_noise_share, scale_e
 from witness.mitsuba.film import Film
 from witness.mitsuba.projection import ball_outline_area, project
@@ -26,11 +27,7 @@ from witness.mitsuba.scene import (
 from witness.mitsuba.scene_file import scene_of
 from witness.mitsuba.textures import BLACK, WHITE
 
-surfaces = pytest.importorskip("witness.mitsuba.surfaces")
-try:
-    surfaces.load_mitsuba()
-except ImportError as error:
-    pytest.skip(f"no Mitsuba: {error}; pip install -e '.[witness]'", allow_module_level=True)
+surfaces = needs_mitsuba()
 
 from witness.mitsuba.transport import SUB, PixelRenderer, Pixels  # noqa: E402
 
