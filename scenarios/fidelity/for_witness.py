@@ -64,6 +64,8 @@ def write_witness_scene(spec: Scenario, folder: Path, file: Path, samples: int =
 
     ``samples`` of a pixel at markers' edges, a power of two. ValueError names what the witness cannot render.
     """
+    if samples.bit_count() != 1:
+        raise ValueError(f"{samples} samples a pixel given; a power of two is wanted, {SAMPLES} by default")
     scene = build_scene(spec, folder)
     refused = _refused(spec, scene)
     if refused:
@@ -74,6 +76,7 @@ def write_witness_scene(spec: Scenario, folder: Path, file: Path, samples: int =
     if off_px > MOST_LENS_PX:
         raise ValueError(f"the witness cannot render these lenses: OpenCV's is {off_px:.2g} px off")
     rigs, tracks, mesh = (file.with_name(f"{file.stem}_{name}") for name in ("rig.toml", "tracks.csv", "mesh.npz"))
+    file.parent.mkdir(parents=True, exist_ok=True)
     write_rig(own, rigs)
     _write_tracks(spec, scene, tracks)
     lines = [
@@ -230,7 +233,6 @@ def main(arguments: list[str] | None = None) -> int:
     given = parser.parse_args(arguments)
     try:
         path = find(given.scenario)
-        given.out.mkdir(parents=True, exist_ok=True)
         file = given.out / f"{path.stem}.toml"
         write_witness_scene(load_scenario(path, tuple(given.set)), path.parent, file, given.samples)
     except (MoscaError, OSError, ValueError) as error:

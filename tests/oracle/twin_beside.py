@@ -382,7 +382,7 @@ def table(made: list[Difference]) -> str:
 
 
 def main() -> int:
-    """Print what differs, scene by scene; 1 where a limit is exceeded."""
+    """Print what differs, scene by scene; 1 where a limit is exceeded, 2 for a scene that cannot be shown."""
     parser = argparse.ArgumentParser(prog="python -m tests.oracle.twin_beside", description=__doc__)
     parser.add_argument("scenes", nargs="+", type=Path, metavar="SCENE.toml")
     parser.add_argument("--out", required=True, type=Path, help="a folder NAME is made in it for each scene")
@@ -392,7 +392,12 @@ def main() -> int:
     given = parser.parse_args()
     exceeded = False
     for path in given.scenes:
-        scene = read_scene(path)
+        try:
+            scene = read_scene(path)
+            twin_of(scene, 1.0)
+        except (OSError, ValueError) as error:
+            print(f"error: {error}", file=sys.stderr)
+            return 2
         made = beside(scene, given.out / scene.name, given.cache, Fault(given.principal_point, given.gain))
         print(f"{scene.name}\n{table(made)}", flush=True)
         exceeded |= not all(one.met for one in made)

@@ -90,6 +90,14 @@ def test_what_cannot_be_rendered_is_refused_by_name(name, said, tmp_path, capsys
     told = capsys.readouterr().err
     assert said in told
     assert told.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_samples_that_are_no_power_of_two_are_refused(tmp_path, capsys):
+    given = ["targets/retro_spheres", "--out", str(tmp_path / "out"), "--scene-only", "--samples", "1000"]
+    assert main(given) == 2
+    assert "1000 samples a pixel given; a power of two is wanted" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
 
 
 def test_tracks_that_end_too_soon_are_refused(tmp_path):
