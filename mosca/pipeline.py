@@ -6,6 +6,7 @@ It does not depend on where the frames come from. ``run`` is a generator: one St
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import chain, islice
 from typing import Protocol
 
 import numpy as np
@@ -16,11 +17,13 @@ from mosca.correspondence.typical_size import TypicalSize
 from mosca.data.arrays import Array
 from mosca.data.detections import Detections
 from mosca.data.frames import CameraInfo, FrameSet, FrameSource
+from mosca.data.rays import Predicted, RayTable
 from mosca.data.rig import Rig
 from mosca.data.tracks import Points, Samples
 from mosca.detection.detect import DetectionSettings
-from mosca.detection.scheduler import FrameSetDetector, detect_ahead
+from mosca.detection.scheduler import FrameSetDetector, detect_ahead, most_ahead
 from mosca.diagnostics.camera_health import Health
+from mosca.diagnostics.noise_model import ImageNoise
 from mosca.diagnostics.sensor import Sensors
 from mosca.errors import InputError
 from mosca.synchronisation import Assembly, AssemblySettings, assemble
@@ -28,6 +31,11 @@ from mosca.tracking.motion_scale import FieldWidth
 from mosca.tracking.nearest_neighbour import NearestSettings, NearestTracker
 from mosca.tracking.tracker import Tracker, TrackSettings
 
+Seen = tuple[FrameSet, Mapping[str, Detections], float]
+"""A frame set, its detections, and the seconds that these took."""
+
+LOOK_SETS = 16
+"""Frame sets of a recording that are matched once before, to learn how much its cameras err."""
 MOST_DETECTIONS = 5000
 """Detections an image may have; matching many more would take minutes a frame set."""
 
@@ -144,7 +152,7 @@ def run_sets(
 
 
 def run_seen(
-    seen: Iterable[tuple[FrameSet, Mapping[str, Detections], float]],
+    seen: Iterable[Seen],
     rig: Rig,
     settings: PipelineSettings | None = None,
     keeper: Keeper | None = None,
@@ -159,19 +167,16 @@ def run_seen(
     low, high = settings.volume or ((-np.inf,) * 3, (np.inf,) * 3)
     volume = np.asarray(low, dtype=float), np.asarray(high, dtype=float)
     tracker = Tracker(settings.track) if settings.nearest is None else NearestTracker(settings.nearest)
-    field_width, sizes, unjudged = FieldWidth(rig), TypicalSize(), replace(settings.match, judge_sizes=False)
+    field_width, matcher = FieldWidth(rig), _Matcher(settings.match, volume)
+    if settings.lookahead > 0 and keeper is None:
+        seen = _look_first(seen, rig, matcher, health)
 
     for frame_set, detections, seconds in seen:
         check_detections(detections, frame_set.pulse)
         timer = _StageTimer({"detect": seconds})
         predicted = tracker.predict(frame_set.time_ns * 1e-9)
         timer.lap("predict")
-        bundle = make_ray_table(rig, detections, health.noise.sigma_px, settings.match.target)
-        first = not sizes.known
-        points = match(bundle, predicted, settings.match if sizes.alike else unjudged, volume, sizes.diameter_m)
-        sizes.learn(points)
-        if first and not sizes.alike:
-            points = match(bundle, predicted, unjudged, volume, sizes.diameter_m)
+        bundle, points = matcher.match(rig, detections, predicted, health.noise)
         timer.lap("match")
         if (width_m := field_width.learn(points)) is not None:
             tracker.scale_to(width_m)
@@ -214,6 +219,45 @@ def check_source(source: FrameSource, rig: Rig) -> None:
                 f"camera '{camera.name}': images are {info.width} x {info.height}, the rig file says "
                 f"{camera.width} x {camera.height}; use the calibration made at this size"
             )
+
+
+class _Matcher:
+    """Matches frame sets and learns the targets' size."""
+
+    def __init__(self, settings: MatchSettings, volume: tuple[Array, Array]) -> None:
+        self._settings, self._unjudged = settings, replace(settings, judge_sizes=False)
+        self._volume, self._sizes = volume, TypicalSize()
+
+    def match(
+        self, rig: Rig, detections: Mapping[str, Detections], predicted: Predicted, noise: ImageNoise
+    ) -> tuple[RayTable, Points]:
+        """Return the rays of a frame set and the points that they make."""
+        table, sizes = make_ray_table(rig, detections, noise.sigma_px, self._settings.target), self._sizes
+        first, settings = not sizes.known, self._settings if sizes.alike else self._unjudged
+        points = match(table, predicted, settings, self._volume, sizes.diameter_m)
+        sizes.learn(points)
+        if first and not sizes.alike:
+            points = match(table, predicted, self._unjudged, self._volume, sizes.diameter_m)
+        return table, points
+
+
+def _look_first(seen: Iterable[Seen], rig: Rig, matcher: _Matcher, health: Health) -> Iterator[Seen]:
+    """Return all of ``seen``, the first of them matched for once, so that errors and sizes are known from the start.
+
+    Not in shorter recordings: from a few sets, cameras' own errors are less certain than the setting.
+    """
+    left = iter(seen)
+    first = list(islice(left, 1))
+    if first and most_ahead(first[0][0]) >= LOOK_SETS:
+        first.extend(islice(left, LOOK_SETS - 1))
+    if len(first) == LOOK_SETS:
+        trial = health.anew()
+        for frame_set, detections, _ in first:
+            check_detections(detections, frame_set.pulse)
+            table, points = matcher.match(rig, detections, Predicted.nothing(), trial.noise)
+            trial.attend(rig, frame_set, detections, points, table)
+        health.start_from(trial)
+    return chain(first, left)
 
 
 class _StageTimer:

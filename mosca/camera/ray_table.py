@@ -254,9 +254,12 @@ def fill_rays(cameras, seen, start, balls, xy, covariance, extra, size, shape, f
 def _longer_axis(diameter, elongation):
     """Return the diameter [px] that an image's size is judged by, and whether its region is long."""
     root = np.sqrt(elongation)
+    # a disc of a pixel lights one or two
+    shorter = (diameter + REGION_MARGIN_PX) / root
+    long = (elongation - 1.0) * (shorter if shorter >= 2.0 else 1.0) > ROUNDED_PX
     # two targets grown together are long, and their flux and peak give no diameter: the longer axis does
-    across = max(diameter * (root if elongation > TWO_LONG else 1.0), LEAST_DIAMETER_PX)
-    return across, (elongation - 1.0) * (diameter + REGION_MARGIN_PX) > ROUNDED_PX * root
+    across = max(diameter * (root if long and elongation > TWO_LONG else 1.0), LEAST_DIAMETER_PX)
+    return across, long
 
 
 @inlined_step

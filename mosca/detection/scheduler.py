@@ -172,7 +172,7 @@ def _first_look(
         if len(seen) % LOOK_EACH == 1:
             learned = learned.plus(detector.detect(frame_set, learned)[1])
             most = min(most, most_ahead(frame_set))
-        if len(seen) >= most or not detector.wants_images(learned):
+        if len(seen) >= most:
             break
     again = NO_STATISTICS
     for frame_set in seen[::LOOK_EACH] if len(seen) > 1 else ():

@@ -50,8 +50,12 @@ class NoiseModel:
         self._keep = math.exp(-1.0 / memory)
         # points absorb most of the lens's misfit: little of it shows in residuals
         self._lens_px = np.array([camera.residual_px for camera in rig.cameras])
-        self._updates = self._images = 0.0
+        self._updates = self._images = self._known = 0.0
         self._normal, self._right = np.zeros((c + 1, c + 1)), np.zeros(c + 1)
+
+    def start_from(self, other: "NoiseModel") -> None:
+        """Take what another one learned, until this one has as many updates."""
+        self.noise, self._known = other.noise, other._updates
 
     def update(self, sums: ResidualSums) -> None:
         """Take the sums over the points of a frame set and solve for the variances."""
@@ -64,7 +68,8 @@ class NoiseModel:
         self._normal, self._right = keep * self._normal + sums.normal, keep * self._right + sums.right
         self._images = self._keep * self._images + images
         self._updates = self._keep * self._updates + 1.0
-        self._solve()
+        if self._updates >= self._known:
+            self._solve()
 
     def _solve(self) -> None:
         """Solve for the variances that each camera and the triggers add, none below zero."""

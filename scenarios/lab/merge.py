@@ -3,6 +3,7 @@
 import tempfile
 import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +24,7 @@ KEPT_DELAYS = 500_000
 def run_merged(sets: Iterable[MergedSet], rig: Rig, settings: PipelineSettings) -> Iterator[Step]:
     """Reconstruct tracks from merged detections, as ``mosca.pipeline.run_sets`` does from frame sets."""
     seen = ((FrameSet(s.pulse, s.time_ns), in_order(s.detections, rig), 0.0) for s in sets)
-    return run_seen(seen, rig, settings)
+    return run_seen(seen, rig, replace(settings, lookahead=0))
 
 
 def in_order(detections: Mapping[str, Detections], rig: Rig) -> dict[str, Detections]:

@@ -13,6 +13,9 @@ ROUND, ROUND_PX, ROUND_SHARP_PX = 0.04, 1.5, 5.0
 """A region of n pixels whose second moments differ by less than ``ROUND + ROUND_PX / n`` of their mean is taken for
 round: sampling and noise cause as much, the last where edges are sharper than a pixel. Larger values correct fewer
 ellipses, smaller ones distort round targets."""
+TOLD_PX = 3
+"""Least side of a region whose second moments tell its shape where edges are sharper than a pixel: a disc of one
+pixel lights one or two, by where it lies."""
 MOST_STRETCHED = 0.85
 """Largest difference of moments that is corrected, as a share of their mean; beyond, pixels are too sparse."""
 LEAST_RADIUS = 0.4
@@ -128,8 +131,10 @@ def light_of(
     """Return a region's shape from the sums (1, x, y, xx, xy, yy) of its light above the background."""
     x, y, xx, xy, yy = central_moments(sums)
     pull_x, pull_y = (xx - yy) / (xx + yy), 2.0 * xy / (xx + yy)
+    narrow = min(region.right - region.left, region.bottom - region.top) + 1 < TOLD_PX
+    shape = (1.0, 0.0, 1.0) if narrow and parts_of(blur) > 1 else stretch(xx, xy, yy, blur, region.n_px)
     return Light(
-        peak, background, x, y, stretch(xx, xy, yy, blur, region.n_px),
+        peak, background, x, y, shape,
         math.sqrt(pull_x * pull_x + pull_y * pull_y), crowded, peak >= full_dn,
     )  # fmt: skip
 
