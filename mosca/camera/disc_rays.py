@@ -5,6 +5,11 @@ here to first order in (r / R)^2 and in the plane across the ray d: the ellipse'
 G being the derivative of the pixel by the direction, and its centroid from there by the lens's curvature over the
 ellipse's second moments M, ``H : M / 2 + J M grad log det J``. The disc's axes across the ray are known, so that H is
 needed along these two only: differences of G between neighbouring pixels.
+
+A lamp at the lens lights the nearer side of a disc at a slant more: its light falls with the squared distance, which
+moves the centroid of the light by ``(r / R)^2 (n . d) G n / 2``, half of that ellipse's eccentricity, and the fit of
+an even disc by a part of it, the smaller the larger the image is beside its blur; distant lamps move neither. What
+is known is this range, so that its mean is taken and its variance is said (``GRADIENT``).
 """
 
 import math
@@ -14,6 +19,8 @@ from mosca.camera.ray_table import gram_of, normals, to_world, whiten, whiten_at
 from mosca.data.rays import ROTATION
 from mosca.numba_support.decorators import step
 
+GRADIENT, GRADIENT_VARIANCE = 0.25, 1.0 / 48.0
+"""Shift of the place by an uneven light, over the eccentricity of the ellipse: even from 0 to 1/2."""
 STEP_PX = 1.0
 """Of the differences of G: lenses change over hundreds of pixels."""
 
@@ -48,7 +55,8 @@ def free_of_eccentricity(n, c, xy, covariance, normal, ratio2, cameras, views, r
     v1 = g[1, 0] * normal[0] + g[1, 1] * normal[1] + g[1, 2] * normal[2]
     cosine = rays[n, 0] * normal[0] + rays[n, 1] * normal[1] + rays[n, 2] * normal[2]
     bend_x, bend_y = _bend(own, xy, normal, cosine, (views, c), d, local, work)
-    shift_x, shift_y = ratio2 * (cosine * v0 + bend_x), ratio2 * (cosine * v1 + bend_y)
+    along = (1.0 + GRADIENT) * cosine
+    shift_x, shift_y = ratio2 * (along * v0 + bend_x), ratio2 * (along * v1 + bend_y)
     whiten(g, gram, covariance, shift_x, shift_y, rays, n)
     whiten_at_shifted(rays, n)
     normals(rays, n, views[c, 0], views[c, 1], views[c, 2])

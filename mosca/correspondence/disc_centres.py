@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mosca.camera.disc_rays import free_of_eccentricity
+from mosca.camera.disc_rays import GRADIENT_VARIANCE, free_of_eccentricity
 from mosca.camera.ray_table import gram_of, normals, whiten
 from mosca.correspondence.circle_fit import (
     CIRCLE_COVARIANCE,
@@ -150,7 +150,8 @@ def _widen(values, circle, pulls):
             for j in range(3):
                 shifts[row, i] += values[COVARIANCE + 3 * i + j] * pulls[row, j]
     c = circle[CIRCLE_COVARIANCE:]
-    of_q = Symmetric3(c[0], c[1], c[2], c[3], c[4], c[5])
+    # what is not known of the light shifts images as an error of the radius does, which counts twice
+    of_q = Symmetric3(c[0] + 0.25 * GRADIENT_VARIANCE, c[1], c[2], c[3], c[4], c[5])
     for i in range(3):
         for j in range(i, 3):
             plus, minus = shifts[:, i] + shifts[:, j], shifts[:, i] - shifts[:, j]
