@@ -11,7 +11,7 @@ import numpy as np
 from mosca.camera.ray_table import LONG
 from mosca.correspondence.circle_fit import CIRCLE, LN_RADIUS, fit_circle
 from mosca.data.detections import MERGED, PARTIAL, SATURATED, UNREFINED
-from mosca.data.rays import ANGLE, AREA_RADIUS, BONUS, FLAGS, RADIUS, SHARE_SIGMA, SIGMA
+from mosca.data.rays import ANGLE, AREA_RADIUS, BONUS, ELLIPTIC, FLAGS, RADIUS, SHARE_SIGMA, SIGMA
 from mosca.numba_support.decorators import inlined_step, step
 from mosca.numba_support.linalg3 import Symmetric3, cofactors3, determinant3
 from mosca.triangulation.triangulate import DEPTH, RANKS, TRUST, WHOLE, solve_rays
@@ -36,6 +36,8 @@ discs fit the others: more than half of such targets is hidden, whatever their s
 AREAS, SIZES, SHAPES = 0.5, 1.0, 2.0
 """What images are judged by: their areas alone; also whether detection takes them for partly hidden; also whether
 they are long and whether a disc fits them."""
+PAIR = 2
+"""Images that must fit a circle where flat targets are usual (``Rules.discs``)."""
 LEAST_SEEN = 0.05
 """Least share of a disc's area that a camera sees of it: nearer to its plane the image is a line."""
 TOO_LARGE = 1.3
@@ -293,13 +295,22 @@ def too_large(ray, camera, point, data):
 
 @inlined_step
 def half_hidden(hypothesis, data):
-    """Whether a member's image is so small that more than half of the target must be hidden."""
+    """Whether a member's image is so small that more than half of the target must be hidden.
+
+    Where flat targets are usual, an ellipse is as large as its longer axis: the other is short by the slant.
+    """
     members, ranks, point, _ = hypothesis
-    if not data.rules[0].judge > 0.0:
+    rules = data.rules[0]
+    if not rules.judge > 0.0:
         return False
     for c in range(members.shape[0]):
         k = members[c]
-        if k >= 0 and 1.0 - (image_size(k, c, point, data) / ranks[c, WHOLE]) ** 2 > HALF_HIDDEN:
+        if k < 0:
+            continue
+        size = image_size(k, c, point, data)
+        if rules.discs == PAIR and not int(data.rays[k, FLAGS]) & (MERGED | PARTIAL | UNREFINED):
+            size *= np.exp(0.5 * np.hypot(data.rays[k, ELLIPTIC], data.rays[k, ELLIPTIC + 1]))
+        if 1.0 - (size / ranks[c, WHOLE]) ** 2 > HALF_HIDDEN:
             return True
     return False
 

@@ -16,7 +16,7 @@ import numpy as np
 from mosca.correspondence.agreement import weigh_by_agreement
 from mosca.correspondence.candidates import search
 from mosca.correspondence.disc_centres import Images, aim_at_centres
-from mosca.correspondence.hypothesis import SHAPES, SIZES, Hypotheses, MatchData, Rules, record_of
+from mosca.correspondence.hypothesis import PAIR, SHAPES, SIZES, Hypotheses, MatchData, Rules, record_of
 from mosca.correspondence.selection import OPEN, choose, columns
 from mosca.data.arrays import Array
 from mosca.data.rays import Predicted, RayTable
@@ -129,7 +129,7 @@ def _fewest_images(table: RayTable, settings: MatchSettings) -> int:
     """
     if settings.target == "ball":
         return 0
-    return 3 if table.odd < USUAL * len(table.rays) else 2
+    return PAIR + 1 if table.odd < USUAL * len(table.rays) else PAIR
 
 
 def _judged_by(table: RayTable, settings: MatchSettings) -> float:
