@@ -13,6 +13,7 @@ import numpy as np
 from mosca.data.arrays import Array
 from mosca.data.detections import MERGED, PARTIAL, SATURATED, UNREFINED
 from mosca.detection.centroid import DIAMETER, DIAMETER_SIGMA, ELONGATION, PEAK, XX, XY, YY, X, Y
+from mosca.detection.disc_fit.asymmetry import asymmetry
 from mosca.detection.disc_fit.disc_image import FAST, f32, part_blur, parts_of
 from mosca.detection.disc_fit.ellipse import ellipticity_of, stretched
 from mosca.detection.disc_fit.first_values import Light, Region, first_disc, is_plain, light_of, reshaped, turned
@@ -172,10 +173,11 @@ def write_row(
     told: tuple[bool, int, float],
     model: Model,
     out: Array,
-) -> bool:
+) -> tuple[bool, float]:
     """Write all but the centre of a fit to its row of the table; return whether it is rejected as odd.
 
-    ``told``: whether the fit is good, of how many pixels, and the camera's usual misfit.
+    And chi-square per degree of freedom over the camera's usual one, 1 where chance explains it. ``told``: whether
+    the fit is good, of how many pixels, and the camera's usual misfit.
     """
     good, n, usual = told
     misfit, contrast_2 = fit.chi2 / max(n - 6, 1), fit.amplitude * fit.amplitude
@@ -198,10 +200,7 @@ def write_row(
     if odd:
         out[FLAGS] += PARTIAL + (MERGED if out[PULL] > LONG else 0)
     excess = misfit if odd else misfit / (1.0 + usual * contrast_2 / variance)
-    if good and excess > chance:
-        # fits worse than the camera's usual target: hidden in part, or no disc
-        out[XX], out[XY], out[YY] = excess * out[XX], excess * out[XY], excess * out[YY]
-    return odd
+    return odd, excess if good and excess > chance else 1.0
 
 
 @bare_step(fastmath=FAST)
@@ -356,7 +355,12 @@ def refine_region(
     centre = centre_of(middle, light, fit)
     good = is_good(region, light, fit, centre)
     tally, usual = sums.tallies[k], priors.roughness[k]
-    odd = write_row(region, light, fit, centre, (good, n, usual), model, out)
+    odd, excess = write_row(region, light, fit, centre, (good, n, usual), model, out)
+    if excess > 1.0 and symmetric and not odd:
+        excess = min(excess, asymmetry(padded, pixels, fit, model, light.shape, buffers.fit))
+        excess = excess if excess > misfit_by_chance(n // 2) else 1.0
+    # hidden in part, or no disc
+    out[XX], out[XY], out[YY] = excess * out[XX], excess * out[XY], excess * out[YY]
     if good and symmetric:
         tally[N_TARGETS] += 1.0
         tally[ROUGH_SUM] += min(out[ROUGH], ROUGH_FACTOR * usual + ROUGH_FLOOR)
@@ -364,7 +368,7 @@ def refine_region(
     if good and symmetric and (plain or (parts_of(fit.blur) > 1 and not odd)):
         out[BLUR], out[BLUR_INFO] = add_learned(fit, amplitude, float(light_sums[0]), prior, tally)
         if takes_light and not odd:
-            add_residuals(padded, pixels, fit, prior, model, light.shape, buffers.fit, tally)
+            add_residuals(padded, pixels, fit, model, light.shape, buffers.fit, tally)
         if takes_light and plain and not odd:
             reach = min(centre.radius + LIGHT_BLURS * fit.blur, most)
             add_light(image, region, reach, fit, centre.radius, buffers.pixels, buffers.terms, sums)

@@ -1,102 +1,23 @@
 """Compiled sums over the residuals of a fitted disc, from which a camera's gain is learned.
 
-Photon transfer (EMVA 1288, 6.6) with two pixels at one distance from a target's centre in the place of two images:
-what the model leaves of a round image (limbs, defocus, any radial profile) is the same in both, and is not in their
-difference d, so that E d^2 / 2 = dark + gain s, with the signal s = A e. That less the dark variance is regressed on
-s and on q = (A e')^2, what an error of the edge adds that is not round. Weights 1 / (2 var^2) are those of a normal
-variable's square, with the gain so far. Solved by ``mosca.detection.pixel_noise``.
+Photon transfer (EMVA 1288, 6.6) with two points of a target's image at opposite sides of its centre in the place of
+two images: what the model leaves of a symmetric image (limbs, defocus, motion, any profile) is the same in both, and
+is not in their difference d, so that E d^2 = dark + gain s with the signal s. That less the dark variance is regressed
+on s and on q = (A e')^2, what an error of the edge adds that is not symmetric. Weights 1 / (2 var^2) are those of a
+normal variable's square, with the gain so far. Solved by ``mosca.detection.pixel_noise``.
 """
 
-import math
-
 from mosca.data.arrays import Array
-from mosca.detection.disc_fit.disc_image import (
-    FAST,
-    HALF,
-    ONE,
-    ZERO,
-    cross_sums_divided,
-    disc_image,
-    f32,
-    sums_divided,
-)
-from mosca.detection.disc_fit.gauss_newton import DiscFit, DiscPrior, Model, Workspace
+from mosca.detection.disc_fit.asymmetry import difference, lay_out
+from mosca.detection.disc_fit.disc_image import FAST, HALF, ONE, ZERO, f32
+from mosca.detection.disc_fit.gauss_newton import DiscFit, Model, Workspace
 from mosca.detection.disc_fit.light_offset import NOISE_SUMS
-from mosca.detection.disc_fit.solve_step import factor_all
 from mosca.numba_support.decorators import bare_step
 
 CLIP = f32(16.0)
 """Squared differences count up to so many times their expectation, (4 sigma)^2, or the target's mean where more."""
-
-
-PREDICTED, PARTNER, SLOPES = 5, 7, (0, 0, 3, 4, 1, 2)
-"""Rows of a fit's image: for the variances of its values' differences; for the other pixel of each pair; with its
-slopes by amplitude, -, radius, blur, x and y."""
-PIXELS_A_RING = 4.0
-"""Pixels are paired within rings about the centre that hold so many on average. With 2, 4 and 8 the gain learned of
-Lambert balls of 5 to 30 px and of discs 5 px out of focus is 0.86 to 0.99, 0.87 to 1.04 and 0.91 to 1.22 of the true
-one."""
 LEAST_FREE = f32(0.1)
-"""A pair counts where at least this share of its variance is left in its residuals' difference."""
-
-
-@bare_step(fastmath=FAST)
-def pair_pixels(n: int, pixels: Array, fit: DiscFit, work: Workspace) -> None:
-    """Write to row ``PARTNER`` of the image the number of the pixel with which each of n makes a pair, or -1.
-
-    That is the one before it in its ring about the fitted centre, if it has no partner yet.
-    """
-    x, y, there = pixels[0], pixels[1], pixels[3]
-    partner, waiting = work.image[PARTNER], work.image[PREDICTED]
-    farthest, count = 0.0, 0
-    for i in range(n):
-        partner[i], waiting[i] = -ONE, -ONE
-        farthest = max(farthest, there[i] * ((x[i] - fit.x) ** 2 + (y[i] - fit.y) ** 2))
-        count += there[i] > ZERO
-    rings = max(int(count / PIXELS_A_RING), 1)
-    per_px = (rings - 0.01) / math.sqrt(max(farthest, 1.0))
-    for i in range(n):
-        if there[i] == ZERO:
-            continue
-        ring = int(math.sqrt((x[i] - fit.x) ** 2 + (y[i] - fit.y) ** 2) * per_px)
-        if waiting[ring] >= ZERO:
-            partner[i], waiting[ring] = waiting[ring], -ONE
-        else:
-            waiting[ring] = f32(i)
-
-
-@bare_step(fastmath=FAST)
-def predict_variances(n: int, amplitude: float, work: Workspace) -> None:
-    """Write the variances of a fit's difference between n pixels and their partners to row ``PREDICTED``.
-
-    From the fit's factor. Pixels without a partner get any value.
-    """
-    image, factor = work.image, work.equations
-    total, z, partner = image[PREDICTED], image[PREDICTED + 1], image[PARTNER]
-    for i in range(n):
-        total[i] = ZERO
-    for k in range(6):
-        for i in range(n):
-            z[i] = ZERO
-        # row k of the inverse factor, kept above its diagonal
-        for q in range(k + 1):
-            rest = 1.0 if q == k else 0.0
-            for m in range(q, k):
-                rest -= factor[k, m] * (factor[q, m] if m > q else 1.0 / factor[q, q])
-            own = rest / factor[k, k]
-            if q < k:
-                factor[q, k] = own
-            c = f32(own * factor[q, 7] * (amplitude if q > 1 else 1.0))
-            row = image[SLOPES[q]]
-            if q == 1:
-                for i in range(n):
-                    z[i] += c
-            else:
-                for i in range(n):
-                    z[i] += c * row[i]
-        for i in range(n):
-            difference = z[i] - z[max(int(partner[i]), 0)]
-            total[i] += difference * difference
+"""A difference counts where at least this share of its variance is left in the residuals."""
 
 
 @bare_step(fastmath=FAST)
@@ -104,7 +25,6 @@ def add_residuals(
     n: int,
     pixels: Array,
     fit: DiscFit,
-    prior: DiscPrior,
     model: Model,
     shape: tuple[float, float, float],
     work: Workspace,
@@ -112,54 +32,38 @@ def add_residuals(
 ) -> None:
     """Add the residuals of n pixels of a target's fit to its camera's ``tally``; overwrites ``work``.
 
-    ``pixels``, ``shape``: as in ``disc_image``. The fit takes its own variance from that of the residuals.
+    ``pixels``, ``shape``: as in ``disc_image``. The centre takes its own variance from that of the differences.
     """
-    image, v = work.image, pixels[4]
-    dark, gain = f32(model.dark_dn2), f32(model.gain_dn)
-    a = f32(fit.amplitude)
-    at = (f32(fit.x), f32(fit.y), a, f32(fit.background), f32(fit.radius), f32(fit.blur))
-    disc_image(n, pixels, (at[0], at[1], at[4], at[5]), shape, image)
-    place, h, c, _ = sums_divided(n, pixels, at, dark, gain, image)
-    cross = cross_sums_divided(n, pixels, at, dark, gain, image)
-    information = 1.0 / (prior.blur_sigma * prior.blur_sigma)
-    if not factor_all(place, h, cross, c, (information, 0.0), (0.0, 0.0), work.equations):
+    grid = lay_out(n, pixels, fit, shape, work)
+    if grid.side == 0:
         return
-    pair_pixels(n, pixels, fit, work)
-    predict_variances(n, fit.amplitude, work)
-    share, by_radius, predicted, partner = image[0], image[3], image[PREDICTED], image[PARTNER]
-    # squared differences less the fit's own part, over two, and their expectation with the gain so far
-    squares, expected, signal = image[1], image[2], image[4]
+    image, dark, gain = work.image, f32(model.dark_dn2), f32(model.gain_dn)
+    a, steep = f32(fit.amplitude), f32(fit.amplitude * fit.blur)
+    cxx, cxy, cyy = f32(fit.covariance[0]), f32(fit.covariance[1]), f32(fit.covariance[2])
     total = count = ZERO
-    for i in range(n):
-        squares[i] = -ONE
-        if partner[i] < ZERO:
-            continue
-        j = int(partner[i])
-        d = v[i] - v[j] - a * (share[i] - share[j])
-        signal[i] = HALF * a * (share[i] + share[j])
-        expected[i] = dark + gain * signal[i]
-        free = ONE - HALF * predicted[i] / expected[i]
-        if free > LEAST_FREE:
-            squares[i], predicted[i] = HALF * d * d / free, free
-            total += squares[i] / expected[i]
-            count += ONE
-    steep, scale = a * f32(fit.blur), max(total / max(count, ONE), ONE)
-    ss = sq = qq = rs = rq = ZERO
-    for i in range(n):
-        if squares[i] < ZERO:
-            continue
-        g, h = steep * by_radius[i], steep * by_radius[int(partner[i])]
-        s, q, variance, free = signal[i], HALF * (g * g + h * h), expected[i], predicted[i]
-        w = HALF * free * free / (variance * variance)
-        r = min(squares[i], CLIP * scale * variance) - dark
-        ss += w * s * s
-        sq += w * s * q
-        qq += w * q * q
-        rs += w * s * r
-        rq += w * q * r
-    tally[NOISE_SUMS] += ss
-    tally[NOISE_SUMS + 1] += sq
-    tally[NOISE_SUMS + 2] += qq
-    tally[NOISE_SUMS + 3] += rs
-    tally[NOISE_SUMS + 4] += rq
-    tally[NOISE_SUMS + 5] += count
+    for turn in range(2):
+        # the mean first: of a target that fits badly all differences are large
+        scale = max(total / max(count, ONE), ONE)
+        for i in range(n):
+            one = difference(i, pixels, grid, image)
+            if not one.there:
+                continue
+            variance = dark * one.dark + gain * one.signal
+            jx, jy = a * image[1, i], a * image[2, i]
+            free = ONE - f32(4.0) * (cxx * jx * jx + f32(2.0) * cxy * jx * jy + cyy * jy * jy) / variance
+            if not free > LEAST_FREE:
+                continue
+            square = one.value * one.value / free
+            if turn == 0:
+                total += square / variance
+                count += ONE
+                continue
+            g = steep * image[3, i]
+            s, q, w = one.signal, g * g, HALF * free * free / (variance * variance)
+            r = min(square, CLIP * scale * variance) - dark * one.dark
+            tally[NOISE_SUMS] += w * s * s
+            tally[NOISE_SUMS + 1] += w * s * q
+            tally[NOISE_SUMS + 2] += w * q * q
+            tally[NOISE_SUMS + 3] += w * s * r
+            tally[NOISE_SUMS + 4] += w * q * r
+            tally[NOISE_SUMS + 5] += ONE
