@@ -24,6 +24,8 @@ from mosca.detection.settings import search_of
 
 SEARCH_SIGMAS = 4.0
 """Pixels that are looked at lie so many standard deviations above the background: 3 in 100,000 without a target."""
+TOLD_APART = 2.0
+"""Standard deviations that a gain must have."""
 GUESSED_DARK_E = 12.0
 """Dark noise [e] from which the gain of a camera without residuals is guessed, with a standard deviation of 100 %
 (EMVA 1288 sheets of CMOS sensors: 2 to 40)."""
@@ -61,7 +63,8 @@ def gain_of(sums: StatisticsSums, k: int, dark_dn2: float) -> tuple[float, float
     misfit = (ss * rq - sq * rs) / det if det > 1e-12 * ss * qq else -1.0
     if misfit > 0.0:
         gain, information = (qq * rs - sq * rq) / det, det / qq
-        if gain > 0.0:
+        # told apart from an error of the edge; else all counts as noise
+        if gain > TOLD_APART * information**-0.5:
             return gain, information**-0.5
     return max(rs / ss, 1e-3 * guess), ss**-0.5
 

@@ -40,6 +40,8 @@ class Difference(NamedTuple):
 
     there: bool
     """Whether the pixel counts: it has an opposite, of which it is the first."""
+    number: int
+    """Its number in the grid."""
     value: Any
     dark: Any
     """Its dark variance over that of a pixel."""
@@ -89,21 +91,27 @@ def lay_out(n: int, pixels: Array, fit: DiscFit, shape: tuple[float, float, floa
 
 
 @bare_step(fastmath=FAST)
+def less_opposite(k: int, values: Array, grid: Grid) -> Any:
+    """Return the value on the grid at the pixel number k less that at the opposite point."""
+    q, w, down = grid.opposite - k, grid.weights, grid.side
+    return values[k] - w[0] * values[q] - w[1] * values[q + 1] - w[2] * values[q + down] - w[3] * values[q + down + 1]
+
+
+@bare_step(fastmath=FAST)
 def difference(i: int, pixels: Array, grid: Grid, image: Array) -> Difference:
     """Return the difference between pixel i and the opposite point; each pair of them is given once."""
     k = number_of(i, pixels, grid)
     q, known = grid.opposite - k, image[THERE]
     if pixels[3, i] == ZERO or k > q or q + grid.side + 1 >= grid.side * grid.side:
-        return Difference(False, ZERO, ZERO, ZERO)
+        return Difference(False, k, ZERO, ZERO, ZERO)
     if known[q] * known[q + 1] * known[q + grid.side] * known[q + grid.side + 1] == ZERO:
-        return Difference(False, ZERO, ZERO, ZERO)
-    value, dark, signal = image[RESIDUAL, k], ONE, image[SIGNAL, k]
+        return Difference(False, k, ZERO, ZERO, ZERO)
+    dark, signal = ONE, image[SIGNAL, k]
     for j in range(4):
         at, w = q + (j & 1) + (j >> 1) * grid.side, grid.weights[j]
-        value -= w * image[RESIDUAL, at]
         dark += w * w
         signal += w * w * image[SIGNAL, at]
-    return Difference(True, value, dark, signal)
+    return Difference(True, k, less_opposite(k, image[RESIDUAL], grid), dark, signal)
 
 
 @bare_step(fastmath=FAST)

@@ -368,7 +368,7 @@ def refine_region(
     if good and symmetric and (plain or (parts_of(fit.blur) > 1 and not odd)):
         out[BLUR], out[BLUR_INFO] = add_learned(fit, amplitude, float(light_sums[0]), prior, tally)
         if takes_light and not odd:
-            add_residuals(padded, pixels, fit, model, light.shape, buffers.fit, tally)
+            add_residuals(padded, pixels, fit, prior, model, light.shape, buffers.fit, tally)
         if takes_light and plain and not odd:
             reach = min(centre.radius + LIGHT_BLURS * fit.blur, most)
             add_light(image, region, reach, fit, centre.radius, buffers.pixels, buffers.terms, sums)
@@ -407,7 +407,7 @@ def buffers_for(largest: int, blurs: Array) -> Buffers:
     )
     return Buffers(
         side, np.empty((5, side * side + OVER), f32), windows, np.empty((4, side * side), np.uint8),
-        Workspace(np.zeros((8, side * side + OVER), f32), np.empty((6, 8))), np.empty(N_TERMS),
+        Workspace(np.zeros((10, side * side + OVER), f32), np.empty((6, 8))), np.empty(N_TERMS),
         np.empty((2, side * side + OVER), f32),
     )  # fmt: skip
 

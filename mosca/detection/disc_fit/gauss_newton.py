@@ -86,7 +86,7 @@ class Workspace(NamedTuple):
     """Working memory of a fit."""
 
     image: Array
-    """(8, most pixels) float32: of ``disc_image``, and three rows for ``mosca.detection.disc_fit.residual_noise``."""
+    """(10, most pixels) float32: of ``disc_image``, and five rows for ``mosca.detection.disc_fit.residual_noise``."""
     equations: Array
     """(6, 8), see ``factor_all``."""
 

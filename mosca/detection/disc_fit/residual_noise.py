@@ -7,17 +7,68 @@ on s and on q = (A e')^2, what an error of the edge adds that is not symmetric. 
 normal variable's square, with the gain so far. Solved by ``mosca.detection.pixel_noise``.
 """
 
+import math
+
 from mosca.data.arrays import Array
-from mosca.detection.disc_fit.asymmetry import difference, lay_out
-from mosca.detection.disc_fit.disc_image import FAST, HALF, ONE, ZERO, f32
-from mosca.detection.disc_fit.gauss_newton import DiscFit, Model, Workspace
+from mosca.detection.disc_fit.asymmetry import Grid, difference, lay_out, less_opposite, number_of
+from mosca.detection.disc_fit.disc_image import (
+    FAST,
+    HALF,
+    ONE,
+    ZERO,
+    cross_sums_divided,
+    f32,
+    sums_divided,
+)
+from mosca.detection.disc_fit.gauss_newton import DiscFit, DiscPrior, Model, Workspace
 from mosca.detection.disc_fit.light_offset import NOISE_SUMS
+from mosca.detection.disc_fit.solve_step import factor_all
 from mosca.numba_support.decorators import bare_step
+
+PART, PREDICTED, SLOPES = 8, 9, (0, 0, 3, 4, 1, 2)
+"""Rows of a fit's image: for one part of the variance of the fit's differences, and their whole variance, both on the
+grid of pixels; with its slopes by amplitude, -, radius, blur, x and y."""
 
 CLIP = f32(16.0)
 """Squared differences count up to so many times their expectation, (4 sigma)^2, or the target's mean where more."""
-LEAST_FREE = f32(0.1)
+FEWEST_LIT = 2
+"""Differences with more photon noise than dark noise that a target must have: with fewer, place, size and brightness
+follow the pixels that are lit, noise and all."""
+BY_CHANCE = f32(3.0)
+"""Standard deviations of a target's mean squared difference that are chance."""
+LEAST_FREE = f32(0.25)
 """A difference counts where at least this share of its variance is left in the residuals."""
+
+
+@bare_step(fastmath=FAST)
+def predict_variances(n: int, pixels: Array, amplitude: float, grid: Grid, work: Workspace) -> None:
+    """Write the variances of a fit's differences between n pixels and their opposites to row ``PREDICTED``.
+
+    From the fit's factor.
+    """
+    image, factor = work.image, work.equations
+    total, part = image[PREDICTED], image[PART]
+    for i in range(n):
+        total[number_of(i, pixels, grid)] = ZERO
+    for k in range(6):
+        for i in range(n):
+            part[number_of(i, pixels, grid)] = ZERO
+        # row k of the inverse factor, kept above its diagonal
+        for q in range(k + 1):
+            rest = 1.0 if q == k else 0.0
+            for m in range(q, k):
+                rest -= factor[k, m] * (factor[q, m] if m > q else 1.0 / factor[q, q])
+            own = rest / factor[k, k]
+            if q < k:
+                factor[q, k] = own
+            c = f32(own * factor[q, 7] * (amplitude if q > 1 else 1.0))
+            row = image[SLOPES[q]]
+            for i in range(n):
+                part[number_of(i, pixels, grid)] += pixels[3, i] * (c if q == 1 else c * row[i])
+        for i in range(n):
+            one = difference(i, pixels, grid, image)
+            if one.there:
+                total[one.number] += less_opposite(one.number, part, grid) ** 2
 
 
 @bare_step(fastmath=FAST)
@@ -25,6 +76,7 @@ def add_residuals(
     n: int,
     pixels: Array,
     fit: DiscFit,
+    prior: DiscPrior,
     model: Model,
     shape: tuple[float, float, float],
     work: Workspace,
@@ -32,34 +84,43 @@ def add_residuals(
 ) -> None:
     """Add the residuals of n pixels of a target's fit to its camera's ``tally``; overwrites ``work``.
 
-    ``pixels``, ``shape``: as in ``disc_image``. The centre takes its own variance from that of the differences.
+    ``pixels``, ``shape``: as in ``disc_image``. The fit takes its own variance from that of the differences.
     """
     grid = lay_out(n, pixels, fit, shape, work)
     if grid.side == 0:
         return
     image, dark, gain = work.image, f32(model.dark_dn2), f32(model.gain_dn)
-    a, steep = f32(fit.amplitude), f32(fit.amplitude * fit.blur)
-    cxx, cxy, cyy = f32(fit.covariance[0]), f32(fit.covariance[1]), f32(fit.covariance[2])
-    total = count = ZERO
+    at = (f32(fit.x), f32(fit.y), f32(fit.amplitude), f32(fit.background), f32(fit.radius), f32(fit.blur))
+    place, h, c, _ = sums_divided(n, pixels, at, dark, gain, image)
+    cross = cross_sums_divided(n, pixels, at, dark, gain, image)
+    information = 1.0 / (prior.blur_sigma * prior.blur_sigma)
+    if not factor_all(place, h, cross, c, (information, 0.0), (0.0, 0.0), work.equations):
+        return
+    predict_variances(n, pixels, fit.amplitude, grid, work)
+    steep = f32(fit.amplitude * fit.blur)
+    total, count, lit = ZERO, ZERO, 0
     for turn in range(2):
-        # the mean first: of a target that fits badly all differences are large
-        scale = max(total / max(count, ONE), ONE)
+        if turn == 1 and lit < FEWEST_LIT:
+            return
+        # the mean first: of a target that is not symmetric all differences are large, and tell less
+        count = max(count, ONE)
+        scale = max(total / (count + BY_CHANCE * math.sqrt(f32(2.0) * count)), ONE)
         for i in range(n):
             one = difference(i, pixels, grid, image)
             if not one.there:
                 continue
             variance = dark * one.dark + gain * one.signal
-            jx, jy = a * image[1, i], a * image[2, i]
-            free = ONE - f32(4.0) * (cxx * jx * jx + f32(2.0) * cxy * jx * jy + cyy * jy * jy) / variance
+            free = ONE - image[PREDICTED, one.number] / variance
             if not free > LEAST_FREE:
                 continue
             square = one.value * one.value / free
             if turn == 0:
                 total += square / variance
                 count += ONE
+                lit += gain * one.signal > dark * one.dark
                 continue
             g = steep * image[3, i]
-            s, q, w = one.signal, g * g, HALF * free * free / (variance * variance)
+            s, q, w = one.signal, g * g, HALF * (free / (scale * variance)) ** 2
             r = min(square, CLIP * scale * variance) - dark * one.dark
             tally[NOISE_SUMS] += w * s * s
             tally[NOISE_SUMS + 1] += w * s * q
