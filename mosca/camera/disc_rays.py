@@ -8,8 +8,7 @@ needed along these two only: differences of G between neighbouring pixels.
 
 A lamp at the lens lights the nearer side of a disc at a slant more: its light falls with the squared distance, which
 moves the centroid of the light by ``(r / R)^2 (n . d) G n / 2``, half of that ellipse's eccentricity, and the fit of
-an even disc by a part of it, the smaller the larger the image is beside its blur; distant lamps move neither. What
-is known is this range, so that its mean is taken and its variance is said (``GRADIENT``).
+an even disc by a part of it, the smaller the larger the image is beside its blur; distant lamps move neither.
 """
 
 import math
@@ -19,14 +18,12 @@ from mosca.camera.ray_table import gram_of, normals, to_world, whiten, whiten_at
 from mosca.data.rays import ROTATION
 from mosca.numba_support.decorators import step
 
-GRADIENT, GRADIENT_VARIANCE = 0.25, 1.0 / 48.0
-"""Shift of the place by an uneven light, over the eccentricity of the ellipse: even from 0 to 1/2."""
 STEP_PX = 1.0
 """Of the differences of G: lenses change over hundreds of pixels."""
 
 
 @step
-def free_of_eccentricity(n, c, xy, covariance, normal, ratio2, cameras, views, rays, work):
+def free_of_eccentricity(n, c, xy, covariance, disc, cameras, views, rays, work):
     """Aim ray ``n`` of camera ``c`` at the centre of the disc whose image is at the pixel ``xy``.
 
     Parameters
@@ -35,10 +32,9 @@ def free_of_eccentricity(n, c, xy, covariance, normal, ratio2, cameras, views, r
         Row of ``rays``, and its camera.
     xy, covariance
         Pixel (x, y) and its covariance (xx, xy, yy) [px^2], with what the camera adds.
-    normal
-        Unit normal of the disc, world frame.
-    ratio2
-        Squared ratio of its radius and its distance.
+    disc
+        Unit normal of the disc, world frame; squared ratio of its radius and its distance; shift of the place by an
+        uneven light, over the eccentricity of the ellipse.
     cameras, views, rays
         ``RigTable.cameras``, ``RayTable.views`` and ``RayTable.rays``, whose row is rewritten.
     work
@@ -46,7 +42,7 @@ def free_of_eccentricity(n, c, xy, covariance, normal, ratio2, cameras, views, r
 
     Returns G n (2) [px] and the cosine between ray and normal.
     """
-    own, local, g, d = cameras[c], work[0:2], work[2:4], work[6]
+    own, local, g, d, (normal, ratio2, gradient) = cameras[c], work[0:2], work[2:4], work[6], disc
     if not direction_of(own, xy[0], xy[1], d, local):
         return 0.0, 0.0, 0.0
     to_world(views, c, d, local, g, rays, n)
@@ -55,7 +51,7 @@ def free_of_eccentricity(n, c, xy, covariance, normal, ratio2, cameras, views, r
     v1 = g[1, 0] * normal[0] + g[1, 1] * normal[1] + g[1, 2] * normal[2]
     cosine = rays[n, 0] * normal[0] + rays[n, 1] * normal[1] + rays[n, 2] * normal[2]
     bend_x, bend_y = _bend(own, xy, normal, cosine, (views, c), d, local, work)
-    along = (1.0 + GRADIENT) * cosine
+    along = (1.0 + gradient) * cosine
     shift_x, shift_y = ratio2 * (along * v0 + bend_x), ratio2 * (along * v1 + bend_y)
     whiten(g, gram, covariance, shift_x, shift_y, rays, n)
     whiten_at_shifted(rays, n)

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mosca.camera.disc_rays import GRADIENT_VARIANCE, free_of_eccentricity
+from mosca.camera.disc_rays import free_of_eccentricity
 from mosca.camera.ray_table import gram_of, normals, whiten
 from mosca.correspondence.circle_fit import (
     CIRCLE_COVARIANCE,
@@ -49,6 +49,9 @@ class Images(NamedTuple):
     """(n, 2, 2) [px^2]: what rays are whitened by, with the next."""
     extra: Any
     """(c,) variance that each camera adds to it."""
+    gradient: float
+    """Shift of a flat target's image by the gradient of its light, over its eccentricity."""
+    gradient_variance: float
 
 
 @step
@@ -75,7 +78,7 @@ def aim_at_centres(kept, state, data, images):
         if not error >= 0.0:
             continue
         if flat:
-            _widen(values, circle, pulls)
+            _widen(values, circle, pulls, images.gradient_variance)
         values[CHI2] = error
         kept.values[g] = values
         kept.trusts[g] = ranks[:, TRUST]
@@ -97,7 +100,7 @@ def _aim(members, point, circle, ranks, data, images, pulls, work):
         covariance = _detected(k, c, rays, images)
         xy = images.xy[k, 0], images.xy[k, 1]
         v0, v1, cosine = free_of_eccentricity(
-            k, c, xy, covariance, (nx, ny, nz), ratio2, images.cameras, views, rays, work
+            k, c, xy, covariance, ((nx, ny, nz), ratio2, images.gradient), images.cameras, views, rays, work
         )
         l00, l10 = rays[k, ROOT], rays[k, ROOT + 1]
         l11 = rays[k, SIGMA] ** 2 / l00
@@ -142,8 +145,8 @@ def _detected(k, c, rays, images):
 
 
 @step
-def _widen(values, circle, pulls):
-    """Add to a point's covariance what is not known of its disc."""
+def _widen(values, circle, pulls, gradient_variance):
+    """Add to a point's covariance what is not known of its disc and of its light."""
     shifts = np.zeros((3, 3))  # a row for each of q
     for row in range(3):
         for i in range(3):
@@ -151,7 +154,7 @@ def _widen(values, circle, pulls):
                 shifts[row, i] += values[COVARIANCE + 3 * i + j] * pulls[row, j]
     c = circle[CIRCLE_COVARIANCE:]
     # what is not known of the light shifts images as an error of the radius does, which counts twice
-    of_q = Symmetric3(c[0] + 0.25 * GRADIENT_VARIANCE, c[1], c[2], c[3], c[4], c[5])
+    of_q = Symmetric3(c[0] + 0.25 * gradient_variance, c[1], c[2], c[3], c[4], c[5])
     for i in range(3):
         for j in range(i, 3):
             plus, minus = shifts[:, i] + shifts[:, j], shifts[:, i] - shifts[:, j]

@@ -27,6 +27,9 @@ from mosca.numba_support.decorators import kernel
 USUAL = 0.25
 """Share of images that are elongated, or isolated without a fit, from which that is no evidence against an image:
 targets are flat or fast, fits were not tried."""
+GRADIENTS = {"unknown": (0.25, 1.0 / 48.0), "even": (0.0, 0.0)}
+"""Mean and variance of the shift of flat targets' images by the gradient of their light, over their eccentricity:
+from 0 for distant lamps to 1/2 for the light's centroid under lamps at the lens (``mosca.camera.disc_rays``)."""
 EVERYWHERE = (np.full(3, -np.inf), np.full(3, np.inf))
 """A volume without bounds."""
 
@@ -96,6 +99,7 @@ def match_counted(
         table.detected_px2,
         table.covariance_px2,
         table.extra_px2,
+        *GRADIENTS[settings.light],
     )
     found, considered, left_open = match_rays(
         table.rays, table.views, table.pairs, table.bases, table.start, rules, predicted.xyz, predicted.covariance,

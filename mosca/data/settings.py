@@ -130,6 +130,10 @@ class MatchSettings:
     target: Literal["auto", "point", "ball"] = "auto"
     """'ball' frees images of a ball's eccentricity; 'point' leaves them (small targets, discs); 'auto' frees
     round images of a ball's, and a point's ellipses that are images of one circle of this circle's."""
+    light: Literal["unknown", "even"] = "unknown"
+    """Whether flat targets are lit evenly: lamps at the lens light the nearer side of one at a slant more, which
+    moves its image by up to half of its eccentricity. 'unknown' takes half of that, with its uncertainty; 'even':
+    none (distant lamps, targets that glow)."""
 
 
 @dataclass(frozen=True, config=SETTINGS)

@@ -41,7 +41,13 @@ def run_zones(
     check_zones(zones)
     shares = tee(seen, len(zones))
     runs = [
-        run_seen(_share(one, zone), zone.rig, replace(settings, volume=(zone.low_m, zone.high_m), lookahead=0), None, health)
+        run_seen(
+            _share(one, zone),
+            zone.rig,
+            replace(settings, volume=(zone.low_m, zone.high_m), lookahead=0),
+            None,
+            health,
+        )
         for one, zone, health in zip(shares, zones, healths, strict=True)
     ]
     for steps in zip(*runs, strict=True):

@@ -95,8 +95,8 @@ def discs(camera, k):
     return outline(CENTRES[k], NORMALS[k], RADIUS)
 
 
-def matched(rig, found, target="auto", diameter_m=2 * RADIUS):
-    settings = MatchSettings(target=target)
+def matched(rig, found, target="auto", diameter_m=2 * RADIUS, light="even"):
+    settings = MatchSettings(target=target, light=light)
     table = make_ray_table(rig, found, 0.02, target)
     points = match(table, Predicted.nothing(), settings, typical_diameter_m=diameter_m)
     assert len(points) == len(CENTRES)
@@ -119,7 +119,7 @@ def test_discs_at_a_slant_are_measured_where_they_are(name):
     assert away.max() < 0.1 * beside.max()
     # matched again, the same
     table = make_ray_table(rig, found, 0.02, "auto")
-    one, two = (match(table, Predicted.nothing(), MatchSettings()) for _ in range(2))
+    one, two = (match(table, Predicted.nothing(), MatchSettings(light="even")) for _ in range(2))
     np.testing.assert_allclose(one.xyz, two.xyz, rtol=0, atol=2e-7)
 
 

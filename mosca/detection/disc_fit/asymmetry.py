@@ -1,9 +1,9 @@
 """Compiled: residuals of a fitted disc less those at the opposite side of its centre.
 
-Dark limbs, defocus, motion while the shutter is open: such images are no discs, but ``I(c + d) = I(c - d)``. What the
-disc leaves of them is even about the centre: it is not in these differences, which hold noise, an error of the centre,
-and what really is odd, such as a hidden part or a neighbour's light. The point opposite to a pixel lies between four
-others.
+Dark limbs, defocus, motion while the shutter is open: such images are no discs, but ``I(c + d) = I(c - d)``. What
+the disc leaves of them is even about the centre: it is not in these differences, which hold noise, an error of the
+centre, and what really is odd, such as a hidden part or a neighbour's light. The point opposite to a pixel lies
+between four others.
 """
 
 import math
@@ -117,7 +117,7 @@ def difference(i: int, pixels: Array, grid: Grid, image: Array) -> Difference:
 @bare_step(fastmath=FAST)
 def asymmetry(
     n: int, pixels: Array, fit: DiscFit, model: Model, shape: tuple[float, float, float], work: Workspace
-) -> float:
+) -> Any:
     """Return the mean square of the differences over its expectation, infinite for too few.
 
     ``pixels``, ``shape``: as in ``disc_image``; overwrites ``work``.
