@@ -114,7 +114,10 @@ def _with_likely_slopes(found: Array, covariance: Array, contrast: Array) -> tup
 
 
 def _variance_between(values: Array, covariance: Array) -> float:
-    """Return the variance of pairs of mean 0 whose measured ``values`` (n, 2) have errors of ``covariance``."""
+    """Return the variance of pairs of mean 0 whose measured ``values`` (n, 2) have errors of ``covariance``.
+
+    It is the largest with which values as small as these have a chance of ``DOUBT``.
+    """
     own, axes = np.linalg.eigh(covariance)
     squares = np.einsum("nji,nj->ni", axes, values) ** 2
     low, high = 0.0, ANY_LIGHT**2
@@ -279,6 +282,18 @@ def solved(normal: Array, damping: float, b: Array) -> bool:
     return True
 
 
+@step
+def first_guess(frame: Array, plate_dn: float, contrast_dn: float) -> tuple[Array, Array]:
+    """Return unknowns to start from, and their a-priori weights, both (UNKNOWNS,)."""
+    start, prior = np.zeros(UNKNOWNS), np.zeros(UNKNOWNS)
+    start[PLACE], start[PLACE + 1] = frame[X], frame[Y]
+    start[SHAPE], start[SHAPE + 1], start[SHAPE + 2] = frame[AXX], frame[AXY], frame[AYY]
+    start[LEVELS], start[LEVELS + 1], start[BLUR] = plate_dn, plate_dn + contrast_dn, USUAL_BLUR_PX
+    prior[SLOPES:LEVELS] = prior[BENDS:SHAPE] = 1.0 / (ANY_LIGHT * contrast_dn) ** 2
+    prior[BLUR] = 1.0 / USUAL_BLUR_PX**2
+    return start, prior
+
+
 @kernel
 def fit_ellipses(
     image: Array,
@@ -297,22 +312,11 @@ def fit_ellipses(
     ``light`` (n, 3): see ``add_pixels``. Writes unknowns to ``found`` (n, UNKNOWNS), normal equations to ``normals``
     (n, UNKNOWNS, UNKNOWNS), weighted squares and number of pixels to ``squares`` (n, 2), NaN without a solution.
     """
-    normal, pull, prior, start = (
-        np.empty((UNKNOWNS, UNKNOWNS)),
-        np.empty(UNKNOWNS),
-        np.zeros(UNKNOWNS),
-        np.empty(UNKNOWNS),
-    )
+    normal, pull, kept_pull = np.empty((UNKNOWNS, UNKNOWNS)), np.empty(UNKNOWNS), np.zeros(UNKNOWNS)
     for n in range(len(frames)):
         frame, best, damping, move = frames[n], math.inf, DAMPING, math.inf
-        start[:] = 0.0
-        start[PLACE], start[PLACE + 1] = frame[X], frame[Y]
-        start[SHAPE], start[SHAPE + 1], start[SHAPE + 2] = frame[AXX], frame[AXY], frame[AYY]
-        start[LEVELS], start[LEVELS + 1], start[BLUR] = light[n, 0], light[n, 0] + light[n, 1], USUAL_BLUR_PX
-        prior[SLOPES:LEVELS] = prior[BENDS:SHAPE] = 1.0 / (ANY_LIGHT * light[n, 1]) ** 2
-        prior[BLUR] = 1.0 / USUAL_BLUR_PX**2
-        p, kept_pull = start.copy(), np.zeros(UNKNOWNS)
-        squares[n] = math.nan
+        start, prior = first_guess(frame, light[n, 0], light[n, 1])
+        p, squares[n] = start.copy(), math.nan
         for _ in range(STEPS_MOST):
             normal[:], pull[:] = 0.0, prior * (start - p)
             own, pixels = add_pixels(image, frame, light[n], gain, ring_inner, full_dn, turned, p, normal, pull)
