@@ -153,9 +153,10 @@ def _adjusted(
     # a mark in one stationary interval and camera: what is wrong with it is wrong in each exposure
     seen_as = np.column_stack([sightings.camera, placement, sightings.mark])
     cell = np.unique(seen_as, axis=0, return_inverse=True)[1].reshape(-1)
-    lasting = systematic_errors(result, sightings.camera, cell)
+    lasting = systematic_errors(result, sightings.camera, cell, sigma)
     covariance = covariance + systematic_covariance(problem, result, cell, lasting)
     precision = result.precision
+    variance = [np.mean(sigma[result.used & (sightings.camera == k)] ** 2) for k in range(len(cameras))]
     return Calibration(
         Rig(result.cameras),
         target.kind,
@@ -175,7 +176,7 @@ def _adjusted(
         result.held,
         shake,
         f"the {target.kind}'s marks",
-        lasting_px=lasting,
+        lasting_px=lasting * np.sqrt(variance),
     )
 
 

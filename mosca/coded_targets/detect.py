@@ -18,9 +18,9 @@ A coded target is a dot within a ring of 20 sectors on a plate of the other colo
    thresholded at the middle of the lightest and the darkest of the seven about it. The three radii must agree, the
    contrast must be that of the dot, the ring's light must correlate with that of the word by 0.93, and the word must
    be one of the code's exactly: any two numbers differ in four sectors, and no errors are corrected.
-5. Centre (``mosca.coded_targets.centre``). The centroid of the dot within a soft window, above the light of its
-   plate and corrected for brightness gradients. The circle's eccentricity is not corrected here: that needs the
-   camera's pose (``mosca.camera.eccentricity``).
+5. Centre (``mosca.coded_targets.centre``). An ellipse is fitted to the pixels of dot and plate, with light that is
+   uneven or saturated. The circle's eccentricity is not corrected here: that needs the camera's pose
+   (``mosca.camera.eccentricity``).
 
 Of readings on one another's plates only the most certain is kept; a number that is read twice is refused in both
 cases. A mirrored ring is refused but for 25 of the 507 numbers, of which 13 read the same and 12 as another; only
@@ -122,7 +122,7 @@ def find_coded(image: Array, camera: str, settings: CodedSettings = DEFAULTS, bi
         known = known[_surest(dots[known], settings.ring_outer)]
         dots, numbers, rolls = dots[known], numbers[known], rolls[known]
         of_pixels = pixel_noise(image, dots.frames, int(top), dark_dn2, gain_dn)
-        xy, covariance = measure_dots(bright, dots, target, of_pixels, float(top) if dark else None)
+        xy, covariance = measure_dots(bright, dots, target, of_pixels, float(top), dark)
         axes, angle = ellipses_of(dots.frames)
         confidence = np.minimum(dots.rings[:, MARGIN], 1.0)
         sound = np.isfinite(xy[:, 0])  # a dot without a centre is none

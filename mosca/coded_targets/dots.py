@@ -16,8 +16,8 @@ from mosca.numba_support.decorators import kernel, step
 
 X, Y, AXX, AXY, AYY, GX, GY = range(7)
 FRAME = 7
-PLATE_DN, CONTRAST_DN, SLOPE_U, SLOPE_V = range(4)
-LEVELS = 4
+PLATE_DN, CONTRAST_DN = range(2)
+LEVELS = 2
 
 SECTORS, PER_SECTOR, BANDS, RAYS = 20, 6, 3, 24
 STEPS = SECTORS * PER_SECTOR
@@ -256,8 +256,8 @@ def find_dots(image: Array, patches: Array, target: TargetAppearance) -> Array:
 def light_at(image: Array, frames: Array, target: TargetAppearance, radii: Array) -> tuple[Array, Array]:
     """Return the light (n, m, STEPS) at ``radii`` (m,) of frames (n, FRAME), and their levels (n, LEVELS) [DN].
 
-    Light 0 is that of the plate, 1 that of the dot; levels are PLATE_DN with its slopes [DN per radius] and
-    CONTRAST_DN, which is 0 where the plate is no plate.
+    Light 0 is that of the plate, 1 that of the dot; levels are PLATE_DN and CONTRAST_DN, which is 0 where the plate
+    is no plate.
     """
     light, levels = np.empty((len(frames), len(radii), STEPS)), np.zeros((len(frames), LEVELS))
     plate = np.empty(3)
@@ -270,7 +270,6 @@ def light_at(image: Array, frames: Array, target: TargetAppearance, radii: Array
         if contrast < least_contrast(target) or stain > STAIN * contrast + 2.0 * target.noise_dn:
             continue
         levels[n, PLATE_DN], levels[n, CONTRAST_DN] = plate[0], contrast
-        levels[n, SLOPE_U], levels[n, SLOPE_V] = plate[1], plate[2]
         for b, radius in enumerate(radii):
             for i in range(STEPS):
                 c, s = COS[i], SIN[i]

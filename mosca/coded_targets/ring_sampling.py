@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mosca.coded_targets.dots import AXX, AXY, AYY, BANDS, COS, PER_SECTOR, SECTORS, SIN, STEPS, TargetAppearance
+from mosca.coded_targets.dots import AXX, AXY, AYY, BANDS, COS, PER_SECTOR, SECTORS, SIN, STEPS
 from mosca.data.arrays import Array
 from mosca.numba_support.decorators import kernel, step
 
@@ -20,9 +20,6 @@ BAND_TOLERANCE = 0.35  # of the swing, by which one radius may contradict the ri
 LEAST_LIKENESS = 0.93  # correlation of the ring's light with that of its word, at least
 USUAL_BLUR_PX, MOST_PEAKING = 0.8, 0.6  # blur assumed in sharpening, and the largest share that it adds
 PICKS, PICK_STEP = 5, 0.15  # samples of a sector's level, and their spacing [sectors]
-PERSPECTIVE = 0.02  # by how much a radius of an edge-on dot is nearer, that no frame shows
-CLEAR_PX = 2.5  # from the next edge: at most 1 % of light across it up to a blur of 1.1 px
-HELD = 6.0  # slopes are held at 0 with 0.02 a radius, against steps known to 0.05
 
 
 class Ring(NamedTuple):
@@ -164,99 +161,4 @@ def read_rings(light: Array, frames: Array, ring: Ring) -> Array:
         word, margin = decide(sector_levels(light[n], start, lengths), ring.least_margin)
         if margin > 0.0 and likeness(light[n], word, start, lengths) > LEAST_LIKENESS:
             out[n, WORD], out[n, START], out[n, MARGIN] = word, turn, margin
-    return out
-
-
-@step
-def add_slope(values: Array, radius: float, used: Array, sums: Array) -> None:
-    """Add the products of values (STEPS,) and their positions at ``radius`` to ``sums`` (uu, uv, vv, uy, vy).
-
-    Of the steps that are ``used``, all about their own means.
-    """
-    n, y, u, v = 0, 0.0, 0.0, 0.0
-    for i in range(STEPS):
-        if used[i]:
-            n += 1
-            y += values[i]
-            u += radius * COS[i]
-            v -= radius * SIN[i]
-    for i in range(STEPS):
-        if used[i]:
-            du, dv, dy = radius * COS[i] - u / n, -radius * SIN[i] - v / n, values[i] - y / n
-            sums[0] += du * du
-            sums[1] += du * dv
-            sums[2] += dv * dv
-            sums[3] += du * dy
-            sums[4] += dv * dy
-
-
-@step
-def slope_of(sums: Array) -> tuple[float, float]:
-    """Return the slopes along u and v from the sums of ``add_slope``, regularised towards 0 (``HELD``)."""
-    uu, vv = sums[0] + HELD, sums[2] + HELD
-    det = uu * vv - sums[1] ** 2
-    return (vv * sums[3] - sums[1] * sums[4]) / det, (uu * sums[4] - sums[1] * sums[3]) / det
-
-
-@step
-def from_edge(word: int, start: float, lengths: Array, i: int) -> tuple[bool, float]:
-    """Return whether step ``i`` lies in a white sector, and how far from one of the other colour [as lengths]."""
-    place = (i - start) / PER_SECTOR % SECTORS
-    k = min(int(place), SECTORS - 1)
-    before, after = (k - 1) % SECTORS, (k + 1) % SECTORS
-    bit, share = word >> k & 1, place - k
-    left = share * lengths[k] + (lengths[before] if word >> before & 1 == bit else 0.0)
-    right = (1.0 - share) * lengths[k] + (lengths[after] if word >> after & 1 == bit else 0.0)
-    return bit == 1, min(left, right)
-
-
-@kernel
-def shading(
-    light: Array, radii: Array, slopes: Array, frames: Array, rings: Array, target: TargetAppearance
-) -> Array:
-    """Return (n, 4) slopes along u and v [per radius of the dot]: of the plate's light and, last, of the white's.
-
-    ``light`` (n, 2 + m, STEPS) at ``radii`` (2 + m,): in the gap, outside, and m in the ring; 0 the plate's light,
-    from which ``slopes`` (n, 2) have been subtracted, 1 the dot's. ``rings``: what was read. The plate is sampled
-    beside black sectors and the white in white ones, ``CLEAR_PX`` from any edge; without such samples a slope is 0.
-    """
-    out = np.zeros((len(light), 4))
-    used, values = np.empty((len(radii), STEPS), np.bool_), np.empty(STEPS)
-    # how far each circle is from the next edge, in radii of the dot; outside, only the ring's white is near
-    room = np.minimum(radii - target.ring_inner, target.ring_outer - radii)
-    room[0], room[1] = 0.5 * (target.ring_inner - 1.0), np.inf
-    for n in range(len(light)):
-        frame, word, start = frames[n], int(rings[n, WORD]), rings[n, START] * STEPS / (2.0 * math.pi)
-        middle = 0.5 * (target.ring_inner + target.ring_outer)
-        det, trace = frame[AXX] * frame[AYY] - frame[AXY] ** 2, frame[AXX] + frame[AYY]
-        # the square of the longer semi-axis less that of the shorter one: what leans may have perspective
-        lean = trace * math.sqrt(max(trace * trace - 4.0 * det, 0.0))
-        clear_px = CLEAR_PX + PERSPECTIVE * middle * middle * math.sqrt(lean)
-        lengths = sector_lengths(frame, rings[n, START], middle, clear_px)
-        for i in range(STEPS):
-            white, away = from_edge(word, start, lengths, i)
-            c, s = COS[i], SIN[i]
-            outwards = math.hypot(frame[AXX] * c - frame[AXY] * s, frame[AXY] * c - frame[AYY] * s)
-            along = math.hypot(frame[AXX] * s + frame[AXY] * c, frame[AXY] * s + frame[AYY] * c)
-            away *= det / (outwards * along)  # a leaning plate's radii and circles do not cross at right angles
-            for b in range(len(radii)):
-                used[b, i] = white == (b > 1) and away > 1.0 and room[b] * det / along > clear_px
-        plate, ring = np.zeros(5), np.zeros(5)
-        for b in range(2):
-            for i in range(STEPS):
-                values[i] = light[n, b, i] + radii[b] * (slopes[n, 0] * COS[i] - slopes[n, 1] * SIN[i])
-            add_slope(values, radii[b], used[b], plate)
-        plate_u, plate_v = slope_of(plate)
-        level = n_level = 0.0
-        for b in range(2, len(radii)):
-            u, v = slopes[n, 0] - plate_u, slopes[n, 1] - plate_v
-            for i in range(STEPS):
-                values[i] = light[n, b, i] + radii[b] * (u * COS[i] - v * SIN[i])
-                level += values[i] * used[b, i]
-                n_level += used[b, i]
-            add_slope(values, radii[b], used[b], ring)
-        out[n, 0], out[n, 1] = plate_u, plate_v
-        if level > LEAST_SWING * n_level:
-            slope_u, slope_v = slope_of(ring)
-            out[n, 2], out[n, 3] = slope_u * n_level / level, slope_v * n_level / level
     return out

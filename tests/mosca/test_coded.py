@@ -246,6 +246,63 @@ def test_light_that_falls_across_a_dot_does_not_draw_its_centre(dot_px, limit, c
     assert np.abs(off.mean(axis=0)).max() < limit
 
 
+def lamps_and_a_shadow(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """One lamp of four is hidden in stripes, with half-shadows of 10 px."""
+    return 1.0 - 0.25 * np.clip(2.0 * np.abs((0.8 * x + 0.6 * y) / 41.0 % 1.0 - 0.5) * 2.05 - 0.5, 0.0, 1.0)
+
+
+@pytest.mark.parametrize("colour", ["white", "black"])
+def test_edges_of_shadows_do_not_draw_centres(colour):
+    plates = views(18, 12, 40, z=2000.0)
+    white, black = (200.0, 8.0) if colour == "white" else (8.0, 200.0)
+    light = lamps_and_a_shadow
+    raw = paint(SHAPE, plates, blur=0.5, white=white, black=black, around=black, light=light, samples=8, raw=True)
+    image = np.rint(200 * raw).astype(np.uint16)
+    found = find_coded(image, "left", CodedSettings(colour=colour), bit_depth=16)
+    assert len(found) == len(plates)
+    assert np.sqrt(np.mean(centre_errors(found, plates) ** 2)) < 0.012
+    # the control: the centroid of what is above the plate
+    off = []
+    for view in plates:
+        x, y = (round(c) for c in view.xy)
+        rows, columns = np.mgrid[y - 9 : y + 10, x - 9 : x + 10]
+        level = np.abs(raw[rows, columns] - black)
+        dot = np.where(np.hypot(columns - x, rows - y) < 9, level, 0.0)
+        off.append([(dot * columns).sum() / dot.sum() - view.xy[0], (dot * rows).sum() / dot.sum() - view.xy[1]])
+    assert np.sqrt(np.mean(np.square(off))) > 0.04
+
+
+def test_saturated_dots_say_how_well_they_are_known():
+    """Only the edge tells the slope of their light, and half of what is known of the centre goes into it."""
+    squares, sigmas = [], []
+    for seed in range(4):
+        plates = views(24 + seed, 12, 40, z=2000.0)
+        raw = paint(SHAPE, plates, blur=0.5, white=330.0, light=lambda x, y: 1 - 0.001 * x, samples=8, raw=True)
+        noise = np.random.default_rng(seed).standard_normal(raw.shape) * np.sqrt(0.5 + 0.05 * raw)
+        found = find_coded(np.clip(np.rint(raw + noise), 0, 255).astype(np.uint8), "left")
+        off = centre_errors(found, plates)
+        squares.append(np.einsum("ni,nij,nj->n", off, np.linalg.inv(found.covariance_px2), off) / 2)
+        sigmas.append(np.sqrt(np.trace(found.covariance_px2, axis1=1, axis2=2) / 2))
+    assert 0.7 < np.mean(np.concatenate(squares)) < 1.4
+    assert np.median(np.concatenate(sigmas)) < 0.015
+
+
+def test_saturated_pixels_do_not_count_as_even_light():
+    """2.4 % a radius. The control: to images of 9 bits 255 is a grey value as others, and centres are drawn."""
+    known, unknown = [], []
+    for seed in range(4):
+        plates = views(24 + seed, 12, 40, z=2000.0)
+        raw = paint(
+            SHAPE, plates, blur=0.5, white=300.0, light=lambda x, y: 1 - 0.004 * (x - 160), samples=8, raw=True
+        )
+        noise = np.random.default_rng(seed).normal(0, 0.3, SHAPE)
+        image = np.clip(np.rint(raw + noise), 0, 255).astype(np.uint8)
+        known.append(centre_errors(find_coded(image, "left"), plates))
+        unknown.append(centre_errors(find_coded(image.astype(np.uint16), "left", bit_depth=9), plates))
+    assert abs(np.concatenate(known)[:, 0].mean()) < 0.0045
+    assert abs(np.concatenate(unknown)[:, 0].mean()) > 0.006
+
+
 def test_errors_are_as_large_as_the_covariance_says():
     errors, variances = [], []
     for seed in range(3):

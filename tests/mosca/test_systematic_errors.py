@@ -15,8 +15,11 @@ NOISE_PX, LASTING_PX, REPEATS = 0.02, 0.02, 8
 SETTINGS = RigidSettings(LensChoice("mosca", 0.0099))
 
 
-def calibrated(seed, lasting_px, repeats=REPEATS):
-    """Return rig, poses and calibration from still poses whose marks are off by ``lasting_px`` in each camera."""
+def calibrated(seed, lasting_px, repeats=REPEATS, spread=1.0):
+    """Return rig, poses and calibration from still poses whose marks are off by ``lasting_px`` in each camera.
+
+    ``spread``: all errors of every other mark are so many times as large, as of dots that are saturated.
+    """
     rng = np.random.default_rng(seed)
     rig = some_rig(rng, 3)
     marks = field_marks(rng, 40)
@@ -24,7 +27,10 @@ def calibrated(seed, lasting_px, repeats=REPEATS):
     poses = [*still(repeats), *stood(rng, stands - 1, repeats)]
     given = seen(rig, marks, poses, rng, noise=NOISE_PX)
     off = rng.normal(0, lasting_px, (3, stands, len(marks), 2))
-    given = replace(given, xy_px=given.xy_px + off[given.camera, given.frame // repeats, given.mark])
+    larger = np.where(given.mark % 2 == 0, 1.0, spread)
+    xy = given.xy_px + rng.normal(0, 1, (len(given), 2)) * NOISE_PX * np.sqrt(larger**2 - 1)[:, None]
+    xy += larger[:, None] * off[given.camera, given.frame // repeats, given.mark]
+    given = replace(given, xy_px=xy, covariance_px2=given.covariance_px2 * larger[:, None, None] ** 2)
     return rig, poses, calibrate_rigid(given, RigidTarget("test field", marks), SETTINGS)
 
 
@@ -48,6 +54,17 @@ def test_the_covariance_holds_what_lasts(monkeypatch):
     monkeypatch.setattr(rigid, "systematic_covariance", lambda *_: 0.0)
     alone = [squares(*calibrated(seed, LASTING_PX)) for seed in range(2)]
     assert np.mean(alone) > 3.0, alone
+
+
+def test_marks_that_are_known_badly_do_not_say_what_lasts(monkeypatch):
+    found = [squares(*calibrated(seed, LASTING_PX, spread=6.0)) for seed in range(2)]
+    assert 0.6 < np.mean(found) < 1.6, found
+    # the control: in pixels, the errors of bad marks are those of good ones, too
+    estimate = rigid.systematic_errors
+    monkeypatch.setattr(rigid, "systematic_errors", lambda a, camera, cell, _: (
+        estimate(a, camera, cell, np.ones(len(cell))) / NOISE_PX))  # fmt: skip
+    alone = [squares(*calibrated(seed, LASTING_PX, spread=6.0)) for seed in range(2)]
+    assert np.mean(alone) < 0.4, alone
 
 
 def test_nothing_is_said_to_last_where_nothing_stood():

@@ -17,9 +17,9 @@ MOST_RAYS_PX = 0.03
 MOST_OF_SPACE = {"board": 1.5e-4}
 """Points measured without noise, over the longest edge of the volume: the paper's 0.01 % unless said; a board whose
 corners are found to 0.03 px does not always reach that."""
-SIGMA0 = {"wand": (0.8, 1.25), "two_balls": (0.8, 1.25), "field": (0.7, 2.5)}
-"""Residuals over what detection expected. A field's hold the edges of shadows besides, which repeat in all exposures
-of a stand; with a sensor's noise that was assumed instead of learned it was 4."""
+SIGMA0 = {"wand": (0.8, 1.25), "two_balls": (0.8, 1.25), "field": (0.8, 1.25)}
+"""Residuals over what detection expected. Of fields it was 1.7 while centroids were measured, which edges of shadows
+draw, and 4 with a sensor's noise that was assumed instead of learned."""
 MOST_CENTRE_SIGMAS = 4.0
 """Of sixteen centres of a kind one lies beyond 3 by chance in 4 % of the nights."""
 

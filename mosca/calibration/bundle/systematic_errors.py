@@ -4,7 +4,9 @@ A lens is not quite its model, and a mark's image is not quite where its light i
 errors are the same in each exposure. Least squares takes them for new ones each time. Repeats distinguish them from
 noise (pure error and lack of fit: Draper and Smith 1998, section 2.1): the mean residual of a mark that a camera saw
 n times has the variance rho (sigma_L^2 + sigma_n^2 / n), of which the scatter among the n knows sigma_n, and rho is
-what the adjustment leaves of it (redundancy numbers, Baarda 1968). What they do to the parameters p is their part of
+what the adjustment leaves of it (redundancy numbers, Baarda 1968). Both are taken in a-priori standard deviations: a
+dim, thin or saturated mark has larger systematic errors, too, and counts as little here as in the adjustment. What
+they do to the parameters p is their part of
 
     C_L = N^-1 (sum over cells of g^T sigma_L^2 (1 - 1/n) g) N^-1,   g = sum over the cell of A^T W,
 
@@ -25,11 +27,11 @@ LEAST_REDUNDANCY = 0.1
 """Cells whose mean residual the adjustment fits nearly away are left out."""
 
 
-def systematic_errors(adjustment: Adjustment, camera: Array, cell: Array) -> Array:
-    """Return the systematic part of image errors (c,), rms an axis [px]; NaN without enough repeats.
+def systematic_errors(adjustment: Adjustment, camera: Array, cell: Array, sigma_px: Array) -> Array:
+    """Return the systematic part of image errors (c,), rms an axis over standard deviations; NaN without repeats.
 
     ``adjustment``: with precision; ``camera`` (n,) of each observation; ``cell`` (n,) alike for observations that
-    one camera made of one mark in one stationary interval.
+    one camera made of one mark in one stationary interval; ``sigma_px`` (n,) a priori.
     """
     assert adjustment.precision is not None
     cameras = len(adjustment.cameras)
@@ -37,7 +39,7 @@ def systematic_errors(adjustment: Adjustment, camera: Array, cell: Array) -> Arr
     used = np.flatnonzero(adjustment.used)
     _, first, of, count = np.unique(cell[used], return_index=True, return_inverse=True, return_counts=True)
     of = of.reshape(-1)
-    residual = adjustment.residuals_px[used]
+    residual = adjustment.residuals_px[used] / sigma_px[used, None]
     mean = np.column_stack([np.bincount(of, residual[:, k]) for k in (0, 1)]) / count[:, None]
     scatter = np.bincount(of, ((residual - mean[of]) ** 2).sum(axis=1)) / np.maximum(2 * (count - 1), 1)
     left = 1 - np.bincount(of, 1 - adjustment.precision.redundancy_numbers[used].mean(axis=1))
@@ -50,17 +52,19 @@ def systematic_errors(adjustment: Adjustment, camera: Array, cell: Array) -> Arr
     return found
 
 
-def systematic_covariance(problem: Problem, adjustment: Adjustment, cell: Array, lasting_px: Array) -> Array:
+def systematic_covariance(problem: Problem, adjustment: Adjustment, cell: Array, lasting: Array) -> Array:
     """Return what systematic errors add to the covariance (u, u) of ``adjustment.parameters``.
 
-    ``cell`` as for ``systematic_errors``; ``lasting_px`` (c,) what that found, NaN counts nothing.
+    ``cell`` as for ``systematic_errors``; ``lasting`` (c,) what that found, NaN counts nothing.
     """
-    if len(adjustment.parameters) == 0 or not np.nansum(lasting_px) > 0:
+    if len(adjustment.parameters) == 0 or not np.nansum(lasting) > 0:
         return np.zeros((len(adjustment.parameters),) * 2)
     cells = shifts_of(problem, adjustment, cell, even=True)
     camera = np.zeros(len(cells.count), dtype=np.int64)
     camera[cells.image_of] = problem.observations.camera
     repeated = 1 - 1 / np.maximum(cells.count, 1)
-    sigma = np.nan_to_num(lasting_px)[camera] * np.sqrt(repeated)
+    # of each cell, from the sum of its weights
+    variance = cells.count / np.maximum(cells.d[::2], 1e-300)
+    sigma = np.nan_to_num(lasting)[camera] * np.sqrt(repeated * variance)
     by_cell = cells.cofactors @ cells.g.T * np.repeat(sigma, 2) * cells.scale[:, None]
     return np.asarray(by_cell @ by_cell.T)
