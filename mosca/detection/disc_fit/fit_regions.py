@@ -20,7 +20,6 @@ from mosca.detection.disc_fit.first_values import Light, Region, first_disc, is_
 from mosca.detection.disc_fit.gauss_newton import DiscFit, DiscPrior, Model, Workspace, fit_disc
 from mosca.detection.disc_fit.hidden_background import compare_rims, refit_before, take_behind
 from mosca.detection.disc_fit.light_offset import (
-    LIGHT_BLURS,
     N_TARGETS,
     N_TERMS,
     ROUGH_SUM,
@@ -204,6 +203,28 @@ def write_row(
 
 
 @bare_step(fastmath=FAST)
+def widen(
+    excess: float,
+    may_be_even: bool,
+    n: int,
+    pixels: Array,
+    fit: DiscFit,
+    model: Model,
+    shape: tuple[float, float, float],
+    work: Workspace,
+    out: Array,
+) -> None:
+    """Scale the covariance of a target that fits worse than others: hidden in part, or no disc.
+
+    ``may_be_even``: only by what is not the same on both sides of the centre; the rest does not move it.
+    """
+    if excess > 1.0 and may_be_even:
+        excess = min(excess, asymmetry((n + 7) // 8 * 8, pixels, fit, model, shape, work))
+        excess = excess if excess > misfit_by_chance(n // 2) else 1.0
+    out[XX], out[XY], out[YY] = excess * out[XX], excess * out[XY], excess * out[YY]
+
+
+@bare_step(fastmath=FAST)
 def uncovered_sums(
     n: int, pixels: Array, region: Region, background: float, priors: Priors, model: Model, buffers: Buffers
 ) -> tuple[Any, Any]:
@@ -356,11 +377,7 @@ def refine_region(
     good = is_good(region, light, fit, centre)
     tally, usual = sums.tallies[k], priors.roughness[k]
     odd, excess = write_row(region, light, fit, centre, (good, n, usual), model, out)
-    if excess > 1.0 and symmetric and not odd:
-        excess = min(excess, asymmetry(padded, pixels, fit, model, light.shape, buffers.fit))
-        excess = excess if excess > misfit_by_chance(n // 2) else 1.0
-    # hidden in part, or no disc
-    out[XX], out[XY], out[YY] = excess * out[XX], excess * out[XY], excess * out[YY]
+    widen(excess, symmetric and not odd, n, pixels, fit, model, light.shape, buffers.fit, out)
     if good and symmetric:
         tally[N_TARGETS] += 1.0
         tally[ROUGH_SUM] += min(out[ROUGH], ROUGH_FACTOR * usual + ROUGH_FLOOR)
@@ -370,8 +387,7 @@ def refine_region(
         if takes_light and not odd:
             add_residuals(padded, pixels, fit, prior, model, light.shape, buffers.fit, tally)
         if takes_light and plain and not odd:
-            reach = min(centre.radius + LIGHT_BLURS * fit.blur, most)
-            add_light(image, region, reach, fit, centre.radius, buffers.pixels, buffers.terms, sums)
+            add_light(image, region, most, fit, centre.radius, buffers.pixels, buffers.terms, sums)
     shape = ellipticity_of(padded, pixels, region, light, fit, good, out[MISFIT], model, buffers.fit)
     out[ELLIPTIC_X], out[ELLIPTIC_Y], out[ELLIPTIC_SIGMA] = shape
     out[X], out[Y] = moved(image, centre.x, centre.y, centre.radius, priors.offsets[k], buffers.terms)

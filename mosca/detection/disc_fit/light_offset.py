@@ -82,14 +82,18 @@ def set_terms(image: Array, x: float, y: float, radius: float, terms: Array) -> 
 def add_light(
     image: Array,
     region: Region,
-    reach: float,
+    most: float,
     fit: DiscFit,
     radius: float,
     pixels: Array,
     terms: Array,
     sums: StatisticsSums,
 ) -> None:
-    """Add how far the centroid of a target's whole light lies from its fit, unless other regions are that near."""
+    """Add how far the centroid of a target's whole light lies from its fit, unless other regions are that near.
+
+    ``most``: how far from the middle the buffer holds pixels.
+    """
+    reach = min(radius + LIGHT_BLURS * fit.blur, most)
     middle = ((region.left + region.right + 1) // 2, (region.top + region.bottom + 1) // 2)
     n = gather(image, middle, reach * reach, pixels)
     x, y, v = pixels[X], pixels[Y], pixels[V]
