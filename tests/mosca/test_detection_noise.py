@@ -100,22 +100,61 @@ def limb(diameter, blur):
     return sum(-s * fine_image(diameter * r, blur, across=int(diameter) + 14) for r, s in zip(rho, step, strict=True))
 
 
-@pytest.mark.parametrize(
-    "profile", [limb(12.0, 0.5), fine_image(8.3, 0.5, circle=5.0), limb(30.0, 0.5)], ids=["ball", "defocus", "large"]
-)
-def test_a_radial_profile_that_is_no_disc_s_is_no_noise(profile):
-    rng, learned, gain, side = np.random.default_rng(3), NO_STATISTICS, 0.05, len(profile) // FINE
+def smeared(diameter, blur, length):
+    """A disc that moves evenly by ``length`` [px] while the shutter is open, at 30 degrees to the rows."""
+    disc = fine_image(diameter, blur, across=int(diameter) + 14)
+    along = np.linspace(-0.5, 0.5, 49) * length * FINE
+    return sum(np.roll(disc, (round(0.5 * a), round(0.866 * a)), (0, 1)) for a in along) / len(along)
+
+
+def taken(rng, profile, gain, hide=1.0):
+    """An image of the profile at many places, and these [px]; ``hide``: how much of its right half is seen."""
+    side, light, truth = len(profile) // FINE, np.full((H, W), 4.0), []
+    for y in range(4, H - side - 4, side + 4):
+        for x in range(4, W - side - 4, side + 4):
+            ix, iy = rng.integers(-FINE // 2, FINE // 2, 2)
+            shape = pixels(profile, ix, iy).clip(0)
+            shape[:, side // 2 + 1 :] *= hide
+            light[y : y + side, x : x + side] += 150.0 * shape
+            truth.append((x + side // 2 + ix / FINE, y + side // 2 + iy / FINE))
+    return sensed(rng, light / gain, gain, 0.7), np.array(truth)
+
+
+SYMMETRIC = {
+    "ball": limb(12.0, 0.5),
+    "defocus": fine_image(8.3, 0.5, circle=5.0),
+    "large": limb(30.0, 0.5),
+    "motion": smeared(8.3, 0.5, 6.0),
+}
+
+
+@pytest.mark.parametrize("name", SYMMETRIC)
+def test_what_a_symmetric_image_has_that_no_disc_has_is_no_noise(name):
+    rng, learned, gain = np.random.default_rng(3), NO_STATISTICS, 0.05
     for _ in range(4):
-        light = np.full((H, W), 4.0)
-        for y in range(4, H - side - 4, side + 4):
-            for x in range(4, W - side - 4, side + 4):
-                shape = pixels(profile, *rng.integers(-FINE // 2, FINE // 2, 2))
-                light[y : y + side, x : x + side] += 150.0 * shape.clip(0)
-        image = sensed(rng, light / gain, gain, 0.7)
-        learned = learned.plus(detect_with_statistics([image], ["a"], statistics=learned)[1])
+        image, truth = taken(rng, SYMMETRIC[name], gain)
+        (seen,), new = detect_with_statistics([image], ["a"], statistics=learned)
+        learned = learned.plus(new)
     found, sigma = gain_of(learned.sums, 0, float(np.median(learned.backgrounds["a"].variance)))
     assert found == pytest.approx(gain, rel=0.2)  # the residuals themselves give 8 to 25 times as much
     assert sigma < 0.15 * gain
+    error, variance = errors(seen, truth)
+    # scaled by all of chi-square the motion's variances were 4 times as large; a disc fits large limbs so badly that
+    # its place errs by more than the noise that goes with its slopes
+    assert 0.6 < np.mean(error**2 / variance) < (2.3 if name == "large" else 1.3)
+
+
+def test_what_is_not_symmetric_makes_a_place_uncertain():
+    """The control: with half of the light of the right side, places are off by more than noise, and said to be."""
+    rng, learned = np.random.default_rng(3), NO_STATISTICS
+    for hide in (1.0, 1.0, 0.75):
+        image, truth = taken(rng, fine_image(8.3, 0.5), 0.05, hide)
+        (seen,), new = detect_with_statistics([image], ["a"], statistics=learned)
+        learned = learned.plus(new)
+    off = np.linalg.norm(seen.xy_px[:, None] - truth, axis=2).min(axis=1)
+    stated = np.sqrt(np.trace(seen.covariance_px2, axis1=1, axis2=2))
+    assert np.median(off) > 0.03
+    assert np.median(stated) > 2.5 * 0.006
 
 
 def test_stated_errors_hold_with_a_sensor_that_nobody_told():

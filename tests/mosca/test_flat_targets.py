@@ -106,6 +106,42 @@ def matched(rig, found, target="auto", diameter_m=2 * RADIUS, light="even"):
     return points, away.min(axis=0), nearest
 
 
+def light_of_lamp(camera, k, power):
+    """Centroid of disc k's image [px] where its light falls with the distance to this power."""
+    u = np.cross(NORMALS[k], [0.3, 0.9, -0.2])
+    u /= np.linalg.norm(u)
+    v = np.cross(NORMALS[k], u) / np.linalg.norm(NORMALS[k])
+    grid = (np.arange(60) + 0.5) / 30 - 1
+    a, b = (part.ravel() for part in np.meshgrid(grid, grid))
+    a, b = a[a * a + b * b < 1], b[a * a + b * b < 1]
+    at = CENTRES[k] + RADIUS * (a[:, None] * u + b[:, None] * v)
+    # the area of its image that a piece of the disc has
+    by_u, by_v = (pixels(camera, at + 1e-5 * d) - pixels(camera, at - 1e-5 * d) for d in (u, v))
+    area = np.abs(by_u[:, 0] * by_v[:, 1] - by_u[:, 1] * by_v[:, 0])
+    light = area * np.linalg.norm(at - camera.world_from_camera.translation, axis=1) ** power
+    return (light[:, None] * pixels(camera, at)).sum(axis=0) / light.sum()
+
+
+def test_lamps_at_the_lens_light_the_nearer_side_more():
+    rig = rig_of(LENSES["opencv"])
+    found, even = images_of(rig, discs), {}
+    for camera in rig.cameras:
+        lit = np.array([light_of_lamp(camera, k, -2) - light_of_lamp(camera, k, 0) for k in range(len(CENTRES))])
+        # a fit follows about half of it
+        even[camera.name] = replace(found[camera.name], xy_px=found[camera.name].xy_px + 0.5 * lit)
+    points, away, nearest = matched(rig, even, light="unknown")
+    assert away.max() < 5e-6
+    # the control: taken for evenly lit, and all of the centroid's shift
+    assert matched(rig, even)[1].max() > 20e-6
+    # what is not known is said: distant lamps, and the light's centroid itself, are two standard deviations off
+    noise = matched(rig, found)[0]
+    more = points.covariance[nearest] - noise.covariance[matched(rig, found)[2]]
+    for lamp in (found, {n: replace(e, xy_px=2 * e.xy_px - found[n].xy_px) for n, e in even.items()}):
+        off = matched(rig, lamp, light="unknown")[1]
+        ratio = off / np.sqrt(np.trace(more, axis1=1, axis2=2))
+        assert np.all((1.0 < ratio) & (ratio < 2.2))
+
+
 @pytest.mark.parametrize("name", list(LENSES))
 def test_discs_at_a_slant_are_measured_where_they_are(name):
     rig = rig_of(LENSES[name])

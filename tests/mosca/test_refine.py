@@ -72,6 +72,23 @@ def test_a_diameter_is_without_blur_and_as_certain_as_stated(diameter, blur):
     assert 0.5 < found_px.std() / stated < 1.25
 
 
+def test_a_disc_of_a_pixel_is_no_ellipse():
+    """It lights one pixel or two; a second moment of zero across a row is no shape."""
+    rng, learned = np.random.default_rng(4), NO_STATISTICS
+    for _ in range(5):
+        image, truth, _ = frame(rng, 1.0, 0.0, 200, 60)
+        (found,), new = detect_with_statistics(
+            [image], ["a"], DetectionSettings(minimum_size_px=0), statistics=learned
+        )
+        learned = learned.plus(new)
+    error, variance = errors(found, truth)
+    two = found.elongation > 1.5
+    assert two.sum() > 20
+    # as ellipses 1 in 50 was off by 0.3 px, 10 standard deviations
+    assert np.abs(error[two]).max() < 0.2
+    assert np.mean(error[two] ** 2 / variance[two]) < 2.0
+
+
 def test_wrong_noise_makes_the_stated_error_wrong():
     """The control: with a quarter of the noise stated, chi-square is far off."""
     rng = np.random.default_rng(3)

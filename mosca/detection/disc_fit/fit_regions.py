@@ -381,11 +381,11 @@ def refine_region(
     if good and symmetric:
         tally[N_TARGETS] += 1.0
         tally[ROUGH_SUM] += min(out[ROUGH], ROUGH_FACTOR * usual + ROUGH_FLOOR)
+        if takes_light and not odd:
+            add_residuals(padded, pixels, fit, prior, model, light.shape, buffers.fit, tally)
     # long images teach where their edges are sharp: others may be smeared by motion
     if good and symmetric and (plain or (parts_of(fit.blur) > 1 and not odd)):
         out[BLUR], out[BLUR_INFO] = add_learned(fit, amplitude, float(light_sums[0]), prior, tally)
-        if takes_light and not odd:
-            add_residuals(padded, pixels, fit, prior, model, light.shape, buffers.fit, tally)
         if takes_light and plain and not odd:
             add_light(image, region, most, fit, centre.radius, buffers.pixels, buffers.terms, sums)
     shape = ellipticity_of(padded, pixels, region, light, fit, good, out[MISFIT], model, buffers.fit)
