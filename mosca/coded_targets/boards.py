@@ -20,10 +20,9 @@ import numpy as np
 
 from mosca.coded_targets.board_view import BoardView, fitted_view
 from mosca.coded_targets.corner_fit import fitted_corners, places_of
-from mosca.coded_targets.corner_image import Marker
 from mosca.coded_targets.pixel_noise import noise_of
 from mosca.data.arrays import Array
-from mosca.data.boards import DICTIONARIES, Board
+from mosca.data.boards import Board
 from mosca.data.found_targets import BoardDetections
 from mosca.errors import InputError
 
@@ -32,8 +31,7 @@ LEAST_SHARE = 0.5
 LEAST_FITTING = 0.9
 """Share of a ChArUco board's corners seen that must fit: a few that a marker or a finger displaced are left out; of a
 bent board more do not fit."""
-BITS_BEYOND_PX = 1.5
-"""Distance of pixels from a marker's bits."""
+BAND = 0.7
 FARTHEST_STEP = 0.25
 """Largest distance of a refined corner from where the finder has it, in narrowest squares."""
 SYSTEMATIC_PX = 0.002
@@ -115,16 +113,14 @@ def _found(grey: Array, image: Array, board: Board, camera: str) -> BoardDetecti
 
 def _refined(image: Array, board: Board, rough: "_Fit", corner: Array, xy: Array) -> tuple[Array, Array]:
     """Return refined places (n, 2) [px] and their covariances (n, 2, 2) [px^2]."""
-    marker = Marker(0.0, 0.0)
+    markers = (0.0, 1.0)
     if board.marker_m is not None:
-        share = board.marker_m / board.square_m
-        gap, module = 0.5 * (1 - share), share / (DICTIONARIES[str(board.dictionary)][0] + 2)
-        band = gap + max(module - BITS_BEYOND_PX / rough.spacing_px, 0.0)
-        marker = Marker(-gap if board.inverted else gap, band)
+        gap = 0.5 * (1 - board.marker_m / board.square_m)
+        markers = (-1.0 if board.inverted else 1.0, BAND * gap)
     left, top = np.maximum(np.floor(xy.min(axis=0)).astype(int), 0)
     right, bottom = np.ceil(xy.max(axis=0)).astype(int) + 1
     noise = noise_of(image[top:bottom, left:right])
-    return fitted_corners(image, places_of(board, rough.view, corner, xy), marker, _full_dn(image), noise)
+    return fitted_corners(image, places_of(board, rough.view, corner, xy), markers, _full_dn(image), noise)
 
 
 def _full_dn(image: Array) -> float:

@@ -24,7 +24,8 @@ from mosca.coded_targets.corner_image import (
     TURN_1,
     TURN_2,
     UNKNOWNS,
-    Marker,
+    MARKERS,
+    PLACE,
     Noise,
     corner_sums,
 )
@@ -47,10 +48,10 @@ MANY_SIGMA = 3.0
 
 
 def places_of(board: Board, view: BoardView, corner: Array, xy: Array) -> Array:
-    """Return the surroundings (n, 9) of corners ``corner`` (n,) of a board seen in ``view`` at ``xy`` (n, 2) [px]."""
+    """Return the surroundings (n, PLACE) of corners ``corner`` (n,) of a board seen in ``view`` at ``xy`` (n, 2) [px]."""
     plane, half = board.corners()[corner, :2], 0.5 * board.square_m
     middle = view.image(plane)
-    out = np.empty((len(xy), 9))
+    out = np.zeros((len(xy), PLACE))
     out[:, :2] = xy
     sides = []
     for axis in (0, 1):
@@ -66,17 +67,28 @@ def places_of(board: Board, view: BoardView, corner: Array, xy: Array) -> Array:
         out[:, 4 + axis] = np.abs(np.sum(sides[1 - axis][0] * sides[axis][1], axis=1))
     longest = np.max([np.abs(sides[0][0]) + np.abs(sides[1][0]), np.abs(sides[0][0]) + np.abs(sides[1][0])], axis=(0, 2))
     out[:, 8] = np.minimum(0.5 * longest, LARGEST_REACH_PX)
+    if board.marker_m is not None:
+        gap = 0.5 * (board.square_m - board.marker_m)
+        # of a marker's edge the part beside the corner's half of the line
+        beside = 0.5 * (gap + half)
+        for quarter, (down, right) in enumerate(((-1, -1), (-1, 1), (1, -1), (1, 1))):
+            for axis, away in enumerate(((right * beside, -down * gap), (right * gap, -down * beside))):
+                r = view.image(plane + away) - middle
+                along, normal = sides[axis]
+                t = np.sum(r * along, axis=1) / np.linalg.norm(along, axis=1)
+                d = np.sum(r * normal, axis=1) - out[:, 6 + axis] * t**2
+                out[:, MARKERS + 2 * quarter + axis] = np.abs(d)
     return out
 
 
 def fitted_corners(
-    image: Array, places: Array, marker: Marker, full_dn: float, noise_dn: float
+    image: Array, places: Array, markers: tuple[float, float], full_dn: float, noise_dn: float
 ) -> tuple[Array, Array]:
     """Return places (n, 2) [px] and covariances (n, 2, 2) [px^2] of corners about ``places``; NaN where there is none.
 
     ``image`` (H, W) [DN]; pixels from ``full_dn`` on are saturated; ``noise_dn``: a first guess.
     """
-    look = _Look(image, places, marker, full_dn)
+    look = _Look(image, places, markers, full_dn)
     unknowns, noise = _start(look), Noise(noise_dn**2, 0.0, 0.0, ROUNDING_DN2)
     prior = np.array([FIRST_MEANS, np.square(FIRST_SPREADS)])
     unknowns = _fit(look, unknowns, noise, prior)
@@ -94,13 +106,13 @@ class _Look(NamedTuple):
 
     image: Array
     places: Array
-    marker: Marker
+    markers: tuple[float, float]
     full_dn: float
 
     def sums(self, unknowns: Array, noise: Noise, which: Array, fitted: Array = NONE) -> Any:
         """Return ``corner_sums`` of the corners ``which``."""
         return corner_sums(
-            self.image, unknowns[which], self.places[which], self.marker, noise, self.full_dn, fitted
+            self.image, unknowns[which], self.places[which], self.markers, noise, self.full_dn, fitted
         )
 
 

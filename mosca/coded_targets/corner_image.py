@@ -30,14 +30,6 @@ LEAST_VARIANCE = 1e-4
 """Of a blur [px^2]: a hundredth of a pixel."""
 
 
-class Marker(NamedTuple):
-    """A ChArUco board's markers, in squares: their distance from the lines, and the bands beside the lines that are
-    looked at (in between are a marker's bits)."""
-
-    gap: float
-    band: float
-
-
 class Noise(NamedTuple):
     """Variance of a pixel [DN^2]: ``level + slope S + edge (1 - S^2)``, at least ``least``, S = 1 where white."""
 
@@ -47,9 +39,11 @@ class Noise(NamedTuple):
     least: float
 
 
-X, Y, DIRECTION_1, DIRECTION_2, APART_1, APART_2, BEND_1, BEND_2, REACH = range(9)
+X, Y, DIRECTION_1, DIRECTION_2, APART_1, APART_2, BEND_1, BEND_2, REACH, MARKERS = range(10)
+PLACE = MARKERS + 8
 """Of a corner's surroundings as its board's view has them: place, directions, distances of the parallel edges [px],
-half curvatures [1/px], half the window's longer side [px]."""
+half curvatures [1/px], half the window's longer side [px]; distances of a marker from both edges in each quarter
+(d_1 < 0, d_2 < 0), (< 0, > 0), (> 0, < 0), (> 0, > 0) [px]."""
 
 
 @step
@@ -82,10 +76,10 @@ def beyond(d: float, gap: float, sigma: float) -> tuple[float, float, float]:
 
 
 @step
-def add_part(d: tuple[float, float], place: Array, blur: tuple[float, float, float], gap: float, out: Array) -> None:
+def add_part(d: tuple[float, float], place: Array, blur: tuple[float, float, float], colour: float, out: Array) -> None:
     """Add to ``out`` (6,) the pattern at the distances ``d`` from both edges, and its change with both distances,
-    both variances and rho. ``blur``: standard deviations and rho. ``gap``: of markers in the squares where the
-    pattern has its sign, in squares; 0: none."""
+    both variances and rho. ``blur``: standard deviations and rho. ``colour``: of the squares that hold markers, 0:
+    none do."""
     s1, s2, rho = blur
     e1, k1, v1, o1, l1, w1 = wave(d[0], place[APART_1], s1)
     e2, k2, v2, o2, l2, w2 = wave(d[1], place[APART_2], s2)
@@ -104,11 +98,11 @@ def add_part(d: tuple[float, float], place: Array, blur: tuple[float, float, flo
         byv2 -= 0.5 * d[1] / s2**2 * extra2
         rest = max(1.0 - rho * rho, 1e-6)
         by_rho = 4.0 * math.exp(-0.5 * (h * h + k * k - 2.0 * rho * h * k) / rest) / (2.0 * math.pi * math.sqrt(rest))
-    if gap != 0.0:
-        colour = 1.0 if gap > 0.0 else -1.0
+    if colour != 0.0:
         for side in (-1.0, 1.0):
-            m1, n1, q1 = beyond(side * d[0], abs(gap) * place[APART_1], s1)
-            m2, n2, q2 = beyond(side * colour * d[1], abs(gap) * place[APART_2], s2)
+            quarter = MARKERS + 2 * ((2 if side > 0.0 else 0) + (1 if side * colour > 0.0 else 0))
+            m1, n1, q1 = beyond(side * d[0], place[quarter], s1)
+            m2, n2, q2 = beyond(side * colour * d[1], place[quarter + 1], s2)
             s -= 2.0 * colour * m1 * m2
             by1 -= 2.0 * colour * side * n1 * m2
             by2 -= 2.0 * side * m1 * n2
@@ -123,15 +117,15 @@ def add_part(d: tuple[float, float], place: Array, blur: tuple[float, float, flo
 
 
 @step
-def is_within(place: Array, marker: Marker, x: float, y: float) -> bool:
+def is_within(place: Array, band: float, x: float, y: float) -> bool:
     """Return whether a pixel (x, y) from the place is nearer to this corner than to others, and shows no bits."""
     d1 = abs(math.cos(place[DIRECTION_1]) * y - math.sin(place[DIRECTION_1]) * x) / place[APART_1]
     d2 = abs(math.cos(place[DIRECTION_2]) * y - math.sin(place[DIRECTION_2]) * x) / place[APART_2]
-    return max(d1, d2) < 0.5 and (marker.gap == 0.0 or min(d1, d2) < marker.band)
+    return max(d1, d2) < 0.5 and min(d1, d2) < band
 
 
 @step
-def pixel_light(p: Array, place: Array, gap: float, x: float, y: float, out: Array, slope: Array) -> float:
+def pixel_light(p: Array, place: Array, colour: float, x: float, y: float, out: Array, slope: Array) -> float:
     """Return the light [DN] of a pixel (x, y) [px], write its change with the unknowns ``p`` to ``slope`` (UNKNOWNS,)
 
     and the pattern with its changes to ``out`` (6,)."""
@@ -150,7 +144,7 @@ def pixel_light(p: Array, place: Array, gap: float, x: float, y: float, out: Arr
             t1, t2 = c1 * rx + s1 * ry, c2 * rx + s2 * ry
             d = c1 * ry - s1 * rx - place[BEND_1] * t1 * t1, c2 * ry - s2 * rx - place[BEND_2] * t2 * t2
             before1, before2 = out[1], out[2]
-            add_part(d, place, sigma, gap, out)
+            add_part(d, place, sigma, colour, out)
             at1 += (out[1] - before1) * t1
             at2 += (out[2] - before2) * t2
     share = 1.0 / (parts * parts)
@@ -172,11 +166,13 @@ def pixel_light(p: Array, place: Array, gap: float, x: float, y: float, out: Arr
 
 @kernel
 def corner_sums(
-    image: Array, unknowns: Array, places: Array, marker: Marker, noise: Noise, full_dn: float, fitted: Array
+    image: Array, unknowns: Array, places: Array, markers: tuple[float, float], noise: Noise, full_dn: float, fitted: Array
 ) -> tuple[Array, Array, Array, Array, Array]:
     """Return of corners' ``unknowns`` (n, UNKNOWNS) the normal equations (n, UNKNOWNS, UNKNOWNS) and their right
 
-    sides, chi-square and numbers of pixels (n,), and the equations (3, 4) of the noise. ``places`` (n, 9);
+    sides, chi-square and numbers of pixels (n,), and the equations (3, 4) of the noise. ``places`` (n, PLACE);
+    ``markers``: 1 where a board's white squares hold some, -1 where its black ones do, 0 for none; and the width of
+    the bands beside the lines that are looked at, in squares.
     ``fitted`` (n, UNKNOWNS, UNKNOWNS): covariance, of which residuals are what is left; or empty, without the noise.
     """
     n = len(unknowns)
@@ -185,15 +181,15 @@ def corner_sums(
     out, slope, basis = np.zeros(6), np.zeros(UNKNOWNS), np.ones(3)
     for j in range(n):
         p, place = unknowns[j], places[j]
-        gap = marker.gap if p[CONTRAST] >= 0.0 else -marker.gap
+        colour = markers[0] if p[CONTRAST] >= 0.0 else -markers[0]
         reach = place[REACH]
         left, right_end = max(math.ceil(place[X] - reach), 0), min(math.floor(place[X] + reach), image.shape[1] - 1)
         top, bottom = max(math.ceil(place[Y] - reach), 0), min(math.floor(place[Y] + reach), image.shape[0] - 1)
         for row in range(top, bottom + 1):
             for column in range(left, right_end + 1):
-                if image[row, column] >= full_dn or not is_within(place, marker, column - place[X], row - place[Y]):
+                if image[row, column] >= full_dn or not is_within(place, markers[1], column - place[X], row - place[Y]):
                     continue
-                off = image[row, column] - pixel_light(p, place, gap, float(column), float(row), out, slope)
+                off = image[row, column] - pixel_light(p, place, colour, float(column), float(row), out, slope)
                 white = math.copysign(out[0], p[CONTRAST] * out[0])
                 weight = 1.0 / variance_of(noise, white)
                 pixels[j] += 1.0
