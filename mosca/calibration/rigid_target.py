@@ -147,7 +147,10 @@ def _adjusted(
     problem = replace(problem, observations=replace(problem.observations, xy_px=steady))
     if np.any(np.asarray(target.sigma_m) > 0):
         # only now: with the marks' positions among the unknowns every step costs a hundred times as much
-        problem = replace(problem, points=ObjectPoints.weighted(target.marks_m, np.broadcast_to(target.sigma_m, target.marks_m.shape)))
+        problem = replace(
+            problem,
+            points=ObjectPoints.weighted(target.marks_m, np.broadcast_to(target.sigma_m, target.marks_m.shape)),
+        )
     result = solve(problem, bundle, result)
     assert result.precision is not None
     covariance = shaken_covariance(problem, result, sightings.frame, shake)

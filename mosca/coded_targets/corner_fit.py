@@ -1,11 +1,10 @@
-"""Places of a chessboard's corners: a model of their image fitted to all pixels that are nearer to each than to others.
+"""Places of a chessboard's corners: a model of the image is fitted to the pixels nearer to each than to the others.
 
 ``mosca.coded_targets.corner_image`` states the model. Least squares by Levenberg and Marquardt, all corners of an
-image side by side, in two rounds. What the corners of an image have in common is learned from the first one: the noise
-of black and white pixels and of those at edges, where the model lacks something, from the residuals; blur and slopes
-of the light, as means and spreads (method of moments; DerSimonian and Laird 1986), which are the second round's priors.
-The covariance is that of the fit; a corner whose residuals are larger than the image's others' by more than chance has
-it multiplied by as much.
+image side by side, in two rounds. What they have in common is learned from the first one: the noise of black and of
+white pixels and of those at edges, where the model lacks something, from the residuals; blur and slopes of the light
+as means and spreads (method of moments; DerSimonian and Laird 1986), the second round's priors. The covariance is
+that of the fit; where residuals exceed those of the image's other corners by more than chance, multiplied by as much.
 """
 
 from typing import Any, NamedTuple
@@ -18,14 +17,14 @@ from mosca.coded_targets.corner_image import (
     BLUR_2,
     CONTRAST,
     LEAST_VARIANCE,
+    MARKERS,
     MEAN,
+    PLACE,
+    REACH,
     SLOPE_X,
     SLOPE_Y,
-    TURN_1,
     TURN_2,
     UNKNOWNS,
-    MARKERS,
-    PLACE,
     Noise,
     corner_sums,
 )
@@ -34,21 +33,26 @@ from mosca.data.boards import Board
 from mosca.detection.local_background import ROUNDING_DN2
 
 LARGEST_REACH_PX = 16.0
-"""Half the window's longer side, at most."""
+"""Half the window's longer side, at most: longer edges would bend by more than a parabola."""
 SHARED = [BLUR_1, BLUR_2, SLOPE_X, SLOPE_Y]
 FIRST_MEANS, FIRST_SPREADS = (0.5, 0.5, 0.0, 0.0), (2.0, 2.0, 0.3, 0.3)
-"""What corners of an image have in common, and its mean and standard deviation before the image is known [px^2, share]."""
+"""What corners of an image have in common; mean and standard deviation before the image is known [px^2, share]."""
 LEAST_SPREAD = 1e-6
+"""Least variance of what is shared, over that of the first round's prior."""
 STEPS_MOST, CLOSE_PX, SLACK, MOST_DAMPING = 25, 3e-4, 1e-4, 1e6
+"""Steps at most, length of the last one, by what share chi-square may rise since the pixels' weights go with the
+pattern, and the damping at which no step helps any more."""
 FARTHEST = np.array([0.7, 0.7, 0.2, 0.2, 1.0, 1.0, np.inf, np.inf, 0.3, 0.3])
-MOST_VARIANCE, TINY = 25.0, 1e-12
+"""Longest step, in the order of the unknowns: a blurred edge's width."""
+MOST_VARIANCE, TINY, HELD = 25.0, 1e-12, 1e12
+"""Largest variance of a blur [px^2]; what keeps divisors above 0; information of what is held."""
 NONE = np.zeros((0, UNKNOWNS, UNKNOWNS))
 MANY_SIGMA = 3.0
 """Standard deviations of chi-square from which it is taken for more than chance."""
 
 
 def places_of(board: Board, view: BoardView, corner: Array, xy: Array) -> Array:
-    """Return the surroundings (n, PLACE) of corners ``corner`` (n,) of a board seen in ``view`` at ``xy`` (n, 2) [px]."""
+    """Return the surroundings (n, PLACE) of corners ``corner`` (n,) of a board in ``view``, at ``xy`` (n, 2) [px]."""
     plane, half = board.corners()[corner, :2], 0.5 * board.square_m
     middle = view.image(plane)
     out = np.zeros((len(xy), PLACE))
@@ -65,8 +69,8 @@ def places_of(board: Board, view: BoardView, corner: Array, xy: Array) -> Array:
         sides.append((along, normal))
     for axis in (0, 1):
         out[:, 4 + axis] = np.abs(np.sum(sides[1 - axis][0] * sides[axis][1], axis=1))
-    longest = np.max([np.abs(sides[0][0]) + np.abs(sides[1][0]), np.abs(sides[0][0]) + np.abs(sides[1][0])], axis=(0, 2))
-    out[:, 8] = np.minimum(0.5 * longest, LARGEST_REACH_PX)
+    longest = (np.abs(sides[0][0]) + np.abs(sides[1][0])).max(axis=1)
+    out[:, REACH] = np.minimum(0.5 * longest, LARGEST_REACH_PX)
     if board.marker_m is not None:
         gap = 0.5 * (board.square_m - board.marker_m)
         # of a marker's edge the part beside the corner's half of the line
@@ -84,21 +88,22 @@ def places_of(board: Board, view: BoardView, corner: Array, xy: Array) -> Array:
 def fitted_corners(
     image: Array, places: Array, markers: tuple[float, float], full_dn: float, noise_dn: float
 ) -> tuple[Array, Array]:
-    """Return places (n, 2) [px] and covariances (n, 2, 2) [px^2] of corners about ``places``; NaN where there is none.
+    """Return positions (n, 2) [px] and covariances (n, 2, 2) [px^2] of corners in surroundings ``places`` (n, PLACE).
 
-    ``image`` (H, W) [DN]; pixels from ``full_dn`` on are saturated; ``noise_dn``: a first guess.
+    ``image`` (H, W) [DN]; ``markers``: see ``corner_sums``; pixels from ``full_dn`` on are saturated; ``noise_dn``: a
+    first guess of the noise.
     """
     look = _Look(image, places, markers, full_dn)
     unknowns, noise = _start(look), Noise(noise_dn**2, 0.0, 0.0, ROUNDING_DN2)
     prior = np.array([FIRST_MEANS, np.square(FIRST_SPREADS)])
     unknowns = _fit(look, unknowns, noise, prior)
-    inverse, _, seen = _solved(look, unknowns, noise, prior)
+    *_, seen = _covariances(look, unknowns, noise, prior)
     noise = _noise(seen, noise)
-    inverse, _, _ = _solved(look, unknowns, noise, prior)
-    prior = _shared(unknowns, inverse, prior)
+    normal, *_ = look.sums(unknowns, noise, np.arange(len(unknowns)))
+    prior = _shared(unknowns, _inverse(normal, prior), prior)
     unknowns = _fit(look, unknowns, noise, prior)
-    inverse, misfit, _ = _solved(look, unknowns, noise, prior)
-    return unknowns[:, :2], inverse[:, :2, :2] * misfit[:, None, None]
+    covariance, misfit, _ = _covariances(look, unknowns, noise, prior)
+    return unknowns[:, :2], covariance[:, :2, :2] * misfit[:, None, None]
 
 
 class _Look(NamedTuple):
@@ -111,9 +116,7 @@ class _Look(NamedTuple):
 
     def sums(self, unknowns: Array, noise: Noise, which: Array, fitted: Array = NONE) -> Any:
         """Return ``corner_sums`` of the corners ``which``."""
-        return corner_sums(
-            self.image, unknowns[which], self.places[which], self.markers, noise, self.full_dn, fitted
-        )
+        return corner_sums(self.image, unknowns[which], self.places[which], self.markers, noise, self.full_dn, fitted)
 
 
 def _start(look: _Look) -> Array:
@@ -131,36 +134,21 @@ def _start(look: _Look) -> Array:
 def _fit(look: _Look, unknowns: Array, noise: Noise, prior: Array) -> Array:
     """Return the unknowns (n, UNKNOWNS) after Levenberg's and Marquardt's steps with priors (2, 4) of ``SHARED``."""
     unknowns = unknowns.copy()
-    weight, damping = np.zeros(UNKNOWNS), np.full(len(unknowns), 1e-3)
-    weight[SHARED] = 1 / prior[1]
-    busy = np.arange(len(unknowns))
+    busy, damping = np.arange(len(unknowns)), np.full(len(unknowns), 1e-3)
 
     def cost_of(values: Array, chi2: Array) -> Array:
-        return chi2 + np.sum((values[:, SHARED] - prior[0]) ** 2 / prior[1], axis=1)
+        return np.asarray(chi2 + np.sum((values[:, SHARED] - prior[0]) ** 2 / prior[1], axis=1))
 
     normal, right, chi2, *_ = look.sums(unknowns, noise, busy)
     cost = cost_of(unknowns, chi2)
     for _ in range(STEPS_MOST):
-        here = unknowns[busy]
-        held = right.copy()
-        held[:, SHARED] -= (here[:, SHARED] - prior[0]) / prior[1]
-        system = normal + np.diag(weight)
-        size = np.einsum("nii->ni", system) + TINY
-        system = system + np.einsum("ni,ij->nij", damping[busy, None] * size, np.eye(UNKNOWNS))
-        scale = 1 / np.sqrt(size)
-        scaled = system * scale[:, :, None] * scale[:, None, :]
-        step = scale * np.linalg.solve(scaled, (held * scale)[..., None])[..., 0]
-        trial = here + np.clip(step, -FARTHEST, FARTHEST)
-        trial[:, [BLUR_1, BLUR_2]] = np.clip(
-            trial[:, [BLUR_1, BLUR_2]], np.maximum(here[:, [BLUR_1, BLUR_2]] / 4, LEAST_VARIANCE), MOST_VARIANCE
-        )
-        moved = unknowns.copy()
-        moved[busy] = trial
-        n1, r1, chi2, *_ = look.sums(moved, noise, busy)
+        here, moved = unknowns[busy], unknowns.copy()
+        trial = moved[busy] = _stepped(here, normal, right, damping[busy], prior)
+        new_normal, new_right, chi2, *_ = look.sums(moved, noise, busy)
         now = cost_of(trial, chi2)
         better = now <= cost * (1 + SLACK)
         unknowns[busy[better]] = trial[better]
-        normal[better], right[better], cost = n1[better], r1[better], np.where(better, now, cost)
+        normal[better], right[better], cost = new_normal[better], new_right[better], np.where(better, now, cost)
         damping[busy] *= np.where(better, 0.2, 10.0)
         ended = better & (np.abs(trial - here)[:, :2].max(axis=1) < CLOSE_PX) | (damping[busy] > MOST_DAMPING)
         normal, right, cost, busy = normal[~ended], right[~ended], cost[~ended], busy[~ended]
@@ -169,29 +157,53 @@ def _fit(look: _Look, unknowns: Array, noise: Noise, prior: Array) -> Array:
     return unknowns
 
 
-def _solved(look: _Look, unknowns: Array, noise: Noise, prior: Array) -> tuple[Array, Array, Array]:
-    """Return the covariance (n, UNKNOWNS, UNKNOWNS), by how much residuals exceed it (n,), and ``_noise``'s equations."""
+def _stepped(here: Array, normal: Array, right: Array, damping: Array, prior: Array) -> Array:
+    """Return the unknowns (n, UNKNOWNS) after one damped step."""
+    right = right.copy()
+    right[:, SHARED] -= (here[:, SHARED] - prior[0]) / prior[1]
+    scaled, scale = _scaled(normal, prior)
+    scaled = scaled + damping[:, None, None] * np.eye(UNKNOWNS)
+    step = scale * np.linalg.solve(scaled, (right * scale)[..., None])[..., 0]
+    out = here + np.clip(step, -FARTHEST, FARTHEST)
+    blurs = [BLUR_1, BLUR_2]
+    out[:, blurs] = np.clip(out[:, blurs], np.maximum(here[:, blurs] / 4, LEAST_VARIANCE), MOST_VARIANCE)
+    return np.asarray(out)
+
+
+def _scaled(normal: Array, prior: Array) -> tuple[Array, Array]:
+    """Return the normal equations (n, UNKNOWNS, UNKNOWNS) with the prior, scaled, and the scale (n, UNKNOWNS)."""
+    system = normal.copy()
+    system[:, SHARED, SHARED] += 1 / prior[1]
+    scale = 1 / np.sqrt(np.einsum("nii->ni", system) + TINY)
+    return system * scale[:, :, None] * scale[:, None, :], scale
+
+
+def _inverse(normal: Array, prior: Array) -> Array:
+    """Return covariances (n, UNKNOWNS, UNKNOWNS); 0 of what the pixels say nothing about."""
+    scaled, scale = _scaled(normal, prior)
+    return np.asarray(np.linalg.pinv(scaled, hermitian=True) * scale[:, :, None] * scale[:, None, :])
+
+
+def _covariances(look: _Look, unknowns: Array, noise: Noise, prior: Array) -> tuple[Array, Array, Array]:
+    """Return covariances (n, UNKNOWNS, UNKNOWNS), by how much residuals exceed them (n,), ``_noise``'s equations."""
     every = np.arange(len(unknowns))
     normal, *_ = look.sums(unknowns, noise, every)
-    weight = np.zeros(UNKNOWNS)
-    weight[SHARED] = 1 / prior[1]
-    system = normal + np.diag(weight)
-    scale = 1 / np.sqrt(np.einsum("nii->ni", system) + TINY)
-    covariance = np.linalg.pinv(system * scale[:, :, None] * scale[:, None, :], hermitian=True)
-    covariance = covariance * scale[:, :, None] * scale[:, None, :]
+    held = normal.copy()
+    for index in (BLUR_1, BLUR_2):
+        # an edge that is as sharp as can be: its blur takes up no noise
+        held[:, index, index] += np.where(unknowns[:, index] <= LEAST_VARIANCE, HELD, 0.0)
+    covariance = _inverse(held, prior)
     _, _, chi2, pixels, seen = look.sums(unknowns, noise, every, covariance)
-    freedom = np.maximum(pixels - UNKNOWNS, 1.0)
+    freedom = np.maximum(pixels - np.einsum("nij,nij->n", covariance, normal), 1.0)
     ratio = chi2 / freedom
-    misfit = np.where(ratio > 1 + MANY_SIGMA * np.sqrt(2 / freedom), ratio, 1.0)
-    return covariance, misfit, seen
+    return covariance, np.where(ratio > 1 + MANY_SIGMA * np.sqrt(2 / freedom), ratio, 1.0), seen
 
 
 def _noise(seen: Array, before: Noise) -> Noise:
     """Return the noise by its equations (3, 4)."""
-    level, slope, edge = np.linalg.solve(seen[:, :3], seen[:, 3])
+    level, slope, edge = np.linalg.lstsq(seen[:, :3], seen[:, 3])[0]
     if edge < 0:
-        level, slope = np.linalg.solve(seen[:2, :2], seen[:2, 3])
-        edge = 0.0
+        (level, slope), edge = np.linalg.lstsq(seen[:2, :2], seen[:2, 3])[0], 0.0
     level = max(level, ROUNDING_DN2)
     most = level - ROUNDING_DN2
     return before._replace(level=level, slope=float(np.clip(slope, -most, most)), edge=edge)
@@ -202,8 +214,8 @@ def _shared(unknowns: Array, covariance: Array, prior: Array) -> Array:
     out = prior.copy()
     for k, index in enumerate(SHARED):
         own, values = covariance[:, index, index], unknowns[:, index]
-        own = 1 / np.maximum(1 / own - 1 / prior[1, k], TINY)
-        w = 1 / own
+        w = np.maximum(1 / np.maximum(own, TINY) - 1 / prior[1, k], TINY)
+        own = 1 / w
         mean = np.sum(w * values) / np.sum(w)
         excess = np.sum(w * (values - mean) ** 2) - (len(w) - 1)
         spread = max(excess / (np.sum(w) - np.sum(w**2) / np.sum(w)), 0.0)

@@ -1,15 +1,15 @@
 """The image of a chessboard's corner: what the pixels around it have, and how that changes with the corner.
 
-Two edges cross in c. A pixel at r = p - c has the distances ``d_i = n_i r - q_i (t_i r)^2`` from them, n_i the normals,
-t_i the directions, q_i half the curvature that the lens gives an edge. The pattern, -1 in black squares and 1 in white
-ones, is blurred by a Gaussian that has the variance v_i across edge i::
+Two edges cross in c. A pixel at r = p - c has the distances ``d_i = n_i r - q_i (t_i r)^2`` from them, n_i the
+normals, t_i the directions, q_i half the curvature that the lens gives an edge. The pattern, -1 in squares of one
+colour and 1 in the others, is blurred by a Gaussian that has the variance v_i across edge i::
 
     S = 4 Phi2(d_1 / s_1, d_2 / s_2; rho) - 2 Phi(d_1 / s_1) - 2 Phi(d_2 / s_2) + 1,    rho = n_1 n_2
 
 (Phi2: the bivariate normal integral; on edges that are not perpendicular the product of two blurred edges is no
 blurred corner). The parallel edges one square away, and the edges of a ChArUco board's markers, join as products. A
-pixel averages over its square: it is divided into parts as in ``mosca.detection.disc_fit.disc_image``. Light is
-``(a + b S) (1 + g r)``.
+pixel averages over its square: it is divided into parts as in ``mosca.detection.disc_fit.disc_image``, whose own
+blur joins v_i. Light is ``(a + b S) (1 + g r)``.
 """
 
 import math
@@ -54,7 +54,7 @@ def variance_of(noise: Noise, s: float) -> float:
 
 @step
 def wave(d: float, apart: float, sigma: float) -> tuple[float, float, float, float, float, float]:
-    """Return an edge (-1 to 1) at distance ``d`` with its slope and its change with the variance; and its parallels."""
+    """Return an edge (-1 to 1) at distance ``d``, its slope, its change with the variance; the same of parallels."""
     half, density = edge(d / sigma)
     e, slope, spread = 2.0 * half - 1.0, 2.0 * density / sigma, -d * density / sigma**3
     other, other_slope, other_spread = 0.0, 0.0, 0.0
@@ -76,10 +76,14 @@ def beyond(d: float, gap: float, sigma: float) -> tuple[float, float, float]:
 
 
 @step
-def add_part(d: tuple[float, float], place: Array, blur: tuple[float, float, float], colour: float, out: Array) -> None:
-    """Add to ``out`` (6,) the pattern at the distances ``d`` from both edges, and its change with both distances,
-    both variances and rho. ``blur``: standard deviations and rho. ``colour``: of the squares that hold markers, 0:
-    none do."""
+def add_part(
+    d: tuple[float, float], place: Array, blur: tuple[float, float, float], colour: float, out: Array
+) -> None:
+    """Add to ``out`` (6,) the pattern at the distances ``d`` from both edges, and its changes.
+
+    With both distances, both variances and rho. ``blur``: standard deviations and rho. ``colour``: the pattern's sign
+    where squares hold markers, 0 where none do.
+    """
     s1, s2, rho = blur
     e1, k1, v1, o1, l1, w1 = wave(d[0], place[APART_1], s1)
     e2, k2, v2, o2, l2, w2 = wave(d[1], place[APART_2], s2)
@@ -121,19 +125,25 @@ def is_within(place: Array, band: float, x: float, y: float) -> bool:
     """Return whether a pixel (x, y) from the place is nearer to this corner than to others, and shows no bits."""
     d1 = abs(math.cos(place[DIRECTION_1]) * y - math.sin(place[DIRECTION_1]) * x) / place[APART_1]
     d2 = abs(math.cos(place[DIRECTION_2]) * y - math.sin(place[DIRECTION_2]) * x) / place[APART_2]
-    return max(d1, d2) < 0.5 and min(d1, d2) < band
+    return bool(max(d1, d2) < 0.5 and min(d1, d2) < band)
 
 
 @step
 def pixel_light(p: Array, place: Array, colour: float, x: float, y: float, out: Array, slope: Array) -> float:
-    """Return the light [DN] of a pixel (x, y) [px], write its change with the unknowns ``p`` to ``slope`` (UNKNOWNS,)
+    """Return the light [DN] of a pixel (x, y) [px].
 
-    and the pattern with its changes to ``out`` (6,)."""
+    Writes its change with the unknowns ``p`` to ``slope`` (UNKNOWNS,), and the pattern as ``add_part`` does.
+    """
     c1, s1, c2, s2 = math.cos(p[TURN_1]), math.sin(p[TURN_1]), math.cos(p[TURN_2]), math.sin(p[TURN_2])
-    parts = parts_of(math.sqrt(min(p[BLUR_1], p[BLUR_2]) + 1.0 / 12.0))
     rx, ry = x - p[CX], y - p[CY]
-    if min(abs(c1 * ry - s1 * rx) - FLAT * math.sqrt(p[BLUR_1]), abs(c2 * ry - s2 * rx) - FLAT * math.sqrt(p[BLUR_2])) > 1.0:
-        parts = 1
+    parts = 1
+    if (
+        min(
+            abs(c1 * ry - s1 * rx) - FLAT * math.sqrt(p[BLUR_1]), abs(c2 * ry - s2 * rx) - FLAT * math.sqrt(p[BLUR_2])
+        )
+        < 1.0
+    ):  # a pixel and what the edges' bend is
+        parts = parts_of(math.sqrt(min(p[BLUR_1], p[BLUR_2]) + 1.0 / 12.0))
     own = 1.0 / (12.0 * parts * parts)
     sigma = math.sqrt(p[BLUR_1] + own), math.sqrt(p[BLUR_2] + own), c1 * c2 + s1 * s2
     out[:] = 0.0
@@ -161,16 +171,22 @@ def pixel_light(p: Array, place: Array, colour: float, x: float, y: float, out: 
     slope[BLUR_1], slope[BLUR_2] = b * out[3], b * out[4]
     slope[MEAN], slope[CONTRAST] = lit, lit * out[0]
     slope[SLOPE_X], slope[SLOPE_Y] = value * rx, value * ry
-    return value * lit
+    return float(value * lit)
 
 
 @kernel
 def corner_sums(
-    image: Array, unknowns: Array, places: Array, markers: tuple[float, float], noise: Noise, full_dn: float, fitted: Array
+    image: Array,
+    unknowns: Array,
+    places: Array,
+    markers: tuple[float, float],
+    noise: Noise,
+    full_dn: float,
+    fitted: Array,
 ) -> tuple[Array, Array, Array, Array, Array]:
-    """Return of corners' ``unknowns`` (n, UNKNOWNS) the normal equations (n, UNKNOWNS, UNKNOWNS) and their right
+    """Return normal equations (n, UNKNOWNS, UNKNOWNS) and right sides at ``unknowns`` (n, UNKNOWNS) of corners.
 
-    sides, chi-square and numbers of pixels (n,), and the equations (3, 4) of the noise. ``places`` (n, PLACE);
+    Then chi-square and numbers of pixels (n,), and the equations (3, 4) of the noise. ``places`` (n, PLACE);
     ``markers``: 1 where a board's white squares hold some, -1 where its black ones do, 0 for none; and the width of
     the bands beside the lines that are looked at, in squares.
     ``fitted`` (n, UNKNOWNS, UNKNOWNS): covariance, of which residuals are what is left; or empty, without the noise.
@@ -187,7 +203,9 @@ def corner_sums(
         top, bottom = max(math.ceil(place[Y] - reach), 0), min(math.floor(place[Y] + reach), image.shape[0] - 1)
         for row in range(top, bottom + 1):
             for column in range(left, right_end + 1):
-                if image[row, column] >= full_dn or not is_within(place, markers[1], column - place[X], row - place[Y]):
+                if image[row, column] >= full_dn or not is_within(
+                    place, markers[1], column - place[X], row - place[Y]
+                ):
                     continue
                 off = image[row, column] - pixel_light(p, place, colour, float(column), float(row), out, slope)
                 white = math.copysign(out[0], p[CONTRAST] * out[0])
