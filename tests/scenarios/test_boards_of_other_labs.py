@@ -8,6 +8,7 @@ Caliscope: an inverted board whose mirror image is seen from behind, by webcams 
 
 import csv
 import os
+import re
 from pathlib import Path
 
 import cv2
@@ -66,6 +67,10 @@ def test_four_wide_lenses_of_sleap_anipose(tmp_path):
     rig, said = calibrated(tmp_path, SLEAP, target + 'dictionary = "DICT_4X4_1000"\n', "--lens", "opencv")
     assert "REFUSED" not in said
     assert rig.names == ("back", "mid", "side", "top")
+    left = [float(one) for one in re.findall(r"sigma_[xy] ([0-9.]+) px", said)]
+    print("reprojection", left)
+    assert len(left) == 8
+    assert max(left) <= 0.1
     board = cv2.aruco.CharucoBoard(
         (8, 11), 0.024, 0.01875, cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_1000)
     )
