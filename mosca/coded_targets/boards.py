@@ -44,6 +44,7 @@ BEYOND_SHARE = 0.3
 """Distance beyond a checkerboard's border at which its continuation is tested, in squares."""
 LEAST_ALTERNATING = 0.95
 """Share of neighbouring squares that must be black and white."""
+NO_CORNER = "no corner of squares is where the checkerboard would have one"
 NO_PLANE = "the corners are not those of a plane before a camera"
 FEWEST_CORNERS = 6
 """Below that a view has no redundancy."""
@@ -102,6 +103,8 @@ def _found(grey: Array, image: Array, board: Board, camera: str) -> BoardDetecti
     refined, covariance = _refined(image, board, rough, corner, xy)
     # a corner that goes far has followed other edges
     still = np.linalg.norm(refined - xy, axis=1) <= FARTHEST_STEP * rough.spacing_px
+    if board.dictionary is None and not still.all():
+        return BoardDetections.none(camera, NO_CORNER)
     fitting = _fitting(board, corner[still], refined[still], size)
     if isinstance(fitting, str):
         return BoardDetections.none(camera, fitting)

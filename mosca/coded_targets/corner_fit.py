@@ -25,7 +25,7 @@ from mosca.coded_targets.corner_image import (
     SLOPE_Y,
     TURN_2,
     UNKNOWNS,
-    Noise,
+    PatternNoise,
     corner_sums,
 )
 from mosca.data.arrays import Array
@@ -46,6 +46,8 @@ FARTHEST = np.array([0.7, 0.7, 0.2, 0.2, 1.0, 1.0, np.inf, np.inf, 0.3, 0.3])
 """Longest step, in the order of the unknowns: a blurred edge's width."""
 MOST_VARIANCE, TINY, HELD = 25.0, 1e-12, 1e12
 """Largest variance of a blur [px^2]; what keeps divisors above 0; information of what is held."""
+WORST_PX = 1.0
+"""Standard deviation of a corner of which the pixels say nothing."""
 NONE = np.zeros((0, UNKNOWNS, UNKNOWNS))
 MANY_SIGMA = 3.0
 """Standard deviations of chi-square from which it is taken for more than chance."""
@@ -90,20 +92,25 @@ def fitted_corners(
 ) -> tuple[Array, Array]:
     """Return positions (n, 2) [px] and covariances (n, 2, 2) [px^2] of corners in surroundings ``places`` (n, PLACE).
 
+    NaN where the pixels show no corner.
+
     ``image`` (H, W) [DN]; ``markers``: see ``corner_sums``; pixels from ``full_dn`` on are saturated; ``noise_dn``: a
     first guess of the noise.
     """
     look = _Look(image, places, markers, full_dn)
-    unknowns, noise = _start(look), Noise(noise_dn**2, 0.0, 0.0, ROUNDING_DN2)
+    unknowns, noise = _start(look), PatternNoise(noise_dn**2, 0.0, 0.0, ROUNDING_DN2)
     prior = np.array([FIRST_MEANS, np.square(FIRST_SPREADS)])
     unknowns = _fit(look, unknowns, noise, prior)
-    *_, seen = _covariances(look, unknowns, noise, prior)
-    noise = _noise(seen, noise)
+    *_, equations = _covariances(look, unknowns, noise, prior)
+    noise = _noise(equations, noise)
     normal, *_ = look.sums(unknowns, noise, np.arange(len(unknowns)))
     prior = _shared(unknowns, _inverse(normal, prior), prior)
     unknowns = _fit(look, unknowns, noise, prior)
     covariance, misfit, _ = _covariances(look, unknowns, noise, prior)
-    return unknowns[:, :2], covariance[:, :2, :2] * misfit[:, None, None]
+    normal, *_ = look.sums(unknowns, noise, np.arange(len(unknowns)))
+    seen_at_all = np.einsum("nii->ni", normal)[:, :2].min(axis=1) > 1 / WORST_PX**2
+    places_px = np.where(seen_at_all[:, None], unknowns[:, :2], np.nan)
+    return places_px, covariance[:, :2, :2] * misfit[:, None, None]
 
 
 class _Look(NamedTuple):
@@ -114,7 +121,7 @@ class _Look(NamedTuple):
     markers: tuple[float, float]
     full_dn: float
 
-    def sums(self, unknowns: Array, noise: Noise, which: Array, fitted: Array = NONE) -> Any:
+    def sums(self, unknowns: Array, noise: PatternNoise, which: Array, fitted: Array = NONE) -> Any:
         """Return ``corner_sums`` of the corners ``which``."""
         return corner_sums(self.image, unknowns[which], self.places[which], self.markers, noise, self.full_dn, fitted)
 
@@ -125,13 +132,13 @@ def _start(look: _Look) -> Array:
     out[:, : TURN_2 + 1] = look.places[:, : TURN_2 + 1]
     out[:, [BLUR_1, BLUR_2]] = FIRST_MEANS[0]
     out[:, CONTRAST] = 1.0
-    normal, right, *_ = look.sums(out, Noise(1.0, 0.0, 0.0, 1.0), np.arange(len(out)))
+    normal, right, *_ = look.sums(out, PatternNoise(1.0, 0.0, 0.0, 1.0), np.arange(len(out)))
     light = normal[:, MEAN : CONTRAST + 1, MEAN : CONTRAST + 1] + 1e-9 * np.eye(2)
     out[:, MEAN : CONTRAST + 1] += np.linalg.solve(light, right[:, MEAN : CONTRAST + 1, None])[..., 0]
     return out
 
 
-def _fit(look: _Look, unknowns: Array, noise: Noise, prior: Array) -> Array:
+def _fit(look: _Look, unknowns: Array, noise: PatternNoise, prior: Array) -> Array:
     """Return the unknowns (n, UNKNOWNS) after Levenberg's and Marquardt's steps with priors (2, 4) of ``SHARED``."""
     unknowns = unknowns.copy()
     busy, damping = np.arange(len(unknowns)), np.full(len(unknowns), 1e-3)
@@ -184,7 +191,7 @@ def _inverse(normal: Array, prior: Array) -> Array:
     return np.asarray(np.linalg.pinv(scaled, hermitian=True) * scale[:, :, None] * scale[:, None, :])
 
 
-def _covariances(look: _Look, unknowns: Array, noise: Noise, prior: Array) -> tuple[Array, Array, Array]:
+def _covariances(look: _Look, unknowns: Array, noise: PatternNoise, prior: Array) -> tuple[Array, Array, Array]:
     """Return covariances (n, UNKNOWNS, UNKNOWNS), by how much residuals exceed them (n,), ``_noise``'s equations."""
     every = np.arange(len(unknowns))
     normal, *_ = look.sums(unknowns, noise, every)
@@ -199,7 +206,7 @@ def _covariances(look: _Look, unknowns: Array, noise: Noise, prior: Array) -> tu
     return covariance, np.where(ratio > 1 + MANY_SIGMA * np.sqrt(2 / freedom), ratio, 1.0), seen
 
 
-def _noise(seen: Array, before: Noise) -> Noise:
+def _noise(seen: Array, before: PatternNoise) -> PatternNoise:
     """Return the noise by its equations (3, 4)."""
     level, slope, edge = np.linalg.lstsq(seen[:, :3], seen[:, 3])[0]
     if edge < 0:

@@ -30,7 +30,7 @@ LEAST_VARIANCE = 1e-4
 """Of a blur [px^2]: a hundredth of a pixel."""
 
 
-class Noise(NamedTuple):
+class PatternNoise(NamedTuple):
     """Variance of a pixel [DN^2]: ``level + slope S + edge (1 - S^2)``, at least ``least``, S = 1 where white."""
 
     level: float
@@ -47,7 +47,7 @@ half curvatures [1/px], half the window's longer side [px]; distances of a marke
 
 
 @step
-def variance_of(noise: Noise, s: float) -> float:
+def variance_of(noise: PatternNoise, s: float) -> float:
     """Return the variance of a pixel of the pattern ``s``, 1 where white [DN^2]."""
     return max(noise.level + noise.slope * s + noise.edge * (1.0 - s * s), noise.least)
 
@@ -180,7 +180,7 @@ def corner_sums(
     unknowns: Array,
     places: Array,
     markers: tuple[float, float],
-    noise: Noise,
+    noise: PatternNoise,
     full_dn: float,
     fitted: Array,
 ) -> tuple[Array, Array, Array, Array, Array]:
