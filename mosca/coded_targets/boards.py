@@ -1,9 +1,9 @@
 """Finding checkerboards and ChArUco boards (with ArUco or AprilTag markers) through OpenCV.
 
-A thin wrapper: OpenCV finds the corners; they are refined, sorted as ``Board.corners()``, and rejected where
-uncertain. A checkerboard must be seen as a whole (``findChessboardCornersSB``; Duda and
-Frese 2018); of a ChArUco board, whose markers name the corners, at least half of them must be seen, and all corners
-must lie where one board before a camera can have them.
+OpenCV finds the corners; they are refined, sorted as ``Board.corners()``, and rejected where uncertain. A
+checkerboard must be seen as a whole (``findChessboardCornersSB``; Duda and Frese 2018); of a ChArUco board, whose
+markers name the corners, at least half of them must be seen, and all corners must lie where one board before a camera
+can have them.
 
 Refinement is a fit of the corner's image (``mosca.coded_targets.corner_fit``), which also gives the covariance; the
 board's view tells how long the edges are and how the lens bends them.

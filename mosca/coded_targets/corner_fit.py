@@ -28,7 +28,7 @@ from mosca.coded_targets.corner_image import (
     PatternNoise,
     corner_sums,
 )
-from mosca.data.arrays import Array
+from mosca.data.arrays import Array, looked_at
 from mosca.data.boards import Board
 from mosca.detection.local_background import ROUNDING_DN2
 
@@ -84,6 +84,7 @@ def places_of(board: Board, view: BoardView, corner: Array, xy: Array) -> Array:
                 t = np.sum(r * along, axis=1) / np.linalg.norm(along, axis=1)
                 d = np.sum(r * normal, axis=1) - out[:, 6 + axis] * t**2
                 out[:, MARKERS + 2 * quarter + axis] = np.abs(d)
+    out[~np.isfinite(out).all(axis=1)] = 0.0  # beyond what the view maps: no pixel is looked at
     return out
 
 
@@ -97,7 +98,7 @@ def fitted_corners(
     ``image`` (H, W) [DN]; ``markers``: see ``corner_sums``; pixels from ``full_dn`` on are saturated; ``noise_dn``: a
     first guess of the noise.
     """
-    look = _Look(image, places, markers, full_dn)
+    look = _Look(looked_at(np.ascontiguousarray(image)), places, markers, full_dn)
     unknowns, noise = _start(look), PatternNoise(noise_dn**2, 0.0, 0.0, ROUNDING_DN2)
     prior = np.array([FIRST_MEANS, np.square(FIRST_SPREADS)])
     unknowns = _fit(look, unknowns, noise, prior)

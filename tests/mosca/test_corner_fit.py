@@ -9,7 +9,7 @@ from supersampled_boards import bound, corners, drawn, noisy, pose
 
 from mosca.coded_targets.board_view import fitted_view
 from mosca.coded_targets.corner_fit import LARGEST_REACH_PX, fitted_corners, places_of
-from mosca.coded_targets.corner_image import BEND_1, BEND_2
+from mosca.coded_targets.corner_image import BEND_1, BEND_2, PLACE
 from mosca.data.boards import Board
 
 SQUARES = (6, 5)
@@ -91,6 +91,7 @@ def test_a_corner_under_dirt_says_so():
     taken = noisy(image, np.random.default_rng(2))
     taken[y - 8 : y + 9, x - 8 : x + 9] = 255
     places, covariance = fit(taken, true, 255.0)
+    assert np.isnan(fitted_corners(taken, np.zeros((4, PLACE)), (0.0, 1.0), 255.0, 1.0)[0]).all()  # none in the view
     off, sigma = np.abs(places - true).max(axis=1), np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 2)
     assert sigma[7] > 3 * np.median(sigma)
     assert np.isnan(places[12]).all()
