@@ -46,6 +46,8 @@ FARTHEST = np.array([0.7, 0.7, 0.2, 0.2, 1.0, 1.0, np.inf, np.inf, 0.3, 0.3])
 """Longest step, in the order of the unknowns: a blurred edge's width."""
 MOST_VARIANCE, TINY, HELD = 25.0, 1e-12, 1e12
 """Largest variance of a blur [px^2]; what keeps divisors above 0; information of what is held."""
+DIRTY = 4.0
+"""Residuals' squares over the median of an image's corners from which a corner does not tell the noise."""
 WORST_PX = 1.0
 """Standard deviation of a corner of which the pixels say nothing."""
 NONE = np.zeros((0, UNKNOWNS, UNKNOWNS))
@@ -109,9 +111,10 @@ def fitted_corners(
     unknowns = _fit(look, unknowns, noise, prior)
     covariance, misfit, _ = _covariances(look, unknowns, noise, prior)
     normal, *_ = look.sums(unknowns, noise, np.arange(len(unknowns)))
-    seen_at_all = np.einsum("nii->ni", normal)[:, :2].min(axis=1) > 1 / WORST_PX**2
-    places_px = np.where(seen_at_all[:, None], unknowns[:, :2], np.nan)
-    return places_px, covariance[:, :2, :2] * misfit[:, None, None]
+    covariance = covariance[:, :2, :2] * misfit[:, None, None]
+    variance, information = np.einsum("nii->ni", covariance), np.einsum("nii->ni", normal)[:, :2]
+    is_one = np.maximum(variance, 1 / (information + TINY)).max(axis=1) < WORST_PX**2
+    return np.where(is_one[:, None], unknowns[:, :2], np.nan), covariance
 
 
 class _Look(NamedTuple):
@@ -204,7 +207,9 @@ def _covariances(look: _Look, unknowns: Array, noise: PatternNoise, prior: Array
     _, _, chi2, pixels, seen = look.sums(unknowns, noise, every, covariance)
     freedom = np.maximum(pixels - np.einsum("nij,nij->n", covariance, normal), 1.0)
     ratio = chi2 / freedom
-    return covariance, np.where(ratio > 1 + MANY_SIGMA * np.sqrt(2 / freedom), ratio, 1.0), seen
+    # dirt on a corner is its own affair
+    usual = ratio <= DIRTY * np.median(ratio)
+    return covariance, np.where(ratio > 1 + MANY_SIGMA * np.sqrt(2 / freedom), ratio, 1.0), seen[usual].sum(axis=0)
 
 
 def _noise(seen: Array, before: PatternNoise) -> PatternNoise:

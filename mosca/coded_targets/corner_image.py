@@ -186,14 +186,14 @@ def corner_sums(
 ) -> tuple[Array, Array, Array, Array, Array]:
     """Return normal equations (n, UNKNOWNS, UNKNOWNS) and right sides at ``unknowns`` (n, UNKNOWNS) of corners.
 
-    Then chi-square and numbers of pixels (n,), and the equations (3, 4) of the noise. ``places`` (n, PLACE);
+    Then chi-square and numbers of pixels (n,), and equations (n, 3, 4) of the noise. ``places`` (n, PLACE);
     ``markers``: 1 where a board's white squares hold some, -1 where its black ones do, 0 for none; and the width of
     the bands beside the lines that are looked at, in squares.
     ``fitted`` (n, UNKNOWNS, UNKNOWNS): covariance, of which residuals are what is left; or empty, without the noise.
     """
     n = len(unknowns)
     normal, right = np.zeros((n, UNKNOWNS, UNKNOWNS)), np.zeros((n, UNKNOWNS))
-    chi2, pixels, seen = np.zeros(n), np.zeros(n), np.zeros((3, 4))
+    chi2, pixels, seen = np.zeros(n), np.zeros(n), np.zeros((n, 3, 4))
     out, slope, basis = np.zeros(6), np.zeros(UNKNOWNS), np.ones(3)
     for j in range(n):
         p, place = unknowns[j], places[j]
@@ -203,11 +203,12 @@ def corner_sums(
         top, bottom = max(math.ceil(place[Y] - reach), 0), min(math.floor(place[Y] + reach), image.shape[0] - 1)
         for row in range(top, bottom + 1):
             for column in range(left, right_end + 1):
-                if image[row, column] >= full_dn or not is_within(
-                    place, markers[1], column - place[X], row - place[Y]
-                ):
+                if not is_within(place, markers[1], column - place[X], row - place[Y]):
                     continue
-                off = image[row, column] - pixel_light(p, place, colour, float(column), float(row), out, slope)
+                light = pixel_light(p, place, colour, float(column), float(row), out, slope)
+                if light >= full_dn <= image[row, column]:
+                    continue  # saturated, as it should be
+                off = image[row, column] - light
                 white = math.copysign(out[0], p[CONTRAST] * out[0])
                 weight = 1.0 / variance_of(noise, white)
                 pixels[j] += 1.0
@@ -225,8 +226,8 @@ def corner_sums(
                     basis[1], basis[2] = white, 1.0 - white * white
                     for a in range(3):
                         for b in range(3):
-                            seen[a, b] += weight * weight * basis[a] * basis[b]
-                        seen[a, 3] += weight * weight * basis[a] * square
+                            seen[j, a, b] += weight * weight * basis[a] * basis[b]
+                        seen[j, a, 3] += weight * weight * basis[a] * square
         for a in range(UNKNOWNS):
             for b in range(a):
                 normal[j, b, a] = normal[j, a, b]

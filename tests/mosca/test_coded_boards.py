@@ -52,7 +52,7 @@ def rendered(name: str, read_noise_e: float = 10.0) -> tuple[tuple[Array, Array]
     return tuple(views)
 
 
-@pytest.mark.parametrize(("name", "limit_px"), [("checkerboard", 0.02), ("charuco", 0.03), ("apriltags", 0.03)])
+@pytest.mark.parametrize(("name", "limit_px"), [("checkerboard", 0.004), ("charuco", 0.004), ("apriltags", 0.004)])
 def test_corners_are_where_they_truly_are(name, limit_px):
     errors = []
     for image, true in rendered(name):
