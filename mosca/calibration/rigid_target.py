@@ -58,7 +58,8 @@ EXACTLY = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class RigidTarget:
-    """Marks at ``marks_m`` (m, 3) [m] of a rigid target, known to ``sigma_m`` (0: without error).
+    """Marks at ``marks_m`` (m, 3) [m] of a rigid target, known to ``sigma_m`` (0: without error), one
+    standard deviation or one for each of the target's axes.
 
     Flat round marks have ``normals`` (m, 3) and ``radii_m`` (m,), for their images' eccentricity; None for corners.
     ``kind``: how the target is called.
@@ -66,7 +67,7 @@ class RigidTarget:
 
     kind: str
     marks_m: Array
-    sigma_m: float = 0.0
+    sigma_m: float | Array = 0.0
     normals: Array | None = None
     radii_m: Array | None = None
 
@@ -144,9 +145,12 @@ def _adjusted(
     shake = body_shake(problem, result, sightings.frame) if settings.steady else 0.0
     steady = steadied(problem, result, sightings.frame, shake)
     problem = replace(problem, observations=replace(problem.observations, xy_px=steady))
-    if target.sigma_m > 0:
+    if np.any(np.asarray(target.sigma_m) > 0):
         # only now: with the marks' positions among the unknowns every step costs a hundred times as much
-        problem = replace(problem, points=ObjectPoints.weighted(target.marks_m, target.sigma_m))
+        problem = replace(
+            problem,
+            points=ObjectPoints.weighted(target.marks_m, np.broadcast_to(target.sigma_m, target.marks_m.shape)),
+        )
     result = solve(problem, bundle, result)
     assert result.precision is not None
     covariance = shaken_covariance(problem, result, sightings.frame, shake)

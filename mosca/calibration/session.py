@@ -13,7 +13,7 @@ from mosca.calibration.quality.findings import warn
 from mosca.calibration.quality.limits import QualityLimits
 from mosca.calibration.quality.report_data import evidence_of
 from mosca.calibration.quality.scale import LengthErrors, length_errors
-from mosca.calibration.quality.target_shape import target_shape
+from mosca.calibration.quality.target_shape import target_shape, with_shape
 from mosca.calibration.quality.unit_weight import unit_weight
 from mosca.calibration.rigid_target import RigidSettings, RigidTarget, calibrate_rigid
 from mosca.calibration.single_camera.adjust import check_lens
@@ -196,7 +196,13 @@ def _calibrated(
             rigid = RigidSettings(
                 lens, settings.free, exterior_only=settings.exterior_only, reference=settings.reference
             )
-            return calibrate_rigid(sightings, rigid_target(target), rigid, known)
+            shown = rigid_target(target)
+            found = calibrate_rigid(sightings, shown, rigid, known)
+            if isinstance(target, TestField) or target.sigma_m > 0:
+                return found
+            return with_shape(
+                found, lambda sigma: calibrate_rigid(sightings, replace(shown, sigma_m=sigma), rigid, known)
+            )
         lenses = [
             plain_lens(lens.of(name), 1.0, (int(w), int(h)))
             for name, (w, h) in zip(sightings.cameras, sightings.sizes, strict=True)

@@ -6,10 +6,9 @@ import cv2
 import numpy as np
 import pytest
 from scene_poses import body_pose
-from scipy.special import erf
 
 from mosca.camera.projection import project
-from mosca.coded_targets.boards import corner_covariance, find_board
+from mosca.coded_targets.boards import find_board
 from mosca.data.arrays import Array
 from mosca.data.boards import DICTIONARIES, Board
 from mosca.data.rig import Camera, OpenCVLens, Pose
@@ -53,7 +52,7 @@ def rendered(name: str, read_noise_e: float = 10.0) -> tuple[tuple[Array, Array]
     return tuple(views)
 
 
-@pytest.mark.parametrize(("name", "limit_px"), [("checkerboard", 0.02), ("charuco", 0.03), ("apriltags", 0.03)])
+@pytest.mark.parametrize(("name", "limit_px"), [("checkerboard", 0.004), ("charuco", 0.004), ("apriltags", 0.004)])
 def test_corners_are_where_they_truly_are(name, limit_px):
     errors = []
     for image, true in rendered(name):
@@ -92,22 +91,6 @@ def test_the_covariance_is_that_of_the_errors():
         errors.append(found.xy_px - true)
         variances.append(np.trace(found.covariance_px2, axis1=1, axis2=2) / 2)
     assert 0.75 < np.sqrt(np.mean(np.square(errors)) / np.mean(variances)) < 1.33
-
-
-def test_the_covariance_of_a_corner_by_many_draws():
-    """One ideal corner with white noise, refined by OpenCV 400 times."""
-    rng = np.random.default_rng(1)
-    y, x = np.mgrid[:41, :41] - 20.0
-    clean = 100 + 80 * erf((x - 0.3) / 1.2) * erf((y + 0.2) / 1.2)
-    places = []
-    for _ in range(400):
-        soft = cv2.GaussianBlur((clean + rng.normal(0, 3, clean.shape)).astype(np.float32), (9, 9), 1.0)
-        at = cv2.cornerSubPix(soft, np.array([[[20.0, 20.0]]], np.float32), (6, 6), (-1, -1), (3, 60, 1e-5))
-        places.append(at.ravel())
-    soft = cv2.GaussianBlur(clean.astype(np.float32), (9, 9), 1.0)
-    told = corner_covariance(soft, np.array([20.3, 19.8]), 6, 3.0)
-    np.testing.assert_allclose(np.diag(told), np.var(places, axis=0), rtol=0.25)
-    assert np.isinf(corner_covariance(np.full((41, 41), 9.0), np.array([20.0, 20.0]), 6, 3.0)).all()
 
 
 def warped(board: Board, tilt: float, lean: float, roll: float, rng: np.random.Generator) -> tuple[Array, Array]:

@@ -25,8 +25,8 @@ def seen(sets):
     for k, now in enumerate(xyz):
         found = {
             c.name: Detections(
-                c.name, project(c, now) + rng.normal(0, SIGMA_PX, (40, 2)), np.tile(SIGMA_PX**2 * np.eye(2), (40, 1, 1)),
-                np.full(40, 8.0), np.full(40, 100.0), np.ones(40),
+                c.name, project(c, now) + rng.normal(0, SIGMA_PX, (40, 2)),
+                np.tile(SIGMA_PX**2 * np.eye(2), (40, 1, 1)), np.full(40, 8.0), np.full(40, 100.0), np.ones(40),
             )
             for c in RIG.cameras
         }  # fmt: skip

@@ -1,8 +1,11 @@
 """Is the target as its file has it? Residuals that go with the mark, from view to view, say no."""
 
+from collections.abc import Callable
+from dataclasses import replace
+
 import numpy as np
 
-from mosca.calibration.quality.findings import warn
+from mosca.calibration.quality.findings import note, warn
 from mosca.camera.projection import project_with_jacobians
 from mosca.data.arrays import Array
 from mosca.data.calibration import Calibration, Finding
@@ -10,20 +13,55 @@ from mosca.data.calibration import Calibration, Finding
 REPEATED_SHARE = 0.1
 """Share of the residuals' squares, of views left out, above which it is told. Of a target as in its file the share is
 below 0, since what is estimated from the noise of some views adds to that of others."""
+ESTIMATED_SHARE = 0.25
+"""The same, above which the marks are estimated: bends as large as half of the noise. A lens whose model leaves
+residuals of 6 times the noise makes 0.13, the bent board of sleap-anipose 0.77."""
 FEWEST_VIEWS = 8
 """Exposures of the target below which it is not judged."""
 
 
 def target_shape(calibration: Calibration) -> tuple[Finding, ...]:
-    """Return whether the marks of a rigid target are elsewhere on it, by views that were left out.
+    """Return whether the marks of a rigid target are elsewhere on it than its file has them."""
+    share, away = repeated_displacements(calibration)
+    if not share > REPEATED_SHARE:
+        return ()
+    return (warn("target-shape", f"{_told(calibration, share, away)}; make it flat and measure it"),)
 
-    The displacements of all marks, to first order, that explain the residuals of one half of the session are tried on
-    the other one.
+
+def with_shape(calibration: Calibration, calibrated: Callable[[Array], Calibration]) -> Calibration:
+    """Return the calibration with the marks' positions among the unknowns where residuals ask for it.
+
+    ``calibrated``: calibrates with a-priori standard deviations (3,) [m] of the marks along the target's axes. These
+    are the rms of the displacements, in the plane and out of it: paper bends more than a printer stretches it.
+    """
+    share, away = repeated_displacements(calibration)
+    if not share > ESTIMATED_SHARE:
+        return calibration
+    in_plane = np.mean(away[:, :2] ** 2)
+    found = calibrated(np.sqrt([in_plane, in_plane, np.mean(away[:, 2] ** 2)]))
+    told = note("target-shape", f"{_told(calibration, share, away)}; their positions were estimated")
+    return replace(found, findings=(*found.findings, told))
+
+
+def _told(calibration: Calibration, share: float, away: Array) -> str:
+    distance = 1e3 * np.linalg.norm(away, axis=1)
+    return (
+        f"{share:.0%} of the residuals' squares repeat with the mark from view to view, {REPEATED_SHARE:.0%} "
+        f"allowed: the {calibration.target}'s marks lie {np.sqrt(np.mean(distance**2)):.2g} mm rms, "
+        f"{distance.max():.2g} mm at most, from where its file has them"
+    )
+
+
+def repeated_displacements(calibration: Calibration) -> tuple[float, Array]:
+    """Return which share of the residuals' squares the marks' displacements explain, and these (m, 3) [m].
+
+    By views that were left out: the displacements of all marks, to first order, that explain the residuals of one
+    half of the session are tried on the other one. 0 of too few views.
     """
     rows = np.flatnonzero(calibration.used & np.isfinite(calibration.residuals_px).all(axis=1))
     frames = calibration.sightings.frame[rows]
     if len(np.unique(frames)) < FEWEST_VIEWS:
-        return ()
+        return 0.0, np.zeros((1, 3))
     slope, residual = _slopes(calibration, rows), calibration.residuals_px[rows]
     mark = calibration.sightings.mark[rows]
     late = frames > np.median(frames)
@@ -32,20 +70,8 @@ def target_shape(calibration: Calibration) -> tuple[Finding, ...]:
         moved = _displacements(slope[~half], residual[~half], mark[~half], len(calibration.marks_m))
         predicted = np.einsum("nij,nj->ni", slope[half], moved[mark[half]])
         left += float(((residual[half] - predicted) ** 2).sum())
-    repeated = 1 - left / max(float((residual**2).sum()), 1e-300)
-    if not repeated > REPEATED_SHARE:
-        return ()
-    away = np.linalg.norm(_displacements(slope, residual, mark, len(calibration.marks_m)), axis=1)[np.unique(mark)]
-    rms = float(np.sqrt(np.mean(away**2)))
-    return (
-        warn(
-            "target-shape",
-            f"{repeated:.0%} of the residuals' squares repeat with the mark from view to view, {REPEATED_SHARE:.0%} "
-            f"allowed: the {calibration.target}'s marks lie {1e3 * rms:.2g} mm rms, {1e3 * away.max():.2g} mm at "
-            f"most, from where its file has them; make it flat and measure it, or have them estimated: "
-            f"sigma_m = {rms:.1g}",
-        ),
-    )
+    away = _displacements(slope, residual, mark, len(calibration.marks_m))[np.unique(mark)]
+    return 1 - left / max(float((residual**2).sum()), 1e-300), away
 
 
 def _slopes(calibration: Calibration, rows: Array) -> Array:
