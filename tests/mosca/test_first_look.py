@@ -23,13 +23,13 @@ def seen(sets):
     xyz = centre + 0.05 * np.stack([np.cos(angle), np.sin(angle), 0 * angle], -1)
     out = []
     for k, now in enumerate(xyz):
-        found = {
-            c.name: Detections(
-                c.name, project(c, now) + rng.normal(0, SIGMA_PX, (40, 2)),
-                np.tile(SIGMA_PX**2 * np.eye(2), (40, 1, 1)), np.full(40, 8.0), np.full(40, 100.0), np.ones(40),
-            )
-            for c in RIG.cameras
-        }  # fmt: skip
+        found = {}
+        for camera in RIG.cameras:
+            away = np.linalg.norm(now - camera.world_from_camera.translation, axis=1)
+            found[camera.name] = Detections(
+                camera.name, project(camera, now) + rng.normal(0, SIGMA_PX, (40, 2)),
+                np.tile(SIGMA_PX**2 * np.eye(2), (40, 1, 1)), 8.0 / away, np.full(40, 100.0), np.ones(40),
+            )  # fmt: skip
         out.append((FrameSet(k, 10_000_000 * k), found, 0.0))
     return out, xyz
 
