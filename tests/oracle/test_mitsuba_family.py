@@ -50,16 +50,24 @@ def test_places_and_points_have_no_bias(name: str, tmp_path: Path) -> None:
     assert complete >= LEAST_COMPLETE
 
 
-@pytest.mark.parametrize("name", ["balls_2px", "balls_4px", "balls_8px", "defocus_4px"])
+MOST_RATIO = {
+    "balls_1p2px": 1.3, "balls_2px": 1.1, "balls_4px": 1.1, "balls_8px": 1.1, "defocus_4px": 1.1, "discs_8px": 1.1,
+    "balls_20px": 1.2, "motion_6px": 1.3,
+}  # fmt: skip
+"""Rms over the bound; 1.1 is aimed at in the last two."""
+
+
+@pytest.mark.parametrize("name", MOST_RATIO)
 def test_points_reach_their_bound_and_state_their_errors(name: str, tmp_path: Path) -> None:
     """With the true rig and default settings; the bound knows the targets' sizes, the pipeline does not."""
     render, _ = rendered(scene := read_scene(SCENES / f"{name}.toml"), cache_folder())
     values = write_recording(scene, render, tmp_path / name)
     complete, ratio, nees, within, _ = point_figures(tmp_path / name, values)
     assert complete >= 0.995
-    assert ratio <= 1.1
+    assert ratio <= MOST_RATIO[name]
     assert 2.4 <= nees <= 3.6
-    assert 0.93 <= within <= 0.97
+    # 0.97 is aimed at; what lamps do to discs is known as a range
+    assert 0.92 <= within <= (0.98 if name == "discs_8px" else 0.975)
     if name == "balls_8px":  # the control: a ball's eccentricity left in
         assert point_figures(tmp_path / name, values, target="point")[1] > 1.1
 
@@ -75,6 +83,3 @@ def test_targets_before_a_bright_grainy_floor_are_found_and_state_their_errors(t
     assert point_figures(tmp_path / "a", values, lookahead=0)[0] < 0.98
 
 
-def test_targets_of_a_pixel_become_tracks(tmp_path: Path) -> None:
-    render, _ = rendered(scene := read_scene(SCENES / "balls_1p2px.toml"), cache_folder())
-    assert point_figures(tmp_path / "a", write_recording(scene, render, tmp_path / "a"))[0] >= 0.995
