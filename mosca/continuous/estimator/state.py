@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mosca.continuous.estimator.motion_prior import Smoothness
 from mosca.continuous.model.bspline import Knots
 from mosca.continuous.model.camera_paths import StillCameras
 from mosca.continuous.model.estimated import SplinePaths
@@ -23,7 +24,7 @@ class TrajectoryState:
     still: StillCameras
     moving: SplinePaths | None
     clocks: Array
-    order: int = 2
+    smooth: Smoothness = Smoothness()
     pace: Array | None = None
 
     @property
