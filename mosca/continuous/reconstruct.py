@@ -8,6 +8,7 @@ import numpy as np
 from mosca.continuous.association.associate import Associated, AssociationSettings, associate
 from mosca.continuous.association.coarse_sync import ClockTie
 from mosca.continuous.association.correspondence import observed
+from mosca.continuous.association.lone_sightings import with_lone
 from mosca.continuous.estimator.estimate import ContinuousEstimate, ContinuousSettings, estimate
 from mosca.continuous.findings import association_findings, late_cameras, on_curves_clock
 from mosca.continuous.model.estimated import Clock
@@ -127,6 +128,8 @@ def reconstruct_gathered(gathered: Associated, rig: Rig, settings: ContinuousSet
         else:
             reaching = estimated.curves.reaching(reach_s)
             found, row = observed(gathered.seen, ties, rig, reaching, sigma_px, BETTER_PX, used=(found, row))
+            known = reaching.from_s, reaching.to_s
+            found, row = with_lone(found, row, known, gathered.seen, gathered.tracklet, ties, sigma_px)
         if not len(found):
             raise InputError("no image point lies on its curve: the clocks or the rig do not fit the images")
         curves = estimated.curves

@@ -12,14 +12,15 @@ between exposures.
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from scipy.linalg import LinAlgError, cho_solve_banded, cholesky_banded
+from scipy.linalg import LinAlgError, cho_solve_banded, cholesky_banded, solve_continuous_lyapunov
 from scipy.optimize import minimize_scalar
 
 from mosca.continuous.estimator.banded_normals import Band, Factor, Rows
-from mosca.continuous.model.bspline import Knots, values
+from mosca.continuous.model.bspline import Knots
 from mosca.data.arrays import Array
 
 ORDERS = (2, 3, 5, 7)
@@ -46,27 +47,64 @@ FARTHEST_M = 100.0
 class Smoothness:
     """Spectrum that the prior gives to the motion, but for its size: 1 / (w^2m + corner^(2m - 2) w^2), w in rad/s.
 
-    ``order`` m, the derivative that is white noise at high frequencies; below ``corner`` [rad/s] the speed is. Without
-    a corner polynomials of m - 1 degrees cost nothing, with one only constants do.
+    ``order`` m, the derivative that is white noise at high frequencies; below ``corner`` [rad/s] the speed is. The
+    speed is white noise through Butterworth's filter of m - 1 orders, and was so before the take, too. Without a
+    corner polynomials of m - 1 degrees cost nothing, with one only constants do.
     """
 
     order: int = 2
     corner: float = 0.0
 
     @property
-    def terms(self) -> tuple[tuple[int, float], ...]:
-        """The derivatives whose squares are integrated, and how much each counts."""
-        high = (self.order, 1.0)
-        return (high,) if self.corner <= 0.0 else (high, (1, self.corner ** (2 * self.order - 2)))
+    def operator(self) -> Array:
+        """Factors (m + 1,) of the derivatives whose sum is white noise."""
+        if self.corner <= 0.0:
+            return np.eye(self.order + 1)[self.order]
+        n = self.order - 1
+        return np.append(0.0, butterworth(n)[0] * self.corner ** np.arange(n, -1, -1.0))
 
     def gram(self, knots: Knots, weight: Array | None = None) -> Array:
         """Return the prior's matrix of one coordinate as ``Knots.gram`` has it."""
-        parts = [times * knots.gram(derivative, weight) for derivative, times in self.terms]
-        return np.asarray(sum(parts))
+        banded = knots.gram_of(self.operator, weight)
+        begin = self.begin(knots, weight)
+        for offset in range(knots.degree + 1):
+            low = np.arange(knots.degree + 1 - offset)
+            banded[offset, low] += (begin[:, low + offset] * begin[:, low]).sum(axis=0)
+        return banded
+
+    def begin(self, knots: Knots, weight: Array | None = None) -> Array:
+        """Return factors (k, degree + 1) of the first coefficients whose sums have variance 1 beforehand."""
+        if self.corner <= 0.0:
+            return np.zeros((0, knots.degree + 1))
+        n = self.order - 1
+        at = [knots.weights(np.array([knots.start_s]), k + 1)[1][0] * self.corner**-k for k in range(n)]
+        size = self.corner ** (n - 0.5) * (1.0 if weight is None else weight[0] ** 0.5)
+        return np.asarray(size * butterworth(n)[1] @ np.array(at))
+
+    def weights(self, knots: Knots, time_s: Array) -> tuple[Array, Array]:
+        """Return as ``Knots.weights`` has it the weights of what is white noise."""
+        parts = [times * knots.weights(time_s, k)[1] for k, times in enumerate(self.operator) if times]
+        return knots.weights(time_s)[0], np.asarray(sum(parts))
 
     def rank(self, knots: Knots) -> int:
         """Return how many coefficients of a coordinate it determines."""
         return knots.count - (self.order if self.corner <= 0.0 else 1)
+
+
+@lru_cache(maxsize=16)
+def butterworth(order: int) -> tuple[Array, Array]:
+    """Return the factors (order + 1,) of the derivatives of Butterworth's filter with a corner of 1 rad/s, that of
+    the highest is 1, and R (order, order) such that R^T R is the precision of its output and that one's derivatives
+    when white noise of intensity 1 has always gone in.
+    """
+    poles = np.exp(1j * np.pi * (2 * np.arange(1, order + 1) + order - 1) / (2 * order))
+    factors = np.poly(poles).real[::-1]
+    change = np.diag(np.ones(order - 1), 1)
+    change[-1] = -factors[:-1]
+    driven = np.zeros((order, order))
+    driven[-1, -1] = 1.0
+    precision = np.linalg.inv(solve_continuous_lyapunov(change, -driven))
+    return factors, np.linalg.cholesky(precision).T
 
 
 def one_point(
@@ -166,13 +204,15 @@ def expected_accelerations(knots: Knots, curves: Array, smooth: Smoothness, pace
     """
     nodes, share = np.polynomial.legendre.leggauss(knots.degree)
     time = (knots.breaks_s[:-1, None] + 0.5 * knots.step_s * (1.0 + nodes)).ravel()
-    each = 0.5 * knots.step_s * share / (np.ones(knots.pieces) if pace is None else pace)[:, None]
-    root = np.sqrt(each.ravel())[:, None]
+    weight = np.ones(knots.pieces) if pace is None else 1.0 / pace
+    root = np.sqrt(0.5 * knots.step_s * weight[:, None] * share).ravel()
+    first, by = smooth.weights(knots, time)
+    reached = first[:, None] + np.arange(knots.degree + 1)
+    begin = smooth.begin(knots, weight)
     total = np.zeros((curves.shape[2], curves.shape[2]))
     for one in curves:
-        for derivative, times in smooth.terms:
-            part = values(knots, one, time, derivative) * root
-            total += times * (part.T @ part)
+        for part in (np.einsum("ta,taw->tw", root[:, None] * by, one[reached]), begin @ one[: knots.degree + 1]):
+            total += part.T @ part
     return total / (len(curves) * smooth.rank(knots))
 
 
@@ -181,14 +221,15 @@ def liveliness(knots: Knots, curves: list[Array], covariances: list[Array], smoo
     (draws, count, w) together, smoothed over ``PACE_S``.
     """
     middle = 0.5 * (knots.breaks_s[:-1] + knots.breaks_s[1:])
+    first, by = smooth.weights(knots, middle)
+    reached = first[:, None] + np.arange(knots.degree + 1)
     total, width = np.zeros(knots.pieces), 0
     for drawn, covariance in zip(curves, covariances, strict=True):
         inverse = np.linalg.inv(covariance)
         width += len(covariance)
         for one in drawn:
-            for derivative, times in smooth.terms:
-                second = values(knots, one, middle, derivative)
-                total += times * np.einsum("ti,ij,tj->t", second, inverse, second) / len(drawn)
+            second = np.einsum("ta,taw->tw", by, one[reached])
+            total += np.einsum("ti,ij,tj->t", second, inverse, second) / len(drawn)
     kernel = np.exp(-0.5 * ((middle[:, None] - middle) / PACE_S) ** 2)
     return np.asarray(kernel @ (total * knots.step_s / width) / kernel.sum(axis=1))
 
