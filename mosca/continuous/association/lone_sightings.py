@@ -5,6 +5,7 @@ what a curve predicts there is as wide as points are apart, so that nearest ones
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -50,12 +51,16 @@ def with_lone(
             np.column_stack([one.frame[new], point]), axis=0, return_inverse=True, return_counts=True
         )
         new, point = new[count[which.ravel()] == 1], point[count[which.ravel()] == 1]
-        covariance = one.covariance_px2[new] + sigma_px[c] ** 2 * np.eye(2)
-        parts.append((np.full(len(new), c), point, one.frame[new], times[new], one.xy_px[new], covariance))
+        spread = one.covariance_px2[new] + sigma_px[c] ** 2 * np.eye(2)
+        parts.append((np.full(len(new), c), point, one.frame[new], times[new], one.xy_px[new], spread))
         numbers.append(new)
     had = (found.camera, found.point, found.exposure, found.time_s, found.xy_px, found.covariance_px2)
-    columns = [np.concatenate(column) for column in zip(had, *parts, strict=True)]
-    whole = TimedObservations(found.cameras, found.points, *columns, found.carried_by, found.carried_at)
+    camera, named, exposure, time_s, xy, covariance = (
+        np.concatenate(column) for column in zip(had, *parts, strict=True)
+    )
+    whole = replace(
+        found, camera=camera, point=named, exposure=exposure, time_s=time_s, xy_px=xy, covariance_px2=covariance
+    )
     return whole, np.concatenate(numbers)
 
 

@@ -3,12 +3,12 @@
 The prior is white noise on the m-th derivative: ``p(x) ~ exp(-1/2 integral x''^T Q^-1 x'' dt)`` for m = 2. The order
 m and the distance of the knots are those that predict left-out image points best: recorded people jerk (the second),
 what swings has a spectrum that ends (high orders, knots no nearer than it needs). High orders leave polynomials of
-high degrees free, which is loose where a take ends and where only two cameras see a point: below a corner, learned as
-the order is, the speed is white instead. First each point separately: one strength per point, maximising the marginal likelihood of its image points (REML: the polynomials on which the prior
-is flat integrated out). Then Q between all coordinates of all points that are estimated together, by
-expectation-maximisation: Q is the mean of x'' x''^T over posterior samples. Points of a body move together, and each
-exposure constrains only the directions across its lines of sight: the full Q provides depth
-between exposures.
+high degrees free, which is loose at a take's ends and where only two cameras see a point: below a corner, learned as
+the order is, the speed is white instead. First each point separately: one strength per point, maximising the marginal
+likelihood of its image points (REML: the polynomials on which the prior is flat integrated out). Then Q between all
+coordinates of all points that are estimated together, by expectation-maximisation: Q is the mean of x'' x''^T over
+posterior samples. Points of a body move together, and each exposure constrains only the directions across its lines
+of sight: the full Q provides depth between exposures.
 """
 
 from dataclasses import dataclass
@@ -59,7 +59,7 @@ class Smoothness:
     def operator(self) -> Array:
         """Factors (m + 1,) of the derivatives whose sum is white noise."""
         if self.corner <= 0.0:
-            return np.eye(self.order + 1)[self.order]
+            return np.asarray(np.eye(self.order + 1)[self.order])
         n = self.order - 1
         return np.append(0.0, butterworth(n)[0] * self.corner ** np.arange(n, -1, -1.0))
 

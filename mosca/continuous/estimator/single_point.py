@@ -35,9 +35,9 @@ def first_curves(
     larger than stated image errors are (1 unless ``noise_free``).
 
     Rays weighed by a guessed depth first (the distance of the point nearest to all axes), then by the depth found,
-    then image errors themselves. Rays take the state's own prior and knots; then order and, where ``free_knots``, corner
-    and the distance of the knots, ``finest`` at first, are those that predict best. ``start``: curves to linearise at
-    instead.
+    then image errors themselves. Rays take the state's own prior and knots; then order and, where ``free_knots``,
+    corner and the distance of the knots, ``finest`` at first, are those that predict best. ``start``: curves to
+    linearise at instead.
     """
     if start is not None:
         xyz = np.array(state.xyz)
@@ -93,7 +93,7 @@ def _likeliest(
         while orders[k] >= CORNERED and (other := tried(orders[k], times, corner))[0] < before:
             own, before = min(own, other, key=lambda one: one[0]), other[0]
             corner /= COARSER
-        while (other := tried(orders[k], times * COARSER, own[1].smooth.corner))[0] < own[0]:
+        while own[1].smooth.corner == 0.0 and (other := tried(orders[k], times * COARSER))[0] < own[0]:
             own, times = other, times * COARSER
         best = min(best, own, key=lambda one: one[0])
     return best[1], best[2]

@@ -1,6 +1,6 @@
 """State vector: curves of points, cameras' poses and clocks; and the index of each unknown."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -24,7 +24,7 @@ class TrajectoryState:
     still: StillCameras
     moving: SplinePaths | None
     clocks: Array
-    smooth: Smoothness = Smoothness()
+    smooth: Smoothness = field(default_factory=Smoothness)
     pace: Array | None = None
 
     @property
