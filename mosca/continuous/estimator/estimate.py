@@ -95,14 +95,19 @@ def estimate(
     begun = settings.cameras == "moving" and paths is not None and settings.clocks == "known"
     known = settings.clocks == "known" and settings.cameras == "known"
     free_knots = settings.knot_s is None and settings.cameras != "moving"
-    state, strength, noise = first_curves(image, state, alone, points, start, not (known or begun), knots, free_knots)
+    # clocks that are wrong but taken as right look like motion of high frequencies, which a corner would admit; without
+    # it the residuals tell
+    corners = free_knots and not known
+    state, strength, noise = first_curves(
+        image, state, alone, points, start, not (known or begun), knots, free_knots, corners
+    )
     of_cameras = np.zeros((0, 0))
     if not known:
         state, held, of_cameras = _settled(image, state, points, settings, strength, noise, clock_free)
         # variances estimated with wrong clocks and poses attribute their errors to motion: estimated again,
         # from rays, since image points far from the initial curves (jumps) have little weight and would never recover
         state = replace(state, xyz=np.zeros_like(state.xyz))
-        state, strength, _ = first_curves(image, state, alone, points, None, False, knots, free_knots)
+        state, strength, _ = first_curves(image, state, alone, points, None, False, knots, free_knots, corners)
     groups = grouped(state, points, settings)
     places = layout(groups, len(still.cameras), settings.cameras, clock_free & ~held)
     covariances = first_covariances(points, strength, places)

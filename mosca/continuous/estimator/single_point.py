@@ -30,13 +30,14 @@ def first_curves(
     noise_free: bool,
     finest: Knots,
     free_knots: bool = False,
+    corners: bool = False,
 ) -> tuple[TrajectoryState, Array, float]:
     """Return the state with curves of ``points`` (indices), each one's log strength of smoothness, and how many times
     larger than stated image errors are (1 unless ``noise_free``).
 
     Rays weighed by a guessed depth first (the distance of the point nearest to all axes), then by the depth found,
     then image errors themselves. Rays take the state's own prior and knots; then order and, where ``free_knots``,
-    corner and the distance of the knots, ``finest`` at first, are those that predict best. ``start``: curves to
+    the distance of the knots, ``finest`` at first, and where ``corners`` the corner are those that predict best. ``start``: curves to
     linearise at instead.
     """
     if start is not None:
@@ -54,19 +55,21 @@ def first_curves(
             state = _each_point(image, seen, state, usable, points, True)[0]
     seen = _of_whole_points(image, state, places)
     weight = robust_weights(seen.residual)
-    state, seen = _likeliest(image, seen, replace(state, knots=finest), weight, points, noise_free, free_knots)
+    state, seen = _likeliest(
+        image, seen, replace(state, knots=finest), weight, points, noise_free, free_knots, corners
+    )
     best, strength, noise, _ = _each_point(image, seen, state, weight, points, noise_free)
     return best, strength, max(1.0, float(np.median(noise)))
 
 
 def _likeliest(
     image: ImagePoints, seen: LinearisedImages, state: TrajectoryState, weight: Array, points: Array,
-    noise_free: bool, free_knots: bool
+    noise_free: bool, free_knots: bool, corners: bool
 ) -> tuple[TrajectoryState, LinearisedImages]:  # fmt: skip
     """Return the state with order, knots and corner that predict left-out image points of some points best, and the
     equations with these.
 
-    Where not ``free_knots`` knots stay, there is no corner, and orders that their degree has are compared.
+    Where not ``free_knots`` knots stay, where not ``corners`` there is none, and orders that their degree has are compared.
     """
     some = points[np.unique(np.linspace(0, len(points) - 1, JUDGES).astype(int))]
     finest = state.knots
@@ -90,10 +93,10 @@ def _likeliest(
         own, times = at[k], 1.0
         # from the highest that these knots hold: far below the motion's own spectrum a corner changes nothing
         corner, before = np.pi / finest.step_s / COARSER, np.inf
-        while orders[k] >= CORNERED and (other := tried(orders[k], times, corner))[0] < before:
+        while corners and orders[k] >= CORNERED and (other := tried(orders[k], times, corner))[0] < before:
             own, before = min(own, other, key=lambda one: one[0]), other[0]
             corner /= COARSER
-        while own[1].smooth.corner == 0.0 and (other := tried(orders[k], times * COARSER))[0] < own[0]:
+        while (other := tried(orders[k], times * COARSER, own[1].smooth.corner))[0] < own[0]:
             own, times = other, times * COARSER
         best = min(best, own, key=lambda one: one[0])
     return best[1], best[2]
