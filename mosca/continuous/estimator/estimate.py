@@ -95,8 +95,8 @@ def estimate(
     begun = settings.cameras == "moving" and paths is not None and settings.clocks == "known"
     known = settings.clocks == "known" and settings.cameras == "known"
     free_knots = settings.knot_s is None and settings.cameras != "moving"
-    # clocks that are wrong but taken as right look like motion of high frequencies, which a corner would admit; without
-    # it the residuals tell
+    # clocks that are wrong but taken as right look like motion of high frequencies, which a corner admits; without
+    # one the residuals tell
     corners = free_knots and not known
     state, strength, noise = first_curves(
         image, state, alone, points, start, not (known or begun), knots, free_knots, corners

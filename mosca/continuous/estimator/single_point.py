@@ -36,9 +36,9 @@ def first_curves(
     larger than stated image errors are (1 unless ``noise_free``).
 
     Rays weighed by a guessed depth first (the distance of the point nearest to all axes), then by the depth found,
-    then image errors themselves. Rays take the state's own prior and knots; then order and, where ``free_knots``,
-    the distance of the knots, ``finest`` at first, and where ``corners`` the corner are those that predict best. ``start``: curves to
-    linearise at instead.
+    then image errors themselves. Rays take the state's own prior and knots; then order, where ``free_knots`` the
+    distance of the knots (``finest`` at first), and where ``corners`` the corner are those that predict best.
+    ``start``: curves to linearise at instead.
     """
     if start is not None:
         xyz = np.array(state.xyz)
@@ -69,7 +69,8 @@ def _likeliest(
     """Return the state with order, knots and corner that predict left-out image points of some points best, and the
     equations with these.
 
-    Where not ``free_knots`` knots stay, where not ``corners`` there is none, and orders that their degree has are compared.
+    Where not ``free_knots`` knots stay, and orders that their degree has are compared; where not ``corners`` there is
+    none.
     """
     some = points[np.unique(np.linspace(0, len(points) - 1, JUDGES).astype(int))]
     finest = state.knots
