@@ -176,7 +176,7 @@ def rms_mm(squares: np.ndarray) -> float:
 
 def bound(take: Take) -> tuple[float, ...]:
     """Return the least error [mm] where all cameras run, where two do and over both, the share of samples that it
-    lets be found, and rms error [mm] and nees of the estimate with true names, and true clocks and curves to begin with.
+    lets be found, and rms error [mm] and nees of the estimate with true names, true clocks and curves to begin with.
     """
     curves = TrueCurves(take.truth)
     found = named(take, curves)
@@ -247,8 +247,8 @@ def main() -> None:
     parser.add_argument("--no-bound", action="store_true")
     given = parser.parse_args()
     print(
-        "m/s seed   strands  least    two   both   most  given  nees complete    rms    all    two   clock   nees  cover "
-        "mrks ghosts swch     s"
+        "m/s seed   strands  least    two   both   most  given  nees complete    rms    all    two   clock   nees "
+        " cover mrks ghosts swch     s"
     )
     for speed in given.speeds:
         for seed in given.seeds:
