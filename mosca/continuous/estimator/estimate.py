@@ -25,7 +25,7 @@ from mosca.continuous.estimator.input_checks import check, check_places
 from mosca.continuous.estimator.motion_prior import expected_accelerations, liveliness, shrunk
 from mosca.continuous.estimator.observation_equations import ImagePoints
 from mosca.continuous.estimator.residual_covariance import covariance_of_shared, unheld
-from mosca.continuous.estimator.single_point import first_curves
+from mosca.continuous.estimator.single_point import Choice, first_curves
 from mosca.continuous.estimator.state import StateLayout, TrajectoryState, layout
 from mosca.continuous.model.camera_paths import StillCameras
 from mosca.continuous.model.estimated import Clock, ConstantDistance, ContinuousEstimate, ContinuousSettings
@@ -95,19 +95,15 @@ def estimate(
     begun = settings.cameras == "moving" and paths is not None and settings.clocks == "known"
     known = settings.clocks == "known" and settings.cameras == "known"
     free_knots = settings.knot_s is None and settings.cameras != "moving"
-    # clocks that are wrong but taken as right look like motion of high frequencies, which a corner admits; without
-    # one the residuals tell
-    corners = free_knots and not known
-    state, strength, noise = first_curves(
-        image, state, alone, points, start, not (known or begun), knots, free_knots, corners
-    )
+    choice = Choice(knots, free_knots, free_knots and not known)
+    state, strength, noise = first_curves(image, state, alone, points, start, not (known or begun), choice)
     of_cameras = np.zeros((0, 0))
     if not known:
         state, held, of_cameras = _settled(image, state, points, settings, strength, noise, clock_free)
         # variances estimated with wrong clocks and poses attribute their errors to motion: estimated again,
         # from rays, since image points far from the initial curves (jumps) have little weight and would never recover
         state = replace(state, xyz=np.zeros_like(state.xyz))
-        state, strength, _ = first_curves(image, state, alone, points, None, False, knots, free_knots, corners)
+        state, strength, _ = first_curves(image, state, alone, points, None, False, choice)
     groups = grouped(state, points, settings)
     places = layout(groups, len(still.cameras), settings.cameras, clock_free & ~held)
     covariances = first_covariances(points, strength, places)
