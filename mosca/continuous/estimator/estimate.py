@@ -22,7 +22,7 @@ from mosca.continuous.estimator.initial_state import (
     seen_from_to,
 )
 from mosca.continuous.estimator.input_checks import check, check_places
-from mosca.continuous.estimator.motion_prior import expected_accelerations, liveliness, shrunk
+from mosca.continuous.estimator.motion_prior import Smoothness, expected_accelerations, liveliness, shrunk
 from mosca.continuous.estimator.observation_equations import ImagePoints
 from mosca.continuous.estimator.residual_covariance import covariance_of_shared, unheld
 from mosca.continuous.estimator.single_point import Choice, first_curves
@@ -95,14 +95,14 @@ def estimate(
     begun = settings.cameras == "moving" and paths is not None and settings.clocks == "known"
     known = settings.clocks == "known" and settings.cameras == "known"
     free_knots = settings.knot_s is None and settings.cameras != "moving"
-    choice = Choice(knots, free_knots, free_knots and not known)
+    choice = Choice(knots, free_knots, free_knots and not known and settings.cameras == "known")
     state, strength, noise = first_curves(image, state, alone, points, start, not (known or begun), choice)
     of_cameras = np.zeros((0, 0))
     if not known:
         state, held, of_cameras = _settled(image, state, points, settings, strength, noise, clock_free)
         # variances estimated with wrong clocks and poses attribute their errors to motion: estimated again,
         # from rays, since image points far from the initial curves (jumps) have little weight and would never recover
-        state = replace(state, xyz=np.zeros_like(state.xyz))
+        state = replace(state, smooth=Smoothness(), knots=knots, xyz=xyz)
         state, strength, _ = first_curves(image, state, alone, points, None, False, choice)
     groups = grouped(state, points, settings)
     places = layout(groups, len(still.cameras), settings.cameras, clock_free & ~held)
