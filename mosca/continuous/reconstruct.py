@@ -8,6 +8,7 @@ import numpy as np
 from mosca.continuous.association.associate import Associated, AssociationSettings, associate
 from mosca.continuous.association.coarse_sync import ClockTie
 from mosca.continuous.association.correspondence import observed
+from mosca.continuous.association.lone_sightings import with_lone
 from mosca.continuous.estimator.estimate import ContinuousEstimate, ContinuousSettings, estimate
 from mosca.continuous.findings import association_findings, late_cameras, on_curves_clock
 from mosca.continuous.model.estimated import Clock
@@ -111,6 +112,9 @@ def reconstruct_gathered(gathered: Associated, rig: Rig, settings: ContinuousSet
     settings = ContinuousSettings() if settings is None else settings
     if gathered.searched and settings.clocks == "known":
         settings = replace(settings, clocks="drift")
+    # a camera sees a point up to a period before two of them do, and after
+    reach_s = max(one.period_s for one in gathered.seen)
+    settings = replace(settings, reach_s=reach_s)
     # clocks and names need curves, not the correlations between points, which are expensive
     quick = replace(settings, limbs=False, most_together=min(FEW_TOGETHER, settings.most_together))
     found, row, ties, sigma_px = gathered.observations, gathered.row, gathered.ties, gathered.sigma_px
@@ -122,9 +126,10 @@ def reconstruct_gathered(gathered: Associated, rig: Rig, settings: ContinuousSet
         if gathered.start is None:
             found = _with_names(gathered, ties, sigma_px)
         else:
-            # a camera sees a point up to a period before two of them do, and after
-            reach = estimated.curves.reaching(max(one.period_s for one in gathered.seen))
-            found, row = observed(gathered.seen, ties, rig, reach, sigma_px, BETTER_PX, used=(found, row))
+            reaching = estimated.curves.reaching(reach_s)
+            found, row = observed(gathered.seen, ties, rig, reaching, sigma_px, BETTER_PX, used=(found, row))
+            known = reaching.from_s, reaching.to_s
+            found, row = with_lone(found, row, known, gathered.seen, gathered.tracklet, ties, sigma_px)
         if not len(found):
             raise InputError("no image point lies on its curve: the clocks or the rig do not fit the images")
         curves = estimated.curves

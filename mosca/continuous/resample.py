@@ -2,8 +2,9 @@
 them.
 
 A sample is "measured" where two cameras and more have an image point of it within one frame period before or after,
-"filled" where the curve carries on between such instants, over at most LONGEST_FILL_S. Beyond a point's first and
-last image point there are no samples.
+"filled" where the curve carries on between such instants, over at most LONGEST_FILL_S, and where only one camera
+has seen it yet, or does still: depth is extrapolated there. Beyond a point's first and last image point there are no
+samples.
 """
 
 from collections.abc import Sequence
@@ -19,6 +20,9 @@ from mosca.data.tracks import Tracks
 
 LONGEST_FILL_S = 1.0
 """Longest gap in a curve's observations [s] over which it is sampled."""
+BEYOND = 0.1
+"""How far beyond the second camera's image points a sample still counts as measured, in frame periods: triggered
+cameras do not expose at quite the same instant."""
 CHUNK = 1000
 """Instants whose covariances are computed at a time."""
 
@@ -72,7 +76,7 @@ def tracks_on_grid(
     rest = residuals_px(curves, observations, rig, cameras)
     squared = np.nan_to_num((rest**2).sum(axis=1))
     seen_by, images, total = np.zeros((t, m), int), np.zeros((t, m), int), np.zeros((t, m))
-    inside = np.zeros((t, m), dtype=bool)
+    inside, together = np.zeros((2, t, m), dtype=bool)
     order = np.lexsort((observations.time_s, observations.camera, observations.point))
     point, camera = observations.point[order], observations.camera[order]
     times, squared = observations.time_s[order], squared[order]
@@ -80,6 +84,7 @@ def tracks_on_grid(
         low, high = np.searchsorted(point, [p, p + 1])
         for begin, end in parts_in_time(np.sort(times[low:high]), LONGEST_FILL_S):
             inside[:, p] |= (instants_s >= begin) & (instants_s <= end)
+        spans = []
         for c, near in enumerate(near_s):
             a, b = low + np.searchsorted(camera[low:high], [c, c + 1])
             first = np.searchsorted(times[a:b], instants_s - near, "left")
@@ -88,6 +93,10 @@ def tracks_on_grid(
             seen_by[:, p] += last > first
             images[:, p] += last - first
             total[:, p] += sums[last] - sums[first]
+            spans += [(times[a] - BEYOND * near, times[b - 1] + BEYOND * near)] if b > a else []
+        if len(spans) > 1:
+            begins, ends = np.sort(spans, axis=0).T
+            together[:, p] = (instants_s >= begins[1]) & (instants_s <= ends[-2])
     parts = []
     for begin in range(0, t, CHUNK):
         some = slice(begin, begin + CHUNK)
@@ -100,5 +109,5 @@ def tracks_on_grid(
         residual = np.sqrt(total[instant, number] / (2 * images[instant, number]))
     return Tracks(
         instant, np.asarray(time_ns)[instant], number, np.array(curves.points)[number], xyz, covariance, views,
-        residual, np.where(views >= 2, "measured", "filled")
+        residual, np.where((views >= 2) & together[instant, number], "measured", "filled")
     )  # fmt: skip

@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 from continuous_sessions import POINTS, Motion, as_detections, rig, session
 
-from mosca.continuous.association import tracklets_2d
+from mosca.continuous.association import lone_sightings, tracklets_2d
 from mosca.continuous.association.associate import AssociationSettings, gather_seen
+from mosca.continuous.association.coarse_sync import common_clock
 from mosca.continuous.association.image_motion import ImageMotion, learned_motion
+from mosca.continuous.association.lone_sightings import with_lone
 from mosca.continuous.association.tracklets_2d import Tracklets, tracklets
 from mosca.continuous.estimator.estimate import estimate
 from mosca.continuous.model.observations import TimedObservations, no_carriers
@@ -108,11 +110,29 @@ def _named(seen, names, true_s):
     )
 
 
+@pytest.mark.parametrize("frames", [lone_sightings.LONE_FRAMES, 2.5])
+def test_one_camera_alone_goes_on_by_its_tracklets_before_two_see_a_point(frames, monkeypatch):
+    """The first camera has four frames before the next begins, at 0.127 s, and one together with it at 4 / 30 s."""
+    monkeypatch.setattr(lone_sightings, "LONE_FRAMES", frames)
+    seen, names, true_s = session(2.0, False, FAST, RATE_HZ)
+    whole = _named(seen, names, true_s)
+    row = np.concatenate([np.arange(len(n)) for n in names])
+    began = true_s[2][0]
+    had = whole.time_s >= began
+    known = np.full(POINTS, began - 1e-3), np.full(POINTS, 3.0)
+    ties = common_clock(seen)
+    found, number = with_lone(whole.only(had), row[had], known, seen, names, ties, np.zeros(3))
+    new = slice(int(had.sum()), None)
+    assert (found.camera[new] == 0).all()
+    assert (found.point[new] == names[0][number[new]]).all()
+    assert len(found.point[new]) == (~had & (whole.time_s > (4 - frames) / RATE_HZ)).sum() > 0
+
+
 def test_fast_points_at_a_low_frame_rate_are_as_good_as_with_names_and_clocks_given():
     seen, names, true_s = session(2.0, True, FAST, RATE_HZ)
     found = reconstruct_gathered(gather_seen(tuple(seen), rig(), AssociationSettings(search_s=1.0)), rig())
-    # four frames of the first camera were before the others began
-    assert len(found.observations) > 0.95 * (sum(len(n) for n in names) - 40)
+    # with four frames of the first camera before the others began
+    assert len(found.observations) > 0.97 * sum(len(n) for n in names)
     time = np.arange(0.4, 1.9, 0.01)
     true = FAST.at(time)
     # the first camera's clock is the truth's

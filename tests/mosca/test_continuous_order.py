@@ -6,8 +6,12 @@ import numpy as np
 import pytest
 from continuous_scenes import PLAIN, ring, rms, take
 
+from mosca.camera.projection import project_with_jacobians
 from mosca.continuous.estimator import single_point
 from mosca.continuous.estimator.estimate import estimate
+from mosca.continuous.estimator.motion_prior import CORNERED
+from mosca.continuous.resample import tracks_on_grid
+from tests.studies.free_running_bound import least_variance, spectrum
 
 STAMPS = [np.arange(0.002 + late, 1.2, 1 / 30) for late in (0.0, 0.0137, 0.0022)]
 INSIDE = np.arange(0.2, 1.0, 0.004)
@@ -42,3 +46,37 @@ def test_each_cameras_errors_are_told_by_its_residuals():
     assert found[1] == pytest.approx(1.0, abs=0.25)
     # what the prior leaves of the motion comes on top
     assert found[[0, 2]].max() < 0.75
+
+
+LATE = [np.arange(begin, 1.4, 1 / 30) for begin in (0.002, 0.1157, 0.3522)]
+
+
+def least_rms(observations, rig, path, time_s):
+    """The Bayesian Cramer-Rao bound [m] of who knows the motion's spectrum."""
+    of_motion, total = spectrum(lambda t: path(np.array([t]))[0], 0.0, 4.0), 0.0
+    by = np.empty((len(observations), 2, 3))
+    xyz = np.array([path(np.array([t]))[0, p] for t, p in zip(observations.time_s, observations.point, strict=True)])
+    for c, camera in enumerate(rig.cameras):
+        own = observations.camera == c
+        by[own] = project_with_jacobians(camera, xyz[own]).by_point
+    for p in range(len(observations.points)):
+        own = observations.point == p
+        least = least_variance(time_s, observations.time_s[own], by[own], observations.covariance_px2[own], of_motion)
+        total += least.mean() / len(observations.points)
+    return np.sqrt(total)
+
+
+@pytest.mark.parametrize("cornered", [CORNERED, 99])
+def test_what_two_cameras_see_is_near_what_the_motions_spectrum_lets_be_known(cornered, monkeypatch):
+    """The control: without a corner, high orders leave polynomials free, which two cameras hardly hold."""
+    monkeypatch.setattr(single_point, "CORNERED", cornered)
+    path, two = swinging(2, 4), np.arange(0.13, 0.34, 0.01)
+    observations = take(path, ring(), LATE, 0.03, 2)
+    done = estimate(observations, ring(), replace(PLAIN, clocks="offset"))
+    times = rms(done, path, two) / least_rms(observations, ring(), path, two)
+    assert bool(times < 2.0) is (cornered == CORNERED)
+    # until the second camera runs, depth is extrapolated
+    at = np.array([0.05, 0.1, 0.12, 0.2])
+    tracks = tracks_on_grid(done.curves, observations, ring(), at, np.rint(at * 1e9).astype(np.int64), [1 / 30] * 3)
+    status = np.array(tracks.status)[np.lexsort((tracks.track, tracks.frame))].reshape(4, -1)
+    assert (status == [["filled"], ["filled"], ["measured"], ["measured"]]).all()

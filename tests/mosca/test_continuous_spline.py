@@ -5,7 +5,7 @@ import pytest
 from scipy.interpolate import BSpline
 
 from mosca.continuous.estimator.banded_normals import Band, Rows, solve_bordered
-from mosca.continuous.estimator.motion_prior import expected_accelerations, log_determinant, shrunk
+from mosca.continuous.estimator.motion_prior import Smoothness, expected_accelerations, shrunk
 from mosca.continuous.model.bspline import Knots, fitted, knots_over, values
 
 
@@ -37,11 +37,24 @@ def test_gram_is_the_integral_of_the_squared_derivative(derivative):
     assert c @ dense(knots.gram(derivative)) @ c == pytest.approx(expected, rel=1e-10)
 
 
-@pytest.mark.parametrize("order", [2, 3])
-def test_the_priors_determinant_is_that_of_its_eigenvalues(order):
-    knots = knots_over(0.0, 1.0, 0.1, 3)
-    eigenvalues = np.linalg.eigvalsh(dense(knots.gram(order)))[order:]
-    assert log_determinant(knots, order) == pytest.approx(np.log(eigenvalues).sum(), rel=1e-6)
+@pytest.mark.parametrize("bounded", [True, False])
+def test_the_prior_has_the_spectrum_that_it_states_up_to_a_takes_ends(bounded, monkeypatch):
+    """Speed's variance is the integral of 1 / (w^4 + c^4) over w / 2 pi, in closed form.
+
+    The control: nothing is known of what came before the take.
+    """
+    if not bounded:
+        monkeypatch.setattr(Smoothness, "begin", lambda _self, knots, _weight=None: np.zeros((0, knots.degree + 1)))
+    knots, smooth = knots_over(0.0, 1.0, 0.01, 5), Smoothness(3, 2 * np.pi * 4)
+    assert smooth.rank(knots) == knots.count - 1
+    # where the point is on the whole is not told
+    matrix = dense(smooth.gram(knots)) + 1e-6 * dense(knots.gram(0))
+    first, by = knots.weights(np.array([0.0, 0.03, 0.5, 0.97, 1.0]), 1)
+    rows = np.zeros((5, knots.count))
+    np.put_along_axis(rows, first[:, None] + np.arange(6), by, axis=1)
+    speed = np.diag(rows @ np.linalg.solve(matrix, rows.T))
+    expected = 1.0 / (2.0 * np.sqrt(2.0) * smooth.corner**3)
+    assert bool(np.abs(speed / expected - 1.0).max() < 0.01) is bounded
 
 
 def test_fitted_curves_reproduce_a_cubic():
@@ -96,10 +109,9 @@ def test_banded_solver_equals_dense_algebra(width):
 def test_expected_accelerations_count_the_integral():
     knots = knots_over(0.0, 1.0, 0.1, 3)
     c = np.random.default_rng(4).normal(size=(1, knots.count, 2))
-    for order in (2, 3):
-        gram = dense(knots.gram(order))
-        expected = c[0].T @ gram @ c[0] / (knots.count - order)
-        np.testing.assert_allclose(expected_accelerations(knots, c, order), expected, rtol=1e-9)
+    for smooth in (Smoothness(2), Smoothness(3), Smoothness(3, 4.0)):
+        expected = c[0].T @ dense(smooth.gram(knots)) @ c[0] / smooth.rank(knots)
+        np.testing.assert_allclose(expected_accelerations(knots, c, smooth), expected, rtol=1e-9)
 
 
 def test_chance_correlations_are_shrunk_away_and_true_ones_stay():

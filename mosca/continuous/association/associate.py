@@ -54,7 +54,7 @@ class Associated:
     tied to the common one, seconds of which count from the first camera's ``origin_ns``. ``seen``: what each camera
     saw. ``sigma_px`` (c,): random error of each camera's image points besides their detections'. ``searched``:
     whether clocks had to be searched for. ``between_px``: standard deviation of positions interpolated at the common
-    instants, rms; infinite where ``sigma_px`` was not learned there.
+    instants, rms; infinite where ``sigma_px`` was not learned there. ``tracklet``: of each camera's image points.
     """
 
     observations: TimedObservations
@@ -66,6 +66,7 @@ class Associated:
     count: FrameCount
     searched: bool
     between_px: float = np.inf
+    tracklet: tuple[Array, ...] = ()
 
     def again(self, rig: Rig, curves: Curves, curve_px: float = 0.1) -> "Associated":
         """Return all with image points assigned to markers again, by better curves of the same points."""
@@ -150,7 +151,7 @@ def markers_of(
     tracks = joined(tracks, curves, found, tracklet, row, motion_scale(track).acceleration_mps2)
     curves = curves_of(tracks, track.coast_s)
     found, row = observed(seen, ties, rig, curves, sigma, off_px, moving)
-    return Associated(found, row, curves, ties, seen, np.asarray(sigma), count, searched, between_px)
+    return Associated(found, row, curves, ties, seen, np.asarray(sigma), count, searched, between_px, tuple(tracklet))
 
 
 def check_long_enough(one: CameraDetections) -> None:

@@ -22,10 +22,10 @@ from mosca.continuous.estimator.initial_state import (
     seen_from_to,
 )
 from mosca.continuous.estimator.input_checks import check, check_places
-from mosca.continuous.estimator.motion_prior import ORDERS, expected_accelerations, liveliness, shrunk
+from mosca.continuous.estimator.motion_prior import Smoothness, expected_accelerations, liveliness, shrunk
 from mosca.continuous.estimator.observation_equations import ImagePoints
 from mosca.continuous.estimator.residual_covariance import covariance_of_shared, unheld
-from mosca.continuous.estimator.single_point import first_curves
+from mosca.continuous.estimator.single_point import Choice, first_curves
 from mosca.continuous.estimator.state import StateLayout, TrajectoryState, layout
 from mosca.continuous.model.camera_paths import StillCameras
 from mosca.continuous.model.estimated import Clock, ConstantDistance, ContinuousEstimate, ContinuousSettings
@@ -95,14 +95,15 @@ def estimate(
     begun = settings.cameras == "moving" and paths is not None and settings.clocks == "known"
     known = settings.clocks == "known" and settings.cameras == "known"
     free_knots = settings.knot_s is None and settings.cameras != "moving"
-    state, strength, noise = first_curves(image, state, alone, points, start, not (known or begun), free_knots)
+    choice = Choice(knots, free_knots, free_knots and not known and settings.cameras == "known")
+    state, strength, noise = first_curves(image, state, alone, points, start, not (known or begun), choice)
     of_cameras = np.zeros((0, 0))
     if not known:
         state, held, of_cameras = _settled(image, state, points, settings, strength, noise, clock_free)
         # variances estimated with wrong clocks and poses attribute their errors to motion: estimated again,
         # from rays, since image points far from the initial curves (jumps) have little weight and would never recover
-        state = replace(state, order=ORDERS[0], knots=knots, xyz=xyz)
-        state, strength, _ = first_curves(image, state, alone, points, None, False, free_knots)
+        state = replace(state, smooth=Smoothness(), knots=knots, xyz=xyz)
+        state, strength, _ = first_curves(image, state, alone, points, None, False, choice)
     groups = grouped(state, points, settings)
     places = layout(groups, len(still.cameras), settings.cameras, clock_free & ~held)
     covariances = first_covariances(points, strength, places)
@@ -173,7 +174,7 @@ def _learned(state: TrajectoryState, places: StateLayout, drawn: list[Array], be
     """
     count, result = state.knots.count, []
     for points, curves, old in zip(places.groups, drawn, before, strict=True):
-        new = shrunk(expected_accelerations(state.knots, curves, state.order, state.pace), count)
+        new = shrunk(expected_accelerations(state.knots, curves, state.smooth, state.pace), count)
         if places.moving:
             free = np.arange(len(new)) >= 3 * len(points)
             ratio = np.sqrt(np.diag(new) / np.diag(old))
@@ -201,7 +202,7 @@ def _rounds(
         if k == last:
             break
         drawn = draws(solved, places, DRAWS, rng)
-        pace = liveliness(state.knots, drawn, covariances, state.order)
+        pace = liveliness(state.knots, drawn, covariances, state.smooth)
         state = replace(state, pace=pace / np.exp(np.log(pace).mean()))
         covariances = _learned(state, places, drawn, covariances)
         if k == JOINED_AT:

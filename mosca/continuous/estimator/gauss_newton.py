@@ -99,7 +99,8 @@ def step(
 def add_prior(band: Band, state: TrajectoryState, places: StateLayout, group: int, covariance: Array) -> None:
     """Add the smoothness prior of a group, and a weak prior that keeps undetermined unknowns finite."""
     knots, width, points = state.knots, places.width(group), 3 * len(places.groups[group])
-    band.add_prior(knots.gram(state.order, None if state.pace is None else 1 / state.pace), np.linalg.inv(covariance))
+    gram = state.smooth.gram(knots, None if state.pace is None else 1 / state.pace)
+    band.add_prior(gram, np.linalg.inv(covariance))
     loose = np.full(width, FARTHEST_M**-2)
     if places.moving:
         sigma = np.array([DRIFT_OF_FRAME[0]] * 3 + [FARTHEST_M] * 3)
@@ -170,7 +171,7 @@ def curves_of(
     blocks = np.zeros((knots.degree + 1, knots.count, n, 3, 3))
     carried = np.zeros((knots.count, n, 3, places.shared))
     beyond = np.zeros((n, 3, 3))
-    odd = 2 * state.order - 1
+    odd = 2 * state.smooth.order - 1
     rest = finest_s**odd / (odd * np.pi ** (odd + 1))
     estimated = np.zeros(n, dtype=bool)
     for g, (points, factor) in enumerate(zip(places.groups, solved.factors, strict=True)):
@@ -293,7 +294,7 @@ def cost(
     knots = state.knots
     for g, covariance in enumerate(covariances):
         table = unknowns(state, places, g).reshape(1, knots.count, -1)
-        second = expected_accelerations(knots, table, state.order, state.pace) * (knots.count - state.order)
+        second = expected_accelerations(knots, table, state.smooth, state.pace) * state.smooth.rank(knots)
         total += float((np.linalg.inv(covariance) * second).sum())
         if places.moving:
             total += float((frame_rows(state, places, g).rest ** 2).sum())

@@ -68,7 +68,7 @@ def first_knots(observations: TimedObservations, settings: ContinuousSettings) -
     spacing = duration / max(instants_seen - 1, 1)
     width = 3 * len(observations.points) + 6 * len(observations.cameras)
     finest = duration * width / MOST_UNKNOWNS
-    room = 0.0 if settings.clocks == "known" else spacing
+    room = max(settings.reach_s, 0.0 if settings.clocks == "known" else spacing)
     return knots_over(when[0] - room, when[-1] + room, settings.knot_s or max(spacing, finest), DEGREE)
 
 

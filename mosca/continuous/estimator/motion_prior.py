@@ -2,24 +2,25 @@
 
 The prior is white noise on the m-th derivative: ``p(x) ~ exp(-1/2 integral x''^T Q^-1 x'' dt)`` for m = 2. The order
 m and the distance of the knots are those that predict left-out image points best: recorded people jerk (the second),
-what swings has a spectrum that ends (high orders, knots no nearer than it needs). First each point separately: one
-strength per point, maximising the marginal likelihood of its image points (REML: the polynomials on which the prior
-is flat integrated out). Then Q between all coordinates of all points that are estimated together, by
-expectation-maximisation: Q is the mean of x'' x''^T over posterior samples. Points of a body move together, and each
-exposure constrains only the directions across its lines of sight: the full Q provides depth
-between exposures.
+what swings has a spectrum that ends (high orders, knots no nearer than it needs). High orders leave polynomials of
+high degrees free, which is loose at a take's ends and where only two cameras see a point: below a corner, learned as
+the order is, the speed is white instead. First each point separately: one strength per point, maximising the marginal
+likelihood of its image points (REML: the polynomials on which the prior is flat integrated out). Then Q between all
+coordinates of all points that are estimated together, by expectation-maximisation: Q is the mean of x'' x''^T over
+posterior samples. Points of a body move together, and each exposure constrains only the directions across its lines
+of sight: the full Q provides depth between exposures.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from scipy.linalg import LinAlgError, cho_solve_banded, cholesky_banded
+from scipy.linalg import LinAlgError, cho_solve_banded, cholesky_banded, solve_continuous_lyapunov
 from scipy.optimize import minimize_scalar
 
 from mosca.continuous.estimator.banded_normals import Band, Factor, Rows
-from mosca.continuous.model.bspline import Knots, values
+from mosca.continuous.model.bspline import Knots
 from mosca.data.arrays import Array
 
 ORDERS = (2, 3, 5, 7)
@@ -27,7 +28,9 @@ ORDERS = (2, 3, 5, 7)
 DEGREE = 3
 """Least degree of the splines; at least the prior's order."""
 COARSER = 1.5
-"""Knots that are so many times farther apart are tried next."""
+"""Knots that are so many times farther apart, or corners so many times lower, are tried next."""
+CORNERED = 5
+"""Orders from here on are tried with corners, too: lower ones leave only lines and parabolas free."""
 RANGE = (-26.0, 21.0)
 """Logarithms of strengths that are tried, against the image points': beyond, one is lost in the other's rounding."""
 REFUSED = 1e30
@@ -40,7 +43,73 @@ FARTHEST_M = 100.0
 """Standard deviation of a point's distance from the origin: negligible, keeps the equations regular."""
 
 
-def one_point(rows: Rows, knots: Knots, order: int, noise_free: bool = False) -> tuple[Array, float, float, float]:
+@dataclass(frozen=True)
+class Smoothness:
+    """Spectrum that the prior gives to the motion, but for its size: 1 / (w^2m + corner^(2m - 2) w^2), w in rad/s.
+
+    ``order`` m, the derivative that is white noise at high frequencies; below ``corner`` [rad/s] the speed is. The
+    speed is white noise through Butterworth's filter of m - 1 orders, and was so before the take, too. Without a
+    corner polynomials of m - 1 degrees cost nothing, with one only constants do.
+    """
+
+    order: int = 2
+    corner: float = 0.0
+
+    @property
+    def operator(self) -> Array:
+        """Factors (m + 1,) of the derivatives whose sum is white noise."""
+        if self.corner <= 0.0:
+            return np.asarray(np.eye(self.order + 1)[self.order])
+        n = self.order - 1
+        return np.append(0.0, butterworth(n)[0] * self.corner ** np.arange(n, -1, -1.0))
+
+    def gram(self, knots: Knots, weight: Array | None = None) -> Array:
+        """Return the prior's matrix of one coordinate as ``Knots.gram`` has it."""
+        banded = knots.gram_of(self.operator, weight)
+        begin = self.begin(knots, weight)
+        for offset in range(knots.degree + 1):
+            low = np.arange(knots.degree + 1 - offset)
+            banded[offset, low] += (begin[:, low + offset] * begin[:, low]).sum(axis=0)
+        return banded
+
+    def begin(self, knots: Knots, weight: Array | None = None) -> Array:
+        """Return factors (k, degree + 1) of the first coefficients whose sums have variance 1 beforehand."""
+        if self.corner <= 0.0:
+            return np.zeros((0, knots.degree + 1))
+        n = self.order - 1
+        at = [knots.weights(np.array([knots.start_s]), k + 1)[1][0] * self.corner**-k for k in range(n)]
+        size = self.corner ** (n - 0.5) * (1.0 if weight is None else weight[0] ** 0.5)
+        return np.asarray(size * butterworth(n)[1] @ np.array(at))
+
+    def weights(self, knots: Knots, time_s: Array) -> tuple[Array, Array]:
+        """Return as ``Knots.weights`` has it the weights of what is white noise."""
+        parts = [times * knots.weights(time_s, k)[1] for k, times in enumerate(self.operator) if times]
+        return knots.weights(time_s)[0], np.asarray(sum(parts))
+
+    def rank(self, knots: Knots) -> int:
+        """Return how many coefficients of a coordinate it determines."""
+        return knots.count - (self.order if self.corner <= 0.0 else 1)
+
+
+@lru_cache(maxsize=16)
+def butterworth(order: int) -> tuple[Array, Array]:
+    """Return the factors (order + 1,) of the derivatives of Butterworth's filter with a corner of 1 rad/s, that of
+    the highest is 1, and R (order, order) such that R^T R is the precision of its output and that one's derivatives
+    when white noise of intensity 1 has always gone in.
+    """
+    poles = np.exp(1j * np.pi * (2 * np.arange(1, order + 1) + order - 1) / (2 * order))
+    factors = np.poly(poles).real[::-1]
+    change = np.diag(np.ones(order - 1), 1)
+    change[-1] = -factors[:-1]
+    driven = np.zeros((order, order))
+    driven[-1, -1] = 1.0
+    precision = np.linalg.inv(solve_continuous_lyapunov(change, -driven))
+    return factors, np.linalg.cholesky(precision).T
+
+
+def one_point(
+    rows: Rows, knots: Knots, smooth: Smoothness, noise_free: bool = False
+) -> tuple[Array, float, float, float]:
     """Return the maximum-likelihood coefficients (count, 3) of one point from its equations, the prior's log
     strength, how many times larger than stated the image errors are, and ``left_out`` of it.
 
@@ -50,14 +119,14 @@ def one_point(rows: Rows, knots: Knots, order: int, noise_free: bool = False) ->
     band = Band(knots.count, knots.degree + 1, 3, 0)
     band.add(rows)
     plain = Band(knots.count, knots.degree + 1, 3, 0)
-    plain.add_prior(knots.gram(order), np.eye(3))
+    plain.add_prior(smooth.gram(knots), np.eye(3))
     keep = Band(knots.count, knots.degree + 1, 3, 0)
     keep.add_prior(knots.gram(0), np.eye(3) / FARTHEST_M**2)
     data, prior, right = band.band + keep.band, plain.band, band.right
     total = float(rows.rest @ rows.rest)
     even = float(np.log(data[0].mean() / prior[0].mean()))
-    rank = 3 * (knots.count - order)
-    freedom = max(len(rows.rest) - 3 * order, 1)
+    rank = 3 * smooth.rank(knots)
+    freedom = max(len(rows.rest) - 3 * (knots.count - smooth.rank(knots)), 1)
 
     def squares(x: Array, log_strength: float) -> float:
         # not total - x right: that is of first order in the rounding errors of x
@@ -127,52 +196,39 @@ def left_out(rows: Rows, factor: Factor, x: Array, noise: float) -> float:
     return float((along**2 / (noise**2 * sizes) - np.log(sizes / noise**2)).sum())
 
 
-@lru_cache(maxsize=32)
-def log_determinant(knots: Knots, order: int) -> float:
-    """Return the log of the product of the prior's eigenvalues that are not zero, for one coordinate and strength 1.
-
-    The prior is ``step^(-2 m) D^T M D``: D takes the m-th differences of coefficients, M is ``gram(0)`` of splines of
-    m degrees less, n coefficients. The product is ``step^(-2 m n) det M det(D D^T)``, and ``det(D D^T)`` the product
-    of ``(n + i + j - 1) / (i + j - 1)`` over i, j = 1 .. m (plane partitions in a box: MacMahon); exact for any n.
-    """
-    lower_degree = replace(knots, degree=knots.degree - order)
-    n = lower_degree.count
-    lower = cholesky_banded(lower_degree.gram(0), lower=True, check_finite=False)
-    index = np.arange(1, order + 1)
-    sums = index[:, None] + index - 1.0
-    differences = float(np.log((n + sums) / sums).sum())
-    return float(2 * np.log(lower[0]).sum()) + differences - 2 * order * n * float(np.log(knots.step_s))
-
-
-def expected_accelerations(knots: Knots, curves: Array, order: int, pace: Array | None = None) -> Array:
+def expected_accelerations(knots: Knots, curves: Array, smooth: Smoothness, pace: Array | None = None) -> Array:
     """Return the mean of x'' x''^T (w, w) over drawn curves (draws, count, w), as the prior counts it.
 
-    ``order``: of the derivative, the second or the third.
-
-    By each piece's two Gauss points, exact for cubics, and over the number of second derivatives that are free.
+    ``smooth``: which derivatives count, and how much. By Gauss points of each piece, exact, and over the number of
+    coefficients that the prior determines.
     """
-    middle = 0.5 * (knots.breaks_s[:-1] + knots.breaks_s[1:])
-    away = knots.step_s / (2 * np.sqrt(3))
-    time = np.sort(np.concatenate([middle - away, middle + away]))
+    nodes, share = np.polynomial.legendre.leggauss(knots.degree)
+    time = (knots.breaks_s[:-1, None] + 0.5 * knots.step_s * (1.0 + nodes)).ravel()
+    weight = np.ones(knots.pieces) if pace is None else 1.0 / pace
+    root = np.sqrt(0.5 * knots.step_s * weight[:, None] * share).ravel()
+    first, by = smooth.weights(knots, time)
+    reached = first[:, None] + np.arange(knots.degree + 1)
+    begin = smooth.begin(knots, weight)
     total = np.zeros((curves.shape[2], curves.shape[2]))
-    calm = np.ones(len(time)) if pace is None else np.repeat(pace, 2) ** -0.5
     for one in curves:
-        second = values(knots, one, time, order) * calm[:, None]
-        total += second.T @ second
-    return total * (knots.step_s / 2) / (len(curves) * (knots.count - order))
+        for part in (np.einsum("ta,taw->tw", root[:, None] * by, one[reached]), begin @ one[: knots.degree + 1]):
+            total += part.T @ part
+    return total / (len(curves) * smooth.rank(knots))
 
 
-def liveliness(knots: Knots, curves: list[Array], covariances: list[Array], order: int) -> Array:
+def liveliness(knots: Knots, curves: list[Array], covariances: list[Array], smooth: Smoothness) -> Array:
     """Return how many times more than ``covariances`` state each piece (pieces,) moves, all groups' drawn curves
     (draws, count, w) together, smoothed over ``PACE_S``.
     """
     middle = 0.5 * (knots.breaks_s[:-1] + knots.breaks_s[1:])
+    first, by = smooth.weights(knots, middle)
+    reached = first[:, None] + np.arange(knots.degree + 1)
     total, width = np.zeros(knots.pieces), 0
     for drawn, covariance in zip(curves, covariances, strict=True):
         inverse = np.linalg.inv(covariance)
         width += len(covariance)
         for one in drawn:
-            second = values(knots, one, middle, order)
+            second = np.einsum("ta,taw->tw", by, one[reached])
             total += np.einsum("ti,ij,tj->t", second, inverse, second) / len(drawn)
     kernel = np.exp(-0.5 * ((middle[:, None] - middle) / PACE_S) ** 2)
     return np.asarray(kernel @ (total * knots.step_s / width) / kernel.sum(axis=1))

@@ -63,7 +63,7 @@ def jitter(image: ImagePoints, solved: Solved, alone: StateLayout, points: Array
     ``share``: of time-correlated errors in the stated variances; changing cameras make them look like jitter. Where a
     prior of a higher order predicts left-out image points better, the motion's spectrum ends below that rate.
     """
-    if solved.state.order > JITTER_ORDER:
+    if solved.state.smooth.order > JITTER_ORDER:
         return np.zeros(len(points))
     noise, lever, number = smoothest_noise(image, solved.state, alone, points)
     excess = noise**2 - 1 - share

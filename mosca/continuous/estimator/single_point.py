@@ -1,11 +1,11 @@
 """Initial curves: each point separately, from its rays at their own instants. Linear: needs no initial guess."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mosca.continuous.estimator.banded_normals import Rows
-from mosca.continuous.estimator.motion_prior import COARSER, DEGREE, ORDERS, one_point
+from mosca.continuous.estimator.motion_prior import COARSER, CORNERED, DEGREE, ORDERS, Smoothness, one_point
 from mosca.continuous.estimator.observation_equations import ImagePoints, LinearisedImages, robust_weights, weighted
 from mosca.continuous.estimator.state import StateLayout, TrajectoryState
 from mosca.continuous.model.bspline import Knots, fitted, knots_over
@@ -21,6 +21,19 @@ JITTER_ORDER = 3
 """Order of the prior against which motion above the exposures' rate shows."""
 
 
+@dataclass(frozen=True)
+class Choice:
+    """What may be chosen of the prior. ``finest``: knots; ``free_knots``: wider ones, too.
+
+    ``corners``: not where clocks are taken as right; wrong ones look like motion of high frequencies, which a corner
+    admits, and without one the residuals tell.
+    """
+
+    finest: Knots
+    free_knots: bool
+    corners: bool
+
+
 def first_curves(
     image: ImagePoints,
     state: TrajectoryState,
@@ -28,14 +41,15 @@ def first_curves(
     points: Array,
     start: Curves | None,
     noise_free: bool,
-    free_knots: bool = False,
+    choice: Choice,
 ) -> tuple[TrajectoryState, Array, float]:
     """Return the state with curves of ``points`` (indices), each one's log strength of smoothness, and how many times
     larger than stated image errors are (1 unless ``noise_free``).
 
     Rays weighed by a guessed depth first (the distance of the point nearest to all axes), then by the depth found,
-    then image errors themselves; order and, where ``free_knots``, the distance of the knots are those of the largest
-    likelihood. ``start``: curves to linearise at instead.
+    then image errors themselves. Then order, the distance of the
+    knots and the corner, where there is a ``choice``, are those that predict best.
+    ``start``: curves to linearise at instead.
     """
     if start is not None:
         xyz = np.array(state.xyz)
@@ -52,42 +66,48 @@ def first_curves(
             state = _each_point(image, seen, state, usable, points, True)[0]
     seen = _of_whole_points(image, state, places)
     weight = robust_weights(seen.residual)
-    state, seen = _likeliest(image, seen, state, weight, points, noise_free, free_knots)
+    state, seen = _likeliest(image, seen, state, weight, points, noise_free, choice)
     best, strength, noise, _ = _each_point(image, seen, state, weight, points, noise_free)
     return best, strength, max(1.0, float(np.median(noise)))
 
 
 def _likeliest(
     image: ImagePoints, seen: LinearisedImages, state: TrajectoryState, weight: Array, points: Array,
-    noise_free: bool, free_knots: bool
+    noise_free: bool, choice: Choice
 ) -> tuple[TrajectoryState, LinearisedImages]:  # fmt: skip
-    """Return the state with order and knots of the largest likelihood of some points, and the equations with these.
+    """Return the state with order, knots and corner that predict left-out image points of some points best, and the
+    equations with these.
 
-    Where not ``free_knots`` they stay, and orders that their degree has are compared.
+    Where knots are not free, orders that their degree has are compared.
     """
     some = points[np.unique(np.linspace(0, len(points) - 1, JUDGES).astype(int))]
-    finest = state.knots
+    finest = choice.finest
 
-    def tried(order: int, times: float) -> tuple[float, TrajectoryState, LinearisedImages]:
+    def tried(order: int, times: float, corner: float = 0.0) -> tuple[float, TrajectoryState, LinearisedImages]:
         knots = finest
-        if free_knots:
+        if choice.free_knots:
             knots = knots_over(finest.start_s, finest.end_s, times * finest.step_s, max(DEGREE, order))
         if knots.pieces <= order:
             return np.inf, state, seen
-        new = replace(state, order=order, knots=knots, xyz=np.zeros((knots.count, *state.xyz.shape[1:])))
+        xyz = np.zeros((knots.count, *state.xyz.shape[1:]))
+        new = replace(state, smooth=Smoothness(order, corner), knots=knots, xyz=xyz)
         rows = _on_knots(image, seen, new)
         return _each_point(image, rows, new, weight, some, noise_free)[3], new, rows
 
-    orders = [order for order in ORDERS if free_knots or order <= finest.degree]
+    orders = [order for order in ORDERS if choice.free_knots or order <= finest.degree]
     at = [tried(order, 1.0) for order in orders]
     first = int(np.argmin([one[0] for one in at]))
     best = at[first]
-    for k in range(first, len(orders)) if free_knots else ():
-        least, times = at[k][0], COARSER
-        while (other := tried(orders[k], times))[0] < least:
-            least, times = other[0], times * COARSER
-            if least < best[0]:
-                best = other
+    for k in range(first, len(orders)) if choice.free_knots else ():
+        own, times = at[k], 1.0
+        # from the highest that these knots hold: far below the motion's own spectrum a corner changes nothing
+        corner, before = np.pi / finest.step_s / COARSER, np.inf
+        while choice.corners and orders[k] >= CORNERED and (other := tried(orders[k], times, corner))[0] < before:
+            own, before = min(own, other, key=lambda one: one[0]), other[0]
+            corner /= COARSER
+        while (other := tried(orders[k], times * COARSER, own[1].smooth.corner))[0] < own[0]:
+            own, times = other, times * COARSER
+        best = min(best, own, key=lambda one: one[0])
     return best[1], best[2]
 
 
@@ -105,7 +125,7 @@ def smoothest_noise(
     image errors then are, the mean square of an image coordinate's derivative by position [1/m^2], and their number.
     """
     seen = _of_whole_points(image, state, places)
-    smooth = replace(state, order=JITTER_ORDER)
+    smooth = replace(state, smooth=Smoothness(JITTER_ORDER))
     # jumps are rare and far larger than what is left elsewhere: found by a first pass, they count less in the second
     once = _each_point(image, seen, smooth, robust_weights(seen.residual), points, True)[0]
     noise = _each_point(image, seen, smooth, robust_weights(image.residuals(once)), points, True)[2]
@@ -126,7 +146,7 @@ def _each_point(
         number = len(own.rest)
         three = np.tile(np.arange(3), (number, 1))
         rows = Rows(own.first, own.weights, three, own.values[:, :3], np.zeros((number, 0)), own.rest)
-        xyz[:, p], strength[n], noise[n], cost = one_point(rows, state.knots, state.order, noise_free)
+        xyz[:, p], strength[n], noise[n], cost = one_point(rows, state.knots, state.smooth, noise_free)
         total += cost
     return replace(state, xyz=xyz), strength, noise, total
 

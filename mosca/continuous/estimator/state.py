@@ -1,9 +1,10 @@
 """State vector: curves of points, cameras' poses and clocks; and the index of each unknown."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from mosca.continuous.estimator.motion_prior import Smoothness
 from mosca.continuous.model.bspline import Knots
 from mosca.continuous.model.camera_paths import StillCameras
 from mosca.continuous.model.estimated import SplinePaths
@@ -23,7 +24,7 @@ class TrajectoryState:
     still: StillCameras
     moving: SplinePaths | None
     clocks: Array
-    order: int = 2
+    smooth: Smoothness = field(default_factory=Smoothness)
     pace: Array | None = None
 
     @property

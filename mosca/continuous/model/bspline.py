@@ -64,9 +64,16 @@ class Knots:
         ``gram[o, k]`` is G between coefficients k + o and k, (degree + 1, count); exact. ``weight`` (pieces,): how
         much each piece's integral counts.
         """
-        piece = _derived(self.degree, derivative)
+        return self.gram_of(np.eye(derivative + 1)[derivative], weight)
+
+    def gram_of(self, operator: Array, weight: Array | None = None) -> Array:
+        """Return as ``gram`` has it the matrix of the integral of (sum over k of ``operator``[k] d^k x / dt^k)^2."""
+        piece = np.zeros((self.degree + 1, self.degree + 1))
+        for k, times in enumerate(operator):
+            one = _derived(self.degree, k)
+            piece[:, : one.shape[1]] += times * self.step_s**-k * one
         power = np.arange(piece.shape[1])
-        local = piece @ (1.0 / (power[:, None] + power + 1)) @ piece.T * self.step_s ** (1 - 2 * derivative)
+        local = piece @ (1.0 / (power[:, None] + power + 1)) @ piece.T * self.step_s
         banded = np.zeros((self.degree + 1, self.count))
         each = np.ones(self.pieces) if weight is None else weight
         for offset in range(self.degree + 1):

@@ -28,6 +28,8 @@ class ContinuousSettings:
     """Points with a joint acceleration covariance; more are split into groups."""
     rounds: int = 8
     """Iterations of the variance estimation with constant distances."""
+    reach_s: float = 0.0
+    """How far before and after the observations curves are predicted [s]."""
 
 
 @dataclass(frozen=True)
