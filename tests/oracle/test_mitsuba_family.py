@@ -81,5 +81,3 @@ def test_targets_before_a_bright_grainy_floor_are_found_and_state_their_errors(t
     assert within >= 0.87
     # the control: a run that learns the floor only while it runs misses targets of its first frame sets
     assert point_figures(tmp_path / "a", values, lookahead=0)[0] < 0.98
-
-
