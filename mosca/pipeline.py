@@ -58,7 +58,8 @@ class PipelineSettings:
     nearest: NearestSettings | None = None
     """Nearest-neighbour tracking of the guide, a baseline for comparisons, instead of ``track``."""
     lookahead: int = 64
-    """Frame sets that are read before the first one is processed, to learn textured backgrounds; 0 in a live run."""
+    """Frame sets that are read before the first one is processed, to learn backgrounds, blur and noise; 0 in a live
+    run."""
     assembly: AssemblySettings = field(default_factory=AssemblySettings)
     """How frames become frame sets."""
 

@@ -93,9 +93,9 @@ class FrameSetDetector:
         """Return whether the background of a camera's pixels is learned where it is textured."""
         return self.settings.thresholds == "noise" and name not in self.backgrounds
 
-    def wants_images(self, learned: CameraStatistics) -> bool:
-        """Return whether a camera's background is textured and its pixels are not known yet."""
-        return any(own.wants_images for name, own in learned.backgrounds.items() if self._learns_pixels(name))
+    def is_textured(self, learned: CameraStatistics) -> bool:
+        """Return whether a camera's background is textured and learned pixel by pixel."""
+        return any(own.textured for name, own in learned.backgrounds.items() if self._learns_pixels(name))
 
     def _some(
         self, images: Mapping[str, Array], statistics: CameraStatistics, refresh: Collection[str]
@@ -127,7 +127,7 @@ def detect_ahead(
     ``workers``: threads that detect in sets ahead of the one that is yielded, beside the caller's own, which works on
     one itself rather than wait; 0: one set after the other, its cameras divided among ``split`` threads.
     ``attend`` is called with each set, its detections and what it adds to the statistics, in order.
-    ``lookahead``: first sets that are read, where backgrounds are textured, before the first one is yielded.
+    ``lookahead``: first sets that are read before the first one is yielded, to learn from some of them.
     """
     attend = attend or _nobody
     sets, known = _first_look(detector, sets, lookahead)
@@ -161,9 +161,10 @@ def detect_ahead(
 def _first_look(
     detector: FrameSetDetector, sets: Iterable[FrameSet], lookahead: int
 ) -> tuple[Iterator[FrameSet], CameraStatistics]:
-    """Return all of the sets, and where the first images show textured backgrounds what is learned from several.
+    """Return all of the sets, and what is learned from the first of them.
 
-    These are looked at twice: targets that the texture hid at first do not vote the second time.
+    Where backgrounds are textured these are looked at twice: targets that the texture hid at first do not vote the
+    second time.
     """
     left, seen, learned = iter(sets), list[FrameSet](), NO_STATISTICS
     most = lookahead
@@ -174,10 +175,11 @@ def _first_look(
             most = min(most, most_ahead(frame_set))
         if len(seen) >= most:
             break
-    again = NO_STATISTICS
-    for frame_set in seen[::LOOK_EACH] if len(seen) > 1 else ():
-        again = again.plus(detector.detect(frame_set, learned)[1])
-    return chain(seen, left), again
+    if detector.is_textured(learned):
+        known, learned = learned, NO_STATISTICS
+        for frame_set in seen[::LOOK_EACH]:
+            learned = learned.plus(detector.detect(frame_set, known)[1])
+    return chain(seen, left), learned
 
 
 def most_ahead(frame_set: FrameSet) -> int:
