@@ -2,6 +2,7 @@
 
 import logging
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import chain, islice
 from pathlib import Path
 from typing import ClassVar, Literal
@@ -63,6 +64,9 @@ class ReconstructSpec(StageTables):
 
     background: BackgroundSpec = BackgroundSpec()
     volume: VolumeSpec | None = Field(None, description="box in which targets can be; default: everywhere")
+    lookahead: int = Field(
+        64, ge=0, description="frame sets of a recording that are looked at before the first is processed; 0: as live"
+    )
 
 
 def reconstruct_recording(
@@ -177,7 +181,7 @@ def reconstruct_settings(spec: ReconstructSpec, path: Path | None = None) -> Pip
     """Return the pipeline's settings of ``spec``; ``path`` is the file that an InputError names."""
     volume = None if spec.volume is None else (spec.volume.low_m, spec.volume.high_m)
     try:
-        return stage_settings(spec, volume)
+        return replace(stage_settings(spec, volume), lookahead=spec.lookahead)
     except InputError as error:  # the stages do not name files
         raise InputError(f"{path or '--set'}: {error}") from None
 

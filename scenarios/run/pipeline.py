@@ -65,6 +65,8 @@ def collected_of(
         steps = zone_steps(read, zones, rig, settings, assembly, healths, sensors)
     else:
         steps = run(read, rig, settings, assembly, keeper=keeper, health=healths[0], sensors=sensors)
+    if options.progress is not None:
+        options.progress(0, pulses)
     for done, step in enumerate(steps, start=1):
         stop()
         samples.append(step.samples)

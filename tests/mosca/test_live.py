@@ -79,7 +79,7 @@ def test_no_queue_is_an_input_error():
 
 def test_what_a_live_run_measures_is_what_a_patient_one_does():
     rig = _rig()
-    patient = list(run(_Blobs(rig), rig))
+    patient = list(run(_Blobs(rig), rig, PipelineSettings(lookahead=0)))
     live = list(run_live(_Blobs(rig), rig, queued=100))
     assert [s.frame_set.pulse for s in live] == [s.frame_set.pulse for s in patient]
     for a, b in zip(live, patient, strict=True):

@@ -86,17 +86,22 @@ def pair_of(rng, apart, diameter):
 @pytest.mark.parametrize(("diameter", "most"), [(5.0, 2.0), (6.5, 1.3), (8.0, 1.3)])
 def test_two_discs_reach_their_joint_bound(diameter, most, learned):
     rng = np.random.default_rng(int(diameter))
-    squared, least, stated = [], [], []
+    squared, least, stated, left = [], [], [], 0
     for apart in rng.uniform(0.75, 1.35, 10):
         shapes = pair_of(rng, apart, diameter)
         found = detect(frame(image_of(shapes), rng), "a", TOGETHER, statistics=learned)
         assert len(found) == 2, f"{apart:.2f} diameters apart"
+        if (found.flags & UNREFINED).any():
+            left += 1
+            continue
         for shape, bound in zip(shapes, bounds_px2(shapes), strict=True):
             away = found.xy_px - shape[:2]
             k = np.argmin(np.hypot(*away.T))
             squared.append(away[k] @ away[k])
             least.append(np.trace(bound))
             stated.append(away[k] @ np.linalg.solve(found.covariance_px2[k], away[k]))
+    # pairs of small discs that two straight edges do not explain keep the places of images that touch
+    assert left <= (1 if diameter < 6 else 0)
     # below 6 px what is common to both discs is not quite that of two straight edges; the covariance shows it
     assert np.sqrt(np.mean(squared) / np.mean(least)) < most
     # chi-square of 2 degrees of freedom: 20 of them have a mean of 2 +- 0.45

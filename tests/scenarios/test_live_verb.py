@@ -86,7 +86,8 @@ def test_a_recording_played_too_fast_drops_whole_sets_and_says_so(lab, tmp_path)
 
 
 def test_live_measures_what_a_patient_run_does(lab, tmp_path):
-    done("reconstruct", lab / "take", "--rig", lab / "rig.toml", "--out", tmp_path / "patient.csv")
+    rig = ("--rig", lab / "rig.toml")
+    done("reconstruct", lab / "take", *rig, "--set", "lookahead=0", "--out", tmp_path / "patient.csv")
     done(
         "live", f"recording:{lab / 'take'}", "--rig", lab / "rig.toml", "--queued", 100, "--out",
         tmp_path / "live.csv",
@@ -96,7 +97,7 @@ def test_live_measures_what_a_patient_run_does(lab, tmp_path):
 
 def test_a_lag_smooths_live_as_it_does_afterwards(lab, tmp_path):
     rig = ("--rig", lab / "rig.toml", "--lag", 4)
-    lines = done("reconstruct", lab / "take", *rig, "--out", tmp_path / "patient.csv")
+    lines = done("reconstruct", lab / "take", *rig, "--set", "lookahead=0", "--out", tmp_path / "patient.csv")
     assert "positions are smoothed with a lag of 4 frames" in lines
     done("live", f"recording:{lab / 'take'}", *rig, "--queued", 100, "--out", tmp_path / "live.csv")
     assert (tmp_path / "live.csv").read_bytes() == (tmp_path / "patient.csv").read_bytes()

@@ -46,7 +46,7 @@ from scenarios.lab.station_verbs import detect_on_station
 PULSES = 90
 """More than after which lessons are taken up seldom."""
 WHOLE = rig()
-SETTINGS = PipelineSettings()
+SETTINGS = PipelineSettings(lookahead=0)
 PATIENT = ReceiverSettings(
     MergeSettings(deadline_s=60.0, oldest_s=60.0), silence_s=60.0, start_wait_s=60.0, queued=10_000
 )

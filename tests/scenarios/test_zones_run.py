@@ -62,7 +62,7 @@ def seen():
 def alone(zone):
     names = set(zone.rig.names)
     own = ((s, {n: d for n, d in found.items() if n in names}, t) for s, found, t in seen())
-    settings = replace(SETTINGS, volume=(zone.low_m, zone.high_m))
+    settings = replace(SETTINGS, volume=(zone.low_m, zone.high_m), lookahead=0)
     return table([step.samples for step in run_seen(own, zone.rig, settings)])
 
 
