@@ -10,12 +10,13 @@ import math
 from typing import Any, NamedTuple
 
 from mosca.data.arrays import Array
-from mosca.detection.disc_fit.disc_image import FAST, ONE, ZERO, disc_image, f32
+from mosca.detection.disc_fit.disc_image import FAST, HALF, ONE, ZERO, disc_image, f32
 from mosca.detection.disc_fit.gauss_newton import DiscFit, Model, Workspace
 from mosca.numba_support.decorators import bare_step
 
-RESIDUAL, SIGNAL, THERE = 5, 6, 7
-"""Rows of a fit's image, on the grid of pixels: residuals, the target's light [DN], and whether there is a pixel."""
+RESIDUAL, SIGNAL, THERE, NUMBER = 5, 6, 7, 8
+"""Rows of a fit's image. On the grid of pixels: residuals, the target's light [DN], and whether there is a pixel. Of
+each pixel of the fit: its number in the grid, -1 for padding."""
 FEWEST = 8
 """Differences from which the misfit of the odd part is known."""
 
@@ -25,14 +26,10 @@ class Grid(NamedTuple):
 
     side: int
     """0 where the working memory does not hold it."""
-    middle: int
-    """Number of the pixel with the offset (0, 0)."""
     opposite: int
     """Sum of the numbers of a pixel and of the upper left one of the four around the point opposite to it."""
     weights: tuple[Any, Any, Any, Any]
     """Of those four, row by row."""
-    inverse: tuple[float, float, float]
-    """Symmetric matrix (xx, xy, yy) from the pixels' places in the map to offsets."""
 
 
 class Difference(NamedTuple):
@@ -50,42 +47,37 @@ class Difference(NamedTuple):
 
 
 @bare_step(fastmath=FAST)
-def number_of(i: int, pixels: Array, grid: Grid) -> int:
-    """Return the number of pixel i in the grid."""
-    i0, i1, i2 = grid.inverse
-    x, y = pixels[0, i], pixels[1, i]
-    return int(grid.middle + round(i1 * x + i2 * y) * grid.side + round(i0 * x + i1 * y))
-
-
-@bare_step(fastmath=FAST)
 def lay_out(n: int, pixels: Array, fit: DiscFit, shape: tuple[float, float, float], work: Workspace) -> Grid:
     """Write what a fit leaves of n pixels to a grid, and the disc's image as ``disc_image`` does."""
     image = work.image
-    there, v, share = pixels[3], pixels[4], image[0]
+    x, y, there, v, share = pixels[0], pixels[1], pixels[3], pixels[4], image[0]
     disc_image(n, pixels, (f32(fit.x), f32(fit.y), f32(fit.radius), f32(fit.blur)), shape, image)
     m0, m1, m2 = shape
     det = m0 * m2 - m1 * m1
-    inverse = (m2 / det, -m1 / det, m0 / det)
-    across, down = 2.0 * (inverse[0] * fit.x + inverse[1] * fit.y), 2.0 * (inverse[1] * fit.x + inverse[2] * fit.y)
-    half = 0
+    # from the pixels' places in the map to offsets
+    i0, i1, i2 = f32(m2 / det), f32(-m1 / det), f32(m0 / det)
+    across, down = 2.0 * (i0 * fit.x + i1 * fit.y), 2.0 * (i1 * fit.x + i2 * fit.y)
+    farthest = ZERO
     for i in range(n):
-        column = round(inverse[0] * pixels[0, i] + inverse[1] * pixels[1, i])
-        half = max(half, abs(column), abs(round(inverse[1] * pixels[0, i] + inverse[2] * pixels[1, i])))
-    # opposite points reach past it by the centre's offset
+        farthest = max(farthest, abs(i0 * x[i] + i1 * y[i]), abs(i1 * x[i] + i2 * y[i]))
+    half = int(farthest + HALF)
     side = 2 * half + 1
     column, row = math.floor(across), math.floor(down)
     fx, fy = f32(across - column), f32(down - row)
     middle = half * side + half
     weights = ((ONE - fx) * (ONE - fy), fx * (ONE - fy), (ONE - fx) * fy, fx * fy)
-    grid = Grid(side, middle, 2 * middle + row * side + column, weights, inverse)
+    grid = Grid(side, 2 * middle + row * side + column, weights)
     if side * side > len(image[THERE]):
-        return Grid(0, middle, 0, weights, inverse)
+        return Grid(0, 0, weights)
     for k in range(side * side):
         image[THERE, k] = ZERO
     a, b = f32(fit.amplitude), f32(fit.background)
     for i in range(n):
+        image[NUMBER, i] = -ONE
         if there[i] > ZERO:
-            k = number_of(i, pixels, grid)
+            u, w = i0 * x[i] + i1 * y[i], i1 * x[i] + i2 * y[i]
+            k = math.floor(w + HALF) * side + math.floor(u + HALF) + middle
+            image[NUMBER, i] = f32(k)
             image[RESIDUAL, k], image[SIGNAL, k], image[THERE, k] = v[i] - b - a * share[i], a * share[i], ONE
     return grid
 
@@ -98,13 +90,21 @@ def less_opposite(k: int, values: Array, grid: Grid) -> Any:
 
 
 @bare_step(fastmath=FAST)
-def difference(i: int, pixels: Array, grid: Grid, image: Array) -> Difference:
-    """Return the difference between pixel i and the opposite point; each pair of them is given once."""
-    k = number_of(i, pixels, grid)
+def has_opposite(k: int, grid: Grid, image: Array) -> bool:
+    """Return whether the pixel number k has an opposite, of which it is the first."""
     q, known = grid.opposite - k, image[THERE]
-    if pixels[3, i] == ZERO or k > q or q + grid.side + 1 >= grid.side * grid.side:
-        return Difference(False, k, ZERO, ZERO, ZERO)
-    if known[q] * known[q + 1] * known[q + grid.side] * known[q + grid.side + 1] == ZERO:
+    if k < 0 or k > q or q + grid.side + 1 >= grid.side * grid.side:
+        return False
+    result: bool = known[q] * known[q + 1] * known[q + grid.side] * known[q + grid.side + 1] > ZERO
+    return result
+
+
+@bare_step(fastmath=FAST)
+def difference(i: int, grid: Grid, image: Array) -> Difference:
+    """Return the difference between pixel i and the opposite point; each pair of them is given once."""
+    k = int(image[NUMBER, i])
+    q = grid.opposite - k
+    if not has_opposite(k, grid, image):
         return Difference(False, k, ZERO, ZERO, ZERO)
     dark, signal = ONE, image[SIGNAL, k]
     for j in range(4):
@@ -125,7 +125,7 @@ def asymmetry(
     grid = lay_out(n, pixels, fit, shape, work)
     dark, gain, total, count = f32(model.dark_dn2), f32(model.gain_dn), ZERO, 0
     for i in range(n if grid.side > 0 else 0):
-        one = difference(i, pixels, grid, work.image)
+        one = difference(i, grid, work.image)
         if one.there:
             total += one.value * one.value / (dark * one.dark + gain * one.signal)
             count += 1

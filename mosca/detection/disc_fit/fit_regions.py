@@ -423,7 +423,7 @@ def buffers_for(largest: int, blurs: Array) -> Buffers:
     )
     return Buffers(
         side, np.empty((5, side * side + OVER), f32), windows, np.empty((4, side * side), np.uint8),
-        Workspace(np.zeros((10, side * side + OVER), f32), np.empty((6, 8))), np.empty(N_TERMS),
+        Workspace(np.zeros((12, side * side + OVER), f32), np.empty((6, 8))), np.empty(N_TERMS),
         np.empty((2, side * side + OVER), f32),
     )  # fmt: skip
 

@@ -86,7 +86,8 @@ class Workspace(NamedTuple):
     """Working memory of a fit."""
 
     image: Array
-    """(10, most pixels) float32: of ``disc_image``, and five rows for ``mosca.detection.disc_fit.residual_noise``."""
+    """(12, most pixels) float32: of ``disc_image``, and seven rows for ``mosca.detection.disc_fit.asymmetry`` and
+    ``residual_noise``."""
     equations: Array
     """(6, 8), see ``factor_all``."""
 

@@ -10,16 +10,16 @@ those of a normal variable's square, with the gain so far. Solved by ``mosca.det
 import math
 
 from mosca.data.arrays import Array
-from mosca.detection.disc_fit.asymmetry import Grid, difference, lay_out, less_opposite, number_of
+from mosca.detection.disc_fit.asymmetry import NUMBER, Grid, difference, has_opposite, lay_out, less_opposite
 from mosca.detection.disc_fit.disc_image import FAST, HALF, ONE, ZERO, cross_sums_divided, f32, sums_divided
 from mosca.detection.disc_fit.gauss_newton import DiscFit, DiscPrior, Model, Workspace
 from mosca.detection.disc_fit.light_offset import NOISE_SUMS
 from mosca.detection.disc_fit.solve_step import factor_all
 from mosca.numba_support.decorators import bare_step
 
-PART, PREDICTED, SLOPES = 8, 9, (0, 0, 3, 4, 1, 2)
-"""Rows of a fit's image: for one part of the variance of the fit's differences, and their whole variance, both on the
-grid of pixels; with its slopes by amplitude, -, radius, blur, x and y."""
+PART, PREDICTED, COUNTS, SLOPES = 9, 10, 11, (0, 0, 3, 4, 1, 2)
+"""Rows of a fit's image: for one part of the fit's errors on the grid of pixels; for the variance of each pixel's
+difference, and whether it has one; with its slopes by amplitude, -, radius, blur, x and y."""
 
 CLIP = f32(16.0)
 """Squared differences count up to so many times their expectation, (4 sigma)^2, or the target's mean where more."""
@@ -34,18 +34,20 @@ lit ones are fitted exactly. With 0.1, and all targets, 1.2 px gave gains of 0; 
 
 
 @bare_step(fastmath=FAST)
-def predict_variances(n: int, pixels: Array, amplitude: float, grid: Grid, work: Workspace) -> None:
+def predict_variances(n: int, amplitude: float, grid: Grid, work: Workspace) -> None:
     """Write the variances of a fit's differences between n pixels and their opposites to row ``PREDICTED``.
 
     From the fit's factor.
     """
     image, factor = work.image, work.equations
-    total, part = image[PREDICTED], image[PART]
+    total, part, number, counts = image[PREDICTED], image[PART], image[NUMBER], image[COUNTS]
     for i in range(n):
-        total[number_of(i, pixels, grid)] = ZERO
+        total[i] = ZERO
+        counts[i] = ONE if has_opposite(int(number[i]), grid, image) else ZERO
     for k in range(6):
         for i in range(n):
-            part[number_of(i, pixels, grid)] = ZERO
+            if number[i] >= ZERO:
+                part[int(number[i])] = ZERO
         # row k of the inverse factor, kept above its diagonal
         for q in range(k + 1):
             rest = 1.0 if q == k else 0.0
@@ -57,11 +59,11 @@ def predict_variances(n: int, pixels: Array, amplitude: float, grid: Grid, work:
             c = f32(own * factor[q, 7] * (amplitude if q > 1 else 1.0))
             row = image[SLOPES[q]]
             for i in range(n):
-                part[number_of(i, pixels, grid)] += pixels[3, i] * (c if q == 1 else c * row[i])
+                if number[i] >= ZERO:
+                    part[int(number[i])] += c if q == 1 else c * row[i]
         for i in range(n):
-            one = difference(i, pixels, grid, image)
-            if one.there:
-                total[one.number] += less_opposite(one.number, part, grid) ** 2
+            if counts[i] > ZERO:
+                total[i] += less_opposite(int(number[i]), part, grid) ** 2
 
 
 @bare_step(fastmath=FAST)
@@ -89,7 +91,7 @@ def add_residuals(
     information = 1.0 / (prior.blur_sigma * prior.blur_sigma)
     if not factor_all(place, h, cross, c, (information, 0.0), (0.0, 0.0), work.equations):
         return
-    predict_variances(n, pixels, fit.amplitude, grid, work)
+    predict_variances(n, fit.amplitude, grid, work)
     steep = f32(fit.amplitude * fit.blur)
     total, count, lit = ZERO, ZERO, 0
     for turn in range(2):
@@ -99,11 +101,11 @@ def add_residuals(
         count = max(count, ONE)
         scale = max(total / (count + BY_CHANCE * math.sqrt(f32(2.0) * count)), ONE)
         for i in range(n):
-            one = difference(i, pixels, grid, image)
+            one = difference(i, grid, image)
             if not one.there:
                 continue
             variance = dark * one.dark + gain * one.signal
-            free = ONE - image[PREDICTED, one.number] / variance
+            free = ONE - image[PREDICTED, i] / variance
             if not free > LEAST_FREE:
                 continue
             square = one.value * one.value / free
