@@ -66,7 +66,7 @@ def test_points_reach_their_bound_and_state_their_errors(name: str, tmp_path: Pa
     assert complete >= 0.995
     assert ratio <= MOST_RATIO[name]
     assert 2.4 <= nees <= 3.6
-    # 0.93 to 0.97 is aimed at; what lamps do to discs is known as a range, and targets of a pixel do not tell the gain
+    # 0.93 to 0.97 is aimed at; what lamps do to discs is a range, and targets of a pixel do not tell the gain
     assert 0.92 <= within <= (0.985 if name in ("discs_8px", "balls_1p2px") else 0.97)
     if name == "balls_8px":  # the control: a ball's eccentricity left in
         assert point_figures(tmp_path / name, values, target="point")[1] > 1.1
