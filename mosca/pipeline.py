@@ -15,7 +15,7 @@ from mosca.camera.ray_table import make_ray_table
 from mosca.correspondence.match import MatchSettings, match
 from mosca.correspondence.typical_size import TypicalSize
 from mosca.data.arrays import Array
-from mosca.data.detections import Detections
+from mosca.data.detections import Detections, Seen
 from mosca.data.frames import CameraInfo, FrameSet, FrameSource
 from mosca.data.rays import Predicted, RayTable
 from mosca.data.rig import Rig
@@ -30,9 +30,6 @@ from mosca.synchronisation import Assembly, AssemblySettings, assemble
 from mosca.tracking.motion_scale import FieldWidth
 from mosca.tracking.nearest_neighbour import NearestSettings, NearestTracker
 from mosca.tracking.tracker import Tracker, TrackSettings
-
-Seen = tuple[FrameSet, Mapping[str, Detections], float]
-"""A frame set, its detections, and the seconds that these took."""
 
 LOOK_SETS = 16
 """Frame sets of a recording that are matched once before, to learn how much its cameras err."""
@@ -170,7 +167,7 @@ def run_seen(
     tracker = Tracker(settings.track) if settings.nearest is None else NearestTracker(settings.nearest)
     field_width, matcher = FieldWidth(rig), _Matcher(settings.match, volume)
     if settings.lookahead > 0 and keeper is None:
-        seen = _look_first(seen, rig, matcher, health)
+        seen = _errors_first(seen, rig, matcher, health)
 
     for frame_set, detections, seconds in seen:
         check_detections(detections, frame_set.pulse)
@@ -242,7 +239,7 @@ class _Matcher:
         return table, points
 
 
-def _look_first(seen: Iterable[Seen], rig: Rig, matcher: _Matcher, health: Health) -> Iterator[Seen]:
+def _errors_first(seen: Iterable[Seen], rig: Rig, matcher: _Matcher, health: Health) -> Iterator[Seen]:
     """Return all of ``seen``, the first of them matched for once, so that errors and sizes are known from the start.
 
     Not in shorter recordings: from a few sets, cameras' own errors are less certain than the setting.
@@ -252,7 +249,7 @@ def _look_first(seen: Iterable[Seen], rig: Rig, matcher: _Matcher, health: Healt
     if first and most_ahead(first[0][0]) >= LOOK_SETS:
         first.extend(islice(left, LOOK_SETS - 1))
     if len(first) == LOOK_SETS:
-        trial = health.anew()
+        trial = Health(rig, health.settings)
         for frame_set, detections, _ in first:
             check_detections(detections, frame_set.pulse)
             table, points = matcher.match(rig, detections, Predicted.nothing(), trial.noise)

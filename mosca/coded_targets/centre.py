@@ -44,11 +44,13 @@ WIDER, DOUBT = 2.0, 0.01
 this chance. What slopes are drawn to zero is an error that cameras share, which no covariance holds: of the points of
 12 rendered fields 87, 96 and 97 % are within 95 % at 1, 2 and 4; small dots in even light have 3.0, 3.5, 4.1 mpx."""
 HALVINGS = 40
+"""Of the interval in which a variance is searched for: to its last digit."""
 END_PX, END_SHARE = 4.0, 0.6
 """The plate is looked at up to this distance from the dot [px], at most this share of the way to the ring."""
 STEPS_MOST, CLOSE_PX, ENOUGH_PX, FARTHEST = 25, 3e-4, 1e-2, 0.5
 """Largest number of steps; step length at convergence, and at which an end is accepted; largest shift in radii."""
 DAMPING, CALMER, WILDER = 1e-3, 0.2, 10.0
+"""Levenberg's and Marquardt's: first damping, factors after a better and a worse step."""
 REACH = 4.0
 """Blurs from the edge where it ends."""
 MISFIT = 1e-3

@@ -104,13 +104,12 @@ def fitted_corners(
     unknowns, noise = _start(look), PatternNoise(noise_dn**2, 0.0, 0.0, ROUNDING_DN2)
     prior = np.array([FIRST_MEANS, np.square(FIRST_SPREADS)])
     unknowns = _fit(look, unknowns, noise, prior)
-    *_, equations = _covariances(look, unknowns, noise, prior)
+    equations = _covariances(look, unknowns, noise, prior)[-1]
     noise = _noise(equations, noise)
     normal, *_ = look.sums(unknowns, noise, np.arange(len(unknowns)))
     prior = _shared(unknowns, _inverse(normal, prior), prior)
     unknowns = _fit(look, unknowns, noise, prior)
-    covariance, misfit, _ = _covariances(look, unknowns, noise, prior)
-    normal, *_ = look.sums(unknowns, noise, np.arange(len(unknowns)))
+    normal, covariance, misfit, _ = _covariances(look, unknowns, noise, prior)
     covariance = covariance[:, :2, :2] * misfit[:, None, None]
     variance, information = np.einsum("nii->ni", covariance), np.einsum("nii->ni", normal)[:, :2]
     is_one = np.maximum(variance, 1 / (information + TINY)).max(axis=1) < WORST_PX**2
@@ -195,8 +194,13 @@ def _inverse(normal: Array, prior: Array) -> Array:
     return np.asarray(np.linalg.pinv(scaled, hermitian=True) * scale[:, :, None] * scale[:, None, :])
 
 
-def _covariances(look: _Look, unknowns: Array, noise: PatternNoise, prior: Array) -> tuple[Array, Array, Array]:
-    """Return covariances (n, UNKNOWNS, UNKNOWNS), by how much residuals exceed them (n,), ``_noise``'s equations."""
+def _covariances(
+    look: _Look, unknowns: Array, noise: PatternNoise, prior: Array
+) -> tuple[Array, Array, Array, Array]:
+    """Return normal equations and covariances, both (n, UNKNOWNS, UNKNOWNS).
+
+    And by how much residuals exceed the latter (n,), and the equations of ``_noise``.
+    """
     every = np.arange(len(unknowns))
     normal, *_ = look.sums(unknowns, noise, every)
     held = normal.copy()
@@ -209,7 +213,12 @@ def _covariances(look: _Look, unknowns: Array, noise: PatternNoise, prior: Array
     ratio = chi2 / freedom
     # dirt on a corner is its own affair
     usual = ratio <= DIRTY * np.median(ratio)
-    return covariance, np.where(ratio > 1 + MANY_SIGMA * np.sqrt(2 / freedom), ratio, 1.0), seen[usual].sum(axis=0)
+    return (
+        normal,
+        covariance,
+        np.where(ratio > 1 + MANY_SIGMA * np.sqrt(2 / freedom), ratio, 1.0),
+        seen[usual].sum(axis=0),
+    )
 
 
 def _noise(seen: Array, before: PatternNoise) -> PatternNoise:

@@ -76,7 +76,9 @@ def tracks_on_grid(
     rest = residuals_px(curves, observations, rig, cameras)
     squared = np.nan_to_num((rest**2).sum(axis=1))
     seen_by, images, total = np.zeros((t, m), int), np.zeros((t, m), int), np.zeros((t, m))
-    inside, together = np.zeros((2, t, m), dtype=bool)
+    inside = np.zeros((t, m), dtype=bool)
+    from_s, to_s = observations.together(BEYOND * np.asarray(near_s))
+    together = (instants_s[:, None] >= from_s) & (instants_s[:, None] <= to_s)
     order = np.lexsort((observations.time_s, observations.camera, observations.point))
     point, camera = observations.point[order], observations.camera[order]
     times, squared = observations.time_s[order], squared[order]
@@ -84,7 +86,6 @@ def tracks_on_grid(
         low, high = np.searchsorted(point, [p, p + 1])
         for begin, end in parts_in_time(np.sort(times[low:high]), LONGEST_FILL_S):
             inside[:, p] |= (instants_s >= begin) & (instants_s <= end)
-        spans = []
         for c, near in enumerate(near_s):
             a, b = low + np.searchsorted(camera[low:high], [c, c + 1])
             first = np.searchsorted(times[a:b], instants_s - near, "left")
@@ -93,10 +94,6 @@ def tracks_on_grid(
             seen_by[:, p] += last > first
             images[:, p] += last - first
             total[:, p] += sums[last] - sums[first]
-            spans += [(times[a] - BEYOND * near, times[b - 1] + BEYOND * near)] if b > a else []
-        if len(spans) > 1:
-            begins, ends = np.sort(spans, axis=0).T
-            together[:, p] = (instants_s >= begins[1]) & (instants_s <= ends[-2])
     parts = []
     for begin in range(0, t, CHUNK):
         some = slice(begin, begin + CHUNK)

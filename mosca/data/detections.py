@@ -1,11 +1,12 @@
 """Detections: image positions of targets in a frame, with covariance."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from mosca.data.arrays import Array, read_only, set_read_only
+from mosca.data.frames import FrameSet
 
 SATURATED, MERGED, PARTIAL, UNREFINED = 1, 2, 4, 8
 """Bits of ``Detections.flags``: some of its pixels are saturated; two merged targets; a partly occluded target; a
@@ -63,3 +64,7 @@ class Detections:
     def none(cls, camera: str) -> "Detections":
         """No targets: an image without any, or no image."""
         return cls(camera, np.empty((0, 2)), np.empty((0, 2, 2)), np.empty(0), np.empty(0), np.empty(0))
+
+
+Seen = tuple[FrameSet, Mapping[str, Detections], float]
+"""A frame set, its cameras' detections, and the computing time that these took [s]."""

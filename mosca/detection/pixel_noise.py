@@ -3,8 +3,8 @@
 ``var(I) = dark + gain (I - background)`` (EMVA 1288). The dark part is that of the background's pixels
 (``mosca.detection.local_background``): dark noise, quantisation and the photon noise of the background. The gain is
 learned by photon transfer from the residuals of fitted discs (``mosca.detection.disc_fit.residual_noise``): squared
-differences of pixels at one distance from the centre over the signal ``A e``, beside a share of ``(A e')^2`` that
-stands for a misfit of the edge that is not round, by weighted least squares.
+differences of opposite points over the signal ``A e``, beside a share of ``(A e')^2`` that stands for a misfit of the
+edge that is not symmetric, by weighted least squares.
 """
 
 from collections.abc import Collection, Sequence

@@ -95,7 +95,7 @@ class Health:
 
     def __init__(self, rig: Rig, settings: HealthSettings | None = None) -> None:
         self.settings = settings or HealthSettings()
-        self._rig, self._names = rig, rig.names
+        self._names = rig.names
         c = len(rig.cameras)
         one = self.settings
         self._model = NoiseModel(rig, one.start_px, one.memory)
@@ -117,10 +117,6 @@ class Health:
     def noise(self) -> ImageNoise:
         """Error of image points besides detection noise, as learned so far."""
         return self._model.noise
-
-    def anew(self) -> "Health":
-        """Return a health of the same cameras that knows nothing yet."""
-        return Health(self._rig, self.settings)
 
     def start_from(self, trial: "Health") -> None:
         """Take what another one learned of the image points' errors, until this one has learned as much."""

@@ -2,14 +2,14 @@
 
 from collections.abc import Iterable, Iterator, Mapping
 
-from mosca.data.detections import Detections
+from mosca.data.detections import Detections, Seen
 from mosca.data.frames import CameraInfo, FrameSet
 from mosca.synchronisation import Assembly
 
 
 def counted(
     sets: Iterable[tuple[FrameSet, Mapping[str, Detections]]], cameras: Iterable[CameraInfo], assembly: Assembly
-) -> Iterator[tuple[FrameSet, Mapping[str, Detections], float]]:
+) -> Iterator[Seen]:
     """Pass frame sets on, for ``run_seen``, and count them in ``assembly``; numbers left out are skipped sets."""
     names = [info.name for info in cameras]
     following = 0

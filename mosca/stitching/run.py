@@ -1,20 +1,18 @@
 """Zones in parallel: one detection pass over all frames, then correspondence and tracking for each zone."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import tee
 
 import numpy as np
 
-from mosca.data.detections import Detections
+from mosca.data.detections import Seen
 from mosca.data.frames import FrameSet
 from mosca.data.rig import Rig
 from mosca.data.tracks import Points, Samples, Tracks
 from mosca.diagnostics.camera_health import Health
 from mosca.errors import InputError
 from mosca.pipeline import PipelineSettings, Step, run_seen
-
-Seen = tuple[FrameSet, Mapping[str, Detections], float]
 
 
 @dataclass(frozen=True, eq=False)

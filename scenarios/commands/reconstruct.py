@@ -65,7 +65,9 @@ class ReconstructSpec(StageTables):
     background: BackgroundSpec = BackgroundSpec()
     volume: VolumeSpec | None = Field(None, description="box in which targets can be; default: everywhere")
     lookahead: int = Field(
-        64, ge=0, description="frame sets of a recording that are looked at before the first is processed; 0: as live"
+        PipelineSettings().lookahead,
+        ge=0,
+        description="frame sets of a recording that are looked at before the first is processed; 0: as live",
     )
 
 

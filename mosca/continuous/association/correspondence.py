@@ -6,7 +6,7 @@ every measured image point, at its own instant, is assigned to the nearest curve
 association only and are never used as measurements.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -19,7 +19,7 @@ from mosca.continuous.estimator.observation_equations import HUBER
 from mosca.continuous.model.observations import CameraPaths, Curves, TimedObservations, UncertainCurves, no_carriers
 from mosca.continuous.model.rig_at_time import MovingRig, RigAtEach, centres_at, images_at, images_of
 from mosca.data.arrays import Array
-from mosca.data.detections import MERGED, Detections
+from mosca.data.detections import MERGED, Seen
 from mosca.data.frames import FrameSet
 from mosca.data.rig import Camera, Rig
 from mosca.data.tracks import Samples, Tracks, table
@@ -98,7 +98,7 @@ def tracked(
         there, keeper = moving.there(instants_s), RigAtEach(moving.rigs(instants_s))
         rig = keeper.rig
 
-    def sets() -> Iterator[tuple[FrameSet, Mapping[str, Detections], float]]:
+    def sets() -> Iterator[Seen]:
         for k, instant in enumerate(instants_s):
             found = {one.info.name: detections_at(one, places[c], k)[0] for c, one in enumerate(seen) if there[k, c]}
             yield FrameSet(k, round(instant * 1e9)), found, 0.0

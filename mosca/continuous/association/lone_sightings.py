@@ -34,7 +34,7 @@ def with_lone(
     ``known``: from when to when each point's curve is known (points,) [s]: within, the curve decided what belongs to
     it. ``tracklet``: of each camera's image points; ``sigma_px`` (c,): as ``observed`` has it.
     """
-    from_s, to_s = together(found)
+    from_s, to_s = found.together()
     parts, numbers = [], [row]
     for c, (one, of, tie) in enumerate(zip(seen, tracklet, ties, strict=True)):
         times, far = tie.common_s(one.time_s(tie.origin_ns)), LONE_FRAMES * one.period_s
@@ -62,15 +62,6 @@ def with_lone(
         found, camera=camera, point=named, exposure=exposure, time_s=time_s, xy_px=xy, covariance_px2=covariance
     )
     return whole, np.concatenate(numbers)
-
-
-def together(found: TimedObservations) -> tuple[Array, Array]:
-    """Return from when to when two cameras see each point (points,) [s]: empty where they never do."""
-    first = np.full((len(found.points), len(found.cameras)), np.inf)
-    last = np.full(first.shape, -np.inf)
-    np.minimum.at(first, (found.point, found.camera), found.time_s)
-    np.maximum.at(last, (found.point, found.camera), found.time_s)
-    return np.sort(first, axis=1)[:, 1], np.sort(last, axis=1)[:, -2]
 
 
 def _neighbours(name: Array, tracklet: Array, time_s: Array) -> tuple[Array, Array]:

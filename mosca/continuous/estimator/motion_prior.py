@@ -20,7 +20,7 @@ from scipy.linalg import LinAlgError, cho_solve_banded, cholesky_banded, solve_c
 from scipy.optimize import minimize_scalar
 
 from mosca.continuous.estimator.banded_normals import Band, Factor, Rows
-from mosca.continuous.model.bspline import Knots
+from mosca.continuous.model.bspline import Knots, combined
 from mosca.data.arrays import Array
 
 ORDERS = (2, 3, 5, 7)
@@ -207,11 +207,10 @@ def expected_accelerations(knots: Knots, curves: Array, smooth: Smoothness, pace
     weight = np.ones(knots.pieces) if pace is None else 1.0 / pace
     root = np.sqrt(0.5 * knots.step_s * weight[:, None] * share).ravel()
     first, by = smooth.weights(knots, time)
-    reached = first[:, None] + np.arange(knots.degree + 1)
     begin = smooth.begin(knots, weight)
     total = np.zeros((curves.shape[2], curves.shape[2]))
     for one in curves:
-        for part in (np.einsum("ta,taw->tw", root[:, None] * by, one[reached]), begin @ one[: knots.degree + 1]):
+        for part in (combined(first, root[:, None] * by, one), begin @ one[: knots.degree + 1]):
             total += part.T @ part
     return total / (len(curves) * smooth.rank(knots))
 
@@ -222,13 +221,12 @@ def liveliness(knots: Knots, curves: list[Array], covariances: list[Array], smoo
     """
     middle = 0.5 * (knots.breaks_s[:-1] + knots.breaks_s[1:])
     first, by = smooth.weights(knots, middle)
-    reached = first[:, None] + np.arange(knots.degree + 1)
     total, width = np.zeros(knots.pieces), 0
     for drawn, covariance in zip(curves, covariances, strict=True):
         inverse = np.linalg.inv(covariance)
         width += len(covariance)
         for one in drawn:
-            second = np.einsum("ta,taw->tw", by, one[reached])
+            second = combined(first, by, one)
             total += np.einsum("ti,ij,tj->t", second, inverse, second) / len(drawn)
     kernel = np.exp(-0.5 * ((middle[:, None] - middle) / PACE_S) ** 2)
     return np.asarray(kernel @ (total * knots.step_s / width) / kernel.sum(axis=1))

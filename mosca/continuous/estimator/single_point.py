@@ -47,9 +47,8 @@ def first_curves(
     larger than stated image errors are (1 unless ``noise_free``).
 
     Rays weighed by a guessed depth first (the distance of the point nearest to all axes), then by the depth found,
-    then image errors themselves. Then order, the distance of the
-    knots and the corner, where there is a ``choice``, are those that predict best.
-    ``start``: curves to linearise at instead.
+    then image errors themselves. Then order, the distance of the knots and the corner, where there is a ``choice``,
+    are those that predict best. ``start``: curves to linearise at instead.
     """
     if start is not None:
         xyz = np.array(state.xyz)

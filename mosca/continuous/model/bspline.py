@@ -90,9 +90,13 @@ def knots_over(start_s: float, end_s: float, step_s: float, degree: int = 5) -> 
 
 def values(knots: Knots, coefficients: Array, time_s: Array, derivative: int = 0) -> Array:
     """Return curves (n, ...) at instants (n,), of ``coefficients`` (count, ...)."""
-    first, weight = knots.weights(time_s, derivative)
-    reached = first[:, None] + np.arange(knots.degree + 1)
-    return np.asarray(np.einsum("na,na...->n...", weight, np.asarray(coefficients)[reached]))
+    return combined(*knots.weights(time_s, derivative), np.asarray(coefficients))
+
+
+def combined(first: Array, weight: Array, coefficients: Array) -> Array:
+    """Return sums (n, ...) of the ``coefficients`` (count, ...) from ``first`` (n,) on, by ``weight`` (n, k)."""
+    reached = first[:, None] + np.arange(weight.shape[1])
+    return np.asarray(np.einsum("na,na...->n...", weight, coefficients[reached]))
 
 
 def fitted(knots: Knots, time_s: Array, places: Array) -> Array:

@@ -53,6 +53,17 @@ class TimedObservations:
             if n and (index.min() < 0 or index.max() >= end):
                 raise ValueError(f"{name}: {index.min()} to {index.max()} given, 0 to {end - 1} allowed")
 
+    def together(self, slack_s: Array | float = 0.0) -> tuple[Array, Array]:
+        """Return from when to when two cameras see each point (points,) [s]: empty where they never do.
+
+        ``slack_s`` (cameras,): by which each one's sightings begin earlier and end later.
+        """
+        first = np.full((len(self.points), max(len(self.cameras), 2)), np.inf)
+        last, slack = -first, np.broadcast_to(slack_s, len(self.cameras))[self.camera]
+        np.minimum.at(first, (self.point, self.camera), self.time_s - slack)
+        np.maximum.at(last, (self.point, self.camera), self.time_s + slack)
+        return np.sort(first, axis=1)[:, 1], np.sort(last, axis=1)[:, -2]
+
     def __len__(self) -> int:
         return len(self.xy_px)
 

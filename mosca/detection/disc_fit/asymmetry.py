@@ -37,8 +37,6 @@ class Difference(NamedTuple):
 
     there: bool
     """Whether the pixel counts: it has an opposite, of which it is the first."""
-    number: int
-    """Its number in the grid."""
     value: Any
     dark: Any
     """Its dark variance over that of a pixel."""
@@ -105,13 +103,13 @@ def difference(i: int, grid: Grid, image: Array) -> Difference:
     k = int(image[NUMBER, i])
     q = grid.opposite - k
     if not has_opposite(k, grid, image):
-        return Difference(False, k, ZERO, ZERO, ZERO)
+        return Difference(False, ZERO, ZERO, ZERO)
     dark, signal = ONE, image[SIGNAL, k]
     for j in range(4):
         at, w = q + (j & 1) + (j >> 1) * grid.side, grid.weights[j]
         dark += w * w
         signal += w * w * image[SIGNAL, at]
-    return Difference(True, k, less_opposite(k, image[RESIDUAL], grid), dark, signal)
+    return Difference(True, less_opposite(k, image[RESIDUAL], grid), dark, signal)
 
 
 @bare_step(fastmath=FAST)
