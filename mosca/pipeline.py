@@ -21,7 +21,7 @@ from mosca.data.rays import Predicted, RayTable
 from mosca.data.rig import Rig
 from mosca.data.tracks import Points, Samples
 from mosca.detection.detect import DetectionSettings
-from mosca.detection.scheduler import FrameSetDetector, detect_ahead, most_ahead
+from mosca.detection.scheduler import LOOK_SETS, FrameSetDetector, detect_ahead, most_ahead
 from mosca.diagnostics.camera_health import Health
 from mosca.diagnostics.noise_model import ImageNoise
 from mosca.diagnostics.sensor import Sensors
@@ -31,8 +31,6 @@ from mosca.tracking.motion_scale import FieldWidth
 from mosca.tracking.nearest_neighbour import NearestSettings, NearestTracker
 from mosca.tracking.tracker import Tracker, TrackSettings
 
-LOOK_SETS = 16
-"""Frame sets of a recording that are matched once before, to learn how much its cameras err."""
 MOST_DETECTIONS = 5000
 """Detections an image may have; matching many more would take minutes a frame set."""
 

@@ -204,7 +204,10 @@ def fill_rays(cameras, seen, start, balls, xy, covariance, extra, size, shape, f
         views[c, DENSITY] = density
         for n in range(start[c], start[c + 1]):
             good = direction_of(own, xy[n, 0], xy[n, 1], d, local)
-            across, long = _longer_axis(diameter[n], elongation[n])
+            gram = gram_of(local)
+            # a ball's image is long where the lens images its cone so
+            ratio = np.sqrt(gram[0] / gram[2])
+            across, long = _longer_axis(diameter[n], max(1.0, elongation[n] / max(ratio, 1.0 / ratio)))
             odd += long or flags[n] & (UNREFINED | MERGED) == UNREFINED
             s00, s01, s11 = (covariance[n, 0, 0] + extra[c], covariance[n, 0, 1], covariance[n, 1, 1] + extra[c])
             area = s00 * s11 - s01 * s01
@@ -212,7 +215,6 @@ def fill_rays(cameras, seen, start, balls, xy, covariance, extra, size, shape, f
                 rays[n] = np.nan
                 continue
             to_world(views, c, d, local, g, rays, n)
-            gram = gram_of(g)
             elliptic = ellipticity[n, 0] != 0.0 and flags[n] & (MERGED | PARTIAL) == 0
             if elliptic and fields.shape[0] > 0 and not all_balls:
                 more = _possible_eccentricity(diameter[n], ellipticity[n], ellipticity_sigma[n], gram)

@@ -34,6 +34,8 @@ from mosca.triangulation.triangulate import TRUST
 
 FEWEST_IMAGES = 3
 """Images of a point that show which of them agree: two have one residual, along an epipolar line."""
+LN_UNSEEN = float(np.log(0.01))
+"""Logarithm of the prior probability that a target is mostly hidden, or merged, and its image does not show it."""
 
 
 @step
@@ -54,7 +56,11 @@ def weigh_by_agreement(kept, state, data):
         if judge_sizes(hypothesis, by_area)[1]:
             continue  # a circle's images are judged by their sizes, and solved with what is not known of it
         error = _settle(hypothesis, kept.trusts[g], data)
-        if error >= 0.0 and evidence(values, error, members, ranks[:, TRUST]) > evidence(
+        rarer = 0.0
+        for c in range(cameras):
+            if members[c] >= 0 and ranks[c, TRUST] < 1.0 and kept.trusts[g, c] >= 1.0:
+                rarer += LN_UNSEEN
+        if error >= 0.0 and rarer + evidence(values, error, members, ranks[:, TRUST]) > evidence(
             kept.values[g], kept.values[g, CHI2], members, kept.trusts[g]
         ):
             values[CHI2] = error

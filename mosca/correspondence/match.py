@@ -24,9 +24,9 @@ from mosca.data.settings import MatchSettings as MatchSettings
 from mosca.data.tracks import Points
 from mosca.numba_support.decorators import kernel
 
-USUAL = 0.25
-"""Share of images that are elongated, or isolated without a fit, from which that is no evidence against an image:
-targets are flat or fast, fits were not tried."""
+USUAL, USUAL_DISCS = 0.125, 0.25
+"""Shares of images that are elongated, or isolated without a fit, from which that is no evidence against an image
+(targets are flat or fast, fits were not tried), and from which two of them are enough to take a target for a disc."""
 GRADIENTS = {"unknown": (0.25, 1.0 / 48.0), "even": (0.0, 0.0)}
 """Mean and variance of the shift of flat targets' images by the gradient of their light, over their eccentricity:
 from 0 for distant lamps to 1/2 for the light's centroid under lamps at the lens (``mosca.camera.disc_rays``)."""
@@ -133,7 +133,7 @@ def _fewest_images(table: RayTable, settings: MatchSettings) -> int:
     """
     if settings.target == "ball":
         return 0
-    return PAIR + 1 if table.odd < USUAL * len(table.rays) else PAIR
+    return PAIR + 1 if table.odd < USUAL_DISCS * len(table.rays) else PAIR
 
 
 def _judged_by(table: RayTable, settings: MatchSettings) -> float:

@@ -30,8 +30,9 @@ REFRESH_PERIOD = 128
 
 TEXTURED_PERIOD = 16
 """As ``REFRESH_PERIOD``, of a textured background: targets uncover it pixel by pixel."""
-LOOK_EACH, LOOK_BYTES = 4, 2**28
-"""Of the sets that are read ahead every so many are looked at: targets move between them. Their largest size."""
+LOOK_SETS, FEWEST_SETS, LOOK_BYTES = 16, 8, 2**28
+"""Most of the sets read ahead that are looked at, evenly spaced: targets move between them. Of fewer sets than the
+second number none is: slow targets would be taken for background. Largest size of all that are read ahead."""
 
 Detected = tuple[dict[str, Detections], CameraStatistics, float]
 """Detections by camera, what the set adds to the cameras' statistics, and computing time [s]."""
@@ -60,12 +61,17 @@ class FrameSetDetector:
     """Images (H, W) that are subtracted, by camera."""
 
     def detect(
-        self, frame_set: FrameSet, statistics: CameraStatistics, helpers: Executor | None = None, split: int = 1
+        self,
+        frame_set: FrameSet,
+        statistics: CameraStatistics,
+        helpers: Executor | None = None,
+        split: int = 1,
+        measures_all: bool = False,
     ) -> Detected:
         """Return the detections of a set's cameras, what they add to the statistics, and the time that it took [s].
 
         ``statistics``: of earlier sets; ``split``: the cameras are divided into so many shares; all but the first go
-        to the ``helpers``.
+        to the ``helpers``; ``measures_all``: all cameras' backgrounds are measured, not only those that are due.
         """
         start = perf_counter()
         images = {name: f.image for name, f in frame_set.frames.items() if f.image is not None}
@@ -73,7 +79,7 @@ class FrameSetDetector:
         shares = max(1, min(split if helpers is not None else 1, len(names)))
         bounds = [len(names) * k // shares for k in range(shares + 1)]
         own, *others = [{n: images[n] for n in names[i:j]} for i, j in pairwise(bounds)]
-        again = [name for name in names if self._is_due(name, frame_set.pulse, statistics)]
+        again = [name for name in names if measures_all or self._is_due(name, frame_set.pulse, statistics)]
         pending = [helpers.submit(self._some, share, statistics, again) for share in others] if helpers else []
         detections, added = self._some(own, statistics, again)
         for future in pending:
@@ -130,11 +136,9 @@ def detect_ahead(
     ``lookahead``: first sets that are read before the first one is yielded, to learn from some of them.
     """
     attend = attend or _nobody
-    sets, known = _first_look(detector, sets, lookahead)
     if workers <= 0:
-        yield from _one_by_one(detector, sets, split, attend, known)
+        yield from _one_by_one(detector, sets, split, attend, lookahead)
         return
-    delayed = _DelayedSums(known)
     queue: deque[_Ahead] = deque()
 
     def first() -> tuple[FrameSet, dict[str, Detections], float]:
@@ -145,6 +149,8 @@ def detect_ahead(
         return frame_set, detections, seconds
 
     with ThreadPoolExecutor(workers, "detect") as pool:
+        sets, known = _first_look(detector, sets, lookahead, pool, workers + 1)
+        delayed = _DelayedSums(known)
         try:
             for number, frame_set in enumerate(sets):
                 used = delayed.for_frame_set(number)
@@ -159,26 +165,26 @@ def detect_ahead(
 
 
 def _first_look(
-    detector: FrameSetDetector, sets: Iterable[FrameSet], lookahead: int
+    detector: FrameSetDetector, sets: Iterable[FrameSet], lookahead: int, helpers: Executor | None, split: int
 ) -> tuple[Iterator[FrameSet], CameraStatistics]:
     """Return all of the sets, and what is learned from the first of them.
 
     Where backgrounds are textured these are looked at twice: targets that the texture hid at first do not vote the
     second time.
     """
-    left, seen, learned = iter(sets), list[FrameSet](), NO_STATISTICS
-    most = lookahead
+    left, seen, learned, most = iter(sets), list[FrameSet](), NO_STATISTICS, lookahead
     for frame_set in left if lookahead > 0 else ():
         seen.append(frame_set)
-        if len(seen) % LOOK_EACH == 1:
-            learned = learned.plus(detector.detect(frame_set, learned)[1])
-            most = min(most, most_ahead(frame_set))
+        most = min(most, most_ahead(frame_set))
         if len(seen) >= most:
             break
+    looked_at = seen[:: -(-len(seen) // LOOK_SETS)] if len(seen) >= FEWEST_SETS else []
+    for frame_set in looked_at:
+        learned = learned.plus(detector.detect(frame_set, learned, helpers, split)[1])
     if detector.is_textured(learned):
         known, learned = learned, NO_STATISTICS
-        for frame_set in seen[::LOOK_EACH]:
-            learned = learned.plus(detector.detect(frame_set, known)[1])
+        for frame_set in looked_at:
+            learned = learned.plus(detector.detect(frame_set, known, helpers, split, measures_all=True)[1])
     return chain(seen, left), learned
 
 
@@ -213,11 +219,12 @@ def _await_first(detector: FrameSetDetector, queue: Sequence[_Ahead]) -> Detecte
 
 
 def _one_by_one(
-    detector: FrameSetDetector, sets: Iterable[FrameSet], split: int, attend: Attend, known: CameraStatistics
+    detector: FrameSetDetector, sets: Iterable[FrameSet], split: int, attend: Attend, lookahead: int
 ) -> Iterator[tuple[FrameSet, dict[str, Detections], float]]:
-    delayed = _DelayedSums(known)
     with ExitStack() as stack:
         helpers = stack.enter_context(ThreadPoolExecutor(split - 1, "detect")) if split > 1 else None
+        sets, known = _first_look(detector, sets, lookahead, helpers, split)
+        delayed = _DelayedSums(known)
         used = delayed.for_frame_set(0)
         for number, frame_set in enumerate(sets):
             detections, added, seconds = detector.detect(frame_set, used, helpers, split)

@@ -8,7 +8,8 @@ from mosca.camera.projection import project
 from mosca.data.detections import Detections
 from mosca.data.frames import FrameSet
 from mosca.data.rig import MoscaLens
-from mosca.pipeline import LOOK_SETS, PipelineSettings, run_seen
+from mosca.detection.scheduler import LOOK_SETS
+from mosca.pipeline import PipelineSettings, run_seen
 
 RIG = ring(4, MoscaLens(8.0, 330.0, 240.0, 0.01, 0.01, -0.006, 1e-3, -1.5e-5, 0, 1e-4, 5e-5), height_m=0.8)
 SIGMA_PX = 0.01
