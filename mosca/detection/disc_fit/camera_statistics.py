@@ -197,7 +197,7 @@ def _priors(statistics: CameraStatistics) -> Priors:
 
 
 def _rims(sums: Array) -> Array:
-    """Return the ratios (n,) at which a parabola through the sums of ln chi-square (n, 4) is least; 1 without any."""
+    """Return the ratios (n,) at which a parabola through the sums of ln chi-square (n, 5) is least; 1 without any."""
     ratios, out = np.array(RIMS), np.ones(len(sums))
     for k in np.flatnonzero(np.ptp(sums, axis=1) > 0):
         middle = np.clip(sums[k].argmin(), 1, len(ratios) - 2)

@@ -18,7 +18,7 @@ from mosca.numba_support.decorators import bare_step, step
 # What an image adds to its camera's statistics: counts and sums, see mosca.detection.disc_fit.camera_statistics.
 N_TARGETS, BLUR_SUM, BLUR_WEIGHT, ROUGH_SUM, N_LIGHT, NOISE_SUMS = range(6)
 AMPLITUDE_SUMS = 11
-RIM_SUMS, N_RIMS = 18, 4
+RIM_SUMS, N_RIMS = 18, 5
 LEFT_OUT = RIM_SUMS + N_RIMS
 N_TALLIES, N_TERMS = LEFT_OUT + 5, 12
 """From column NOISE_SUMS on: sums of the gain's least squares, see ``mosca.detection.disc_fit.residual_noise``. From
