@@ -42,7 +42,7 @@ import numpy as np
 from mosca.data.arrays import Array
 from mosca.detection.disc_fit.fit_regions import FIRST_ROUGHNESS
 from mosca.detection.disc_fit.gauss_newton import LEAST_BLUR, MOST_BLUR
-from mosca.detection.disc_fit.hidden_background import RIMS
+from mosca.detection.disc_fit.hidden_background import RIM_SIGMAS, RIMS
 from mosca.detection.disc_fit.light_offset import (
     AMPLITUDE_SUMS,
     BLUR_SUM,
@@ -197,14 +197,15 @@ def _priors(statistics: CameraStatistics) -> Priors:
 
 
 def _rims(sums: Array) -> Array:
-    """Return the ratios (n,) at which a parabola through the sums of ln chi-square (n, 5) is least; 1 without any."""
+    """Return the ratios (n,) at which a parabola through sums of chi-square (n, 5) is least; 1 where it may be so."""
     ratios, out = np.array(RIMS), np.ones(len(sums))
     for k in np.flatnonzero(np.ptp(sums, axis=1) > 0):
         middle = np.clip(sums[k].argmin(), 1, len(ratios) - 2)
         at = slice(middle - 1, middle + 2)
         bend, slope, _ = np.polyfit(ratios[at] - ratios[middle], sums[k, at], 2)
-        if bend > 0:
-            out[k] = np.clip(ratios[middle] - 0.5 * slope / bend, 1.0, ratios[-1])
+        least = ratios[middle] - 0.5 * slope / bend if bend > 0 else 1.0
+        if least > 1.0 and (least - 1.0) ** 2 * bend > RIM_SIGMAS**2:
+            out[k] = min(least, ratios[-1])
     return out
 
 

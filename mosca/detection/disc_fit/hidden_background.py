@@ -16,8 +16,10 @@ from mosca.numba_support.decorators import bare_step
 
 RIMS = (0.96, 1.0, 1.04, 1.08, 1.12)
 """Ratios tried of the radius within which a target hides its background to that of its light: a retroreflective ball
-is dark towards its limb (1.1 from 65 degrees of entrance angle on). The least is there to find a minimum at 1. Minima of ln chi-square are as narrow as the steps:
-with steps of 0.06 the ratio came out at 1.06 where 1.085 is true, and places erred by 1.4 times as much."""
+is dark towards its limb (1.1 from 65 degrees of entrance angle on). The least is there to find a minimum at 1. With
+steps of 0.06 the ratio came out at 1.06 where 1.085 is true, and places erred by 1.4 times as much."""
+RIM_SIGMAS = 3.0
+"""Standard deviations from which a ratio differs from 1."""
 EVEN_SHARE = 0.05
 """A background behind a disc whose variance is less, as a share of the pixels' dark noise, is even."""
 MOST_FITS, CLOSE_2 = 10, 0.01
@@ -155,16 +157,17 @@ def compare_rims(
     work: Workspace,
     tally: Array,
 ) -> None:
-    """Add to ``tally`` the logarithms of the chi-squares of fits with each of the ``RIMS``, where all converge.
+    """Add to ``tally`` the chi-squares of fits with each of the ``RIMS`` over their mean a pixel, where all converge.
 
-    Of the logarithm, so that each target counts alike, however well a disc fits it. The pixels are left as they were.
+    Over the mean, so that each pixel counts alike, however well a disc fits. The pixels are left as they were.
     """
-    logs, good = (0.0, 0.0, 0.0, 0.0, 0.0), True
+    each, good, mean = (0.0, 0.0, 0.0, 0.0, 0.0), True, 0.0
     for rim in RIMS:
         tried = DiscPrior(prior.blur, prior.blur_sigma, prior.amplitude, prior.amplitude_sigma, rim)
         other = refit_before(n, pixels, behind, shape, fit, tried, model, True, work)
         good &= other.converged and other.chi2 > 0.0
-        logs = (logs[1], logs[2], logs[3], logs[4], math.log(max(other.chi2, 1e-9)))
+        each = (each[1], each[2], each[3], each[4], other.chi2)
+        mean += other.chi2 / (N_RIMS * n)
     uncover(n, pixels, behind, shape, fit, prior.rim, work)
     for q in range(N_RIMS):
-        tally[RIM_SUMS + q] += logs[q] if good else 0.0
+        tally[RIM_SUMS + q] += each[q] / mean if good else 0.0

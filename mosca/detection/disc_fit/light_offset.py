@@ -23,9 +23,9 @@ LEFT_OUT = RIM_SUMS + N_RIMS
 N_TALLIES, N_TERMS = LEFT_OUT + 5, 12
 """From column NOISE_SUMS on: sums of the gain's least squares, see ``mosca.detection.disc_fit.residual_noise``. From
 column AMPLITUDE_SUMS on, of targets' l = ln amplitude, its variance v, and f = ln flux, with weights w:
-w, w f, w f f, w l, w f l, w l l, w v. From column RIM_SUMS on: sums of ln chi-square, for each of the ratios of
-``mosca.detection.disc_fit.hidden_background.RIMS``. From column LEFT_OUT on: how many groups of bright pixels were
-left out, see ``mosca.detection.search.LEFT_OUT_REASONS``."""
+w, w f, w f f, w l, w f l, w l l, w v. From column RIM_SUMS on: sums of chi-square over its mean, for each of the
+ratios of ``mosca.detection.disc_fit.hidden_background.RIMS``. From column LEFT_OUT on: how many groups of bright
+pixels were left out, see ``mosca.detection.search.LEFT_OUT_REASONS``."""
 N_OFFSET_TERMS = 9
 """Terms of the offset that are added to the fitted centre; those in R are shading."""
 
