@@ -3,7 +3,7 @@
 from functools import cache
 
 import numpy as np
-from scipy.special import j1
+from scipy.special import j1, jn
 
 FINE = 16  # samples a pixel
 READ, BLACK = 0.5, 4.0
@@ -17,12 +17,14 @@ def transform_of_disc(diameter, f):
 
 
 @cache
-def fine_image(diameter, blur, circle=0.0, coma=0.0, across=None, cutoff=None, squeeze=1.0):
+def fine_image(diameter, blur, circle=0.0, coma=0.0, across=None, cutoff=None, squeeze=1.0, dark=0.0, smear=0.0):
     """A disc of brightness 1 seen through Gaussian blur, defocus, coma and pixels, by its Fourier transform.
 
     The disc's is D J1(pi D f) / 2 f, a pixel's sinc; coma as third-order displacements of a pupil's points, their
     mean taken off. ``across``: edge of the image [px]. ``cutoff``: of a lens limited by diffraction [cycles a pixel],
     pixel pitch over wavelength and f-number. ``squeeze``: minor over major axis of an ellipse, along (3, 2).
+    ``dark``: brightness is ``1 - dark (1 - r^2 / R^2)``, by Sonine's integral 4 pi R^2 J2(k) / k^2.
+    ``smear``: along x [px].
     """
     across = across or int(diameter + 8 * blur + circle + coma) // 2 * 2 + 10
     n = across * FINE
@@ -32,6 +34,10 @@ def fine_image(diameter, blur, circle=0.0, coma=0.0, across=None, cutoff=None, s
     k = np.pi * diameter * np.hypot(squeeze * u, v)
     k[0, 0] = 1e-9
     spectrum = squeeze * np.pi * diameter**2 / 4 * 2 * j1(k) / k * gauss * gauss[:, None]
+    if dark:
+        spectrum -= dark * np.pi * diameter**2 * np.where(k < 1e-6, 1 / 8, jn(2, k) / k**2) * gauss * gauss[:, None]
+    if smear:
+        spectrum = spectrum * np.sinc(smear * f)
     if circle:
         spectrum = spectrum * transform_of_disc(circle, f)
     if cutoff:

@@ -203,9 +203,8 @@ SHARP = {
 @pytest.mark.parametrize(
     ("kind", "diameter", "least"),
     [
-        *(("diffraction f/4", size, 0.77) for size in (2.2, 3.3, 4.5, 6.3, 8.3)),
-        ("diffraction f/4", 14.5, 0.72),
-        *(("no blur", size, 0.72) for size in (2.2, 4.5, 8.3, 14.5)),
+        *(("diffraction f/4", size, 0.8) for size in (2.2, 3.3, 4.5, 6.3, 8.3, 14.5)),
+        *(("no blur", size, 0.75) for size in (2.2, 4.5, 8.3, 14.5)),
         *(("oblique f/4", size, 0.75) for size in (8.3, 14.5)),
         *(("oblique, no blur", size, 0.62) for size in (4.5, 6.3)),
     ],
@@ -218,8 +217,8 @@ def test_edges_sharper_than_a_pixel(kind, diameter, least):
         learned = learned.plus(new)
     error, variance = errors(found, truth)
     assert np.mean(bound_px(diameter, 0.0, 200, gain, **odd) ** 2) / np.mean(error**2) > least
-    # discs of 2 px: the lens' rings are taken for photon noise
-    assert 0.45 < np.mean(error**2 / variance) < 1.35
+    # discs of 2 px: until they are known, the lens' rings are taken for photon noise
+    assert 0.55 < np.mean(error**2 / variance) < 1.35
     assert np.abs(error.mean(axis=0)).max() < 0.001 + 4 * np.sqrt(np.mean(variance) / len(error))
 
 

@@ -49,7 +49,7 @@ def lay_out(n: int, pixels: Array, fit: DiscFit, shape: tuple[float, float, floa
     """Write what a fit leaves of n pixels to a grid, and the disc's image as ``disc_image`` does."""
     image = work.image
     x, y, there, v, share = pixels[0], pixels[1], pixels[3], pixels[4], image[0]
-    disc_image(n, pixels, (f32(fit.x), f32(fit.y), f32(fit.radius), f32(fit.blur)), shape, image)
+    disc_image(n, pixels, (f32(fit.x), f32(fit.y), f32(fit.radius), f32(fit.blur)), fit.profile, shape, image)
     m0, m1, m2 = shape
     det = m0 * m2 - m1 * m1
     # from the pixels' places in the map to offsets

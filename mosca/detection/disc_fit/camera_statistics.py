@@ -21,6 +21,8 @@ No point spread function is given. What is estimated from the frames, camera by 
 - the blur, as the mean over clean targets of the estimates from their own pixels, weighted by their information;
 - ln amplitude as a line of ln flux, with the spread of targets about it: the prior of those whose few pixels do not
   tell a small bright target from a large dim one;
+- what tells its targets from evenly bright discs, and their edges from Gaussian ones
+  (``mosca.detection.disc_fit.profile``);
 - how far the fit lies from the *light's centroid*, as a smooth function of the position in the image and of the
   target's size. Centroids add under convolution, so the light's centroid is the target's own plus that of the
   lens' point spread function, whatever the target's size: a displacement that calibration takes for
@@ -51,12 +53,14 @@ from mosca.detection.disc_fit.light_offset import (
     N_LIGHT,
     N_TARGETS,
     N_TERMS,
+    PROFILE_SUMS,
     RIM_SUMS,
     ROUGH_SUM,
     StatisticsSums,
     no_sums,
 )
 from mosca.detection.disc_fit.priors import AMPLITUDE_SIGMA_2, Priors
+from mosca.detection.disc_fit.profile import solve_profiles, weights_of_older
 from mosca.detection.local_background import LocalBackground
 
 T = TypeVar("T")
@@ -99,6 +103,7 @@ class CameraStatistics:
         if max(kept.tallies[:, N_TARGETS].tolist(), default=0.0) > MEMORY:
             keep = np.minimum(1.0, MEMORY / np.maximum(kept.tallies[:, N_TARGETS], 1.0))
             kept = StatisticsSums(*(keep.reshape(-1, *[1] * (part.ndim - 1)) * part for part in kept))
+        kept = _less_profile(kept, other.sums)
         backgrounds = self.backgrounds
         if other.backgrounds:
             later = other.backgrounds
@@ -165,6 +170,17 @@ class CameraStatistics:
 NO_STATISTICS = CameraStatistics()
 
 
+def _less_profile(sums: StatisticsSums, added: StatisticsSums) -> StatisticsSums:
+    """Return sums with those of profiles weighted down by ``weights_of_older``."""
+    profiles = slice(PROFILE_SUMS, LEFT_OUT)
+    weights = weights_of_older(sums.tallies[:, profiles], added.tallies[:, profiles])
+    if (weights == 1.0).all():
+        return sums
+    tallies = sums.tallies.copy()
+    tallies[:, profiles] *= weights[:, None]
+    return sums._replace(tallies=tallies)
+
+
 def joined(parts: Mapping[str, CameraStatistics]) -> CameraStatistics:
     """Return the statistics of single cameras as one; what their fits start from is not computed again."""
     known = {name: one for name, one in parts.items() if one.names}
@@ -184,6 +200,7 @@ def _priors(statistics: CameraStatistics) -> Priors:
     known = tallies[:, BLUR_WEIGHT] > 0
     weight = np.where(known, tallies[:, BLUR_WEIGHT], 1.0)
     mean = np.where(known, tallies[:, BLUR_SUM] / weight, FIRST_BLUR_PX)
+    profiles, mean = solve_profiles(tallies[:, PROFILE_SUMS:LEFT_OUT], mean)
     mean = np.clip(mean, LEAST_BLUR, MOST_BLUR)
     surely = known & (tallies[:, N_TARGETS] >= FEW)
     spread = np.sqrt((np.where(surely, SPREAD, FIRST_SPREAD) * mean) ** 2 + np.where(known, 1 / weight, 0.0))
@@ -192,8 +209,8 @@ def _priors(statistics: CameraStatistics) -> Priors:
     enough = np.flatnonzero(tallies[:, N_LIGHT] >= ENOUGH)
     if len(enough):
         offsets[enough] = _offsets(normal[enough], right_side[enough])
-    amplitudes, rims = _amplitudes(tallies[:, AMPLITUDE_SUMS:RIM_SUMS]), _rims(tallies[:, RIM_SUMS:LEFT_OUT])
-    return Priors(np.column_stack([mean, spread]), offsets, usual, amplitudes, rims)
+    amplitudes, rims = _amplitudes(tallies[:, AMPLITUDE_SUMS:RIM_SUMS]), _rims(tallies[:, RIM_SUMS:PROFILE_SUMS])
+    return Priors(np.column_stack([mean, spread]), offsets, usual, amplitudes, rims, profiles)
 
 
 def _rims(sums: Array) -> Array:

@@ -20,7 +20,9 @@ f32 = np.float32
 # density Q(t^2), 0 at 3. Least squares; polynomials, since a division costs as much as ten of their terms.
 P0, P1, P2, P3, P4 = f32(0.3982078), f32(-0.06448306), f32(0.008401767), f32(-0.0006522268), f32(2.190772e-05)
 Q0, Q1, Q2, Q3, Q4 = f32(0.3964177), f32(-0.1851492), f32(0.03625069), f32(-0.003324804), f32(0.00011544)
+K1, K2 = f32(3), f32(6)  # of the Hermite polynomials t^3 - 3 t and t^4 - 6 t^2 + 3
 ZERO, HALF, ONE, REACH = f32(0), f32(0.5), f32(1), f32(3)  # REACH: blurs from the edge where it ends
+EVEN = (0.0, 0.0, 0.0)  # profile of a disc, see disc_image
 TINY = f32(1e-6)  # keeps distances from the centre above zero [px^2]
 
 WHOLE_PIXELS, HALF_PIXELS, THIRD_PIXELS = 0.55, 0.4, 0.33
@@ -28,6 +30,8 @@ WHOLE_PIXELS, HALF_PIXELS, THIRD_PIXELS = 0.55, 0.4, 0.33
 8 px, 10,000 photoelectrons: with whole pixels the model's error is 0.18 of the Cramer-Rao bound at 0.55 px, 0.64 at
 0.8 of that and 0.01 to 0.09 at 1.25 of it; with 2 x 2 parts 0.025 at 0.4 px. Edges without any blur: efficiency 0.5
 to 0.7 with 3 x 3 parts, 0.8 to 0.9 with 4 x 4 and with 5 x 5."""
+WHOLE_PROFILED = 0.8
+"""The blur from which pixels are taken whole for a disc with a profile: a quarter of the error at 0.55 px."""
 LEAST_PART_2 = 1.0 / 192.0
 """Least squared blur of a part [px^2]: that of a perfect lens, (1 / 4 px)^2 / 12."""
 
@@ -41,9 +45,14 @@ def parts_of(blur: float) -> int:
 
 
 @bare_step(fastmath=FAST)
-def part_blur(blur: float) -> float:
-    """Return the blur [px] of lens and part of a pixel, where pixels are divided as for this blur."""
-    m = parts_of(blur)
+def profiled_parts_of(blur: float) -> int:
+    """Return the same for a disc with a profile, which the square of a pixel must not be taken for."""
+    return max(parts_of(blur), 2) if blur < WHOLE_PROFILED else 1
+
+
+@bare_step(fastmath=FAST)
+def part_blur(blur: float, m: int) -> float:
+    """Return the blur [px] of lens and part of a pixel, where sides of pixels are divided by m."""
     return math.sqrt(max(blur * blur - (1.0 - 1.0 / (m * m)) / 12.0, LEAST_PART_2))
 
 
@@ -66,30 +75,86 @@ def edge_at(x: Any, y: Any, sharper: Any, disc: tuple[Any, Any, Any, Any, Any, A
     return e, g * per_r * dx, g * per_r * dy, g, g * t
 
 
-@bare_step(fastmath=FAST)
-def add_edge(
-    n: int, pixels: Array, centre: tuple[Any, Any], radius: Any, blur: Any, share: tuple[Any, Any, Any], image: Array
-) -> None:
-    """Add a disc of brightness 1 as n points show it, under a Gaussian blur, to the rows of ``image``.
+@inlined_step(fastmath=FAST)
+def profiled_edge_at(
+    x: Any, y: Any, sharper: Any, disc: tuple[Any, Any, Any, Any, Any, Any], profile: tuple[Any, Any, Any]
+) -> Any:
+    """Return the same for a disc whose brightness or edge is another, see ``disc_image``.
 
-    ``share``: by which what is there, the values and besides the change with the blur are multiplied.
+    The slopes by radius and blur are exact at the edge only, which is enough to converge.
     """
-    x, y, sharper = pixels[0], pixels[1], pixels[2]
-    e, by_x, by_y, by_radius, by_blur = image[0], image[1], image[2], image[3], image[4]
-    kept, whole, change = share
-    disc = (centre[0], centre[1], whole, ZERO, radius, blur)
-    for i in range(n):
-        part, jx, jy, g, js = edge_at(x[i], y[i], sharper[i], disc)
-        e[i] = kept * e[i] + whole * part
-        by_x[i] = kept * by_x[i] + jx
-        by_y[i] = kept * by_y[i] + jy
-        by_radius[i] = kept * by_radius[i] + g
-        by_blur[i] = kept * by_blur[i] + change * js
+    x0, y0, a, _, radius, blur = disc
+    limb, skew, tails = profile
+    sharp = sharper / blur
+    dx, dy = x - x0, y - y0
+    r2 = dx * dx + dy * dy + TINY
+    per_r = ONE / math.sqrt(r2)
+    r, per_radius, s = r2 * per_r, ONE / radius, ONE / sharp
+    far = r - radius
+    t = min(max(far * sharp, -REACH), REACH)
+    u = t * t
+    q = Q0 + u * (Q1 + u * (Q2 + u * (Q3 + u * Q4)))
+    e = HALF - t * (P0 + u * (P1 + u * (P2 + u * (P3 + u * P4)))) + (skew * (u - ONE) + tails * t * (u - K1)) * q
+    f = q * sharp * (ONE + skew * t * (u - K1) + tails * (u * (u - K2) + K1))
+    # a step times 1 + limb (r^2 / radius^2 - 1/2), under the blur
+    c1 = f32(2) * limb * per_radius
+    c2 = HALF * c1 * per_radius
+    rim = ONE + HALF * limb
+    value = e * (rim + far * (c1 + c2 * far) + c2 * s * s) - s * q * (c1 + c2 * far)
+    inside, across = e * c1 * r * per_radius, c1 * per_radius * s * q
+    g = a * (rim * f + across - inside * r * per_radius)
+    slope = a * (rim * f + across - inside) * per_r
+    return value, slope * dx, slope * dy, g, a * rim * f * t
+
+
+def _add_edge_for(profiled: bool) -> Any:
+    """Return ``add_edge`` for evenly bright discs or for others."""
+
+    @bare_step(fastmath=FAST)
+    def add_edge(
+        n: int,
+        pixels: Array,
+        centre: tuple[Any, Any],
+        radius: Any,
+        blur: Any,
+        profile: tuple[Any, Any, Any],
+        share: tuple[Any, Any, Any],
+        image: Array,
+    ) -> None:
+        """Add a disc of brightness 1 as n points show it, under a Gaussian blur, to the rows of ``image``.
+
+        ``share``: by which what is there, the values and besides the change with the blur are multiplied.
+        """
+        x, y, sharper = pixels[0], pixels[1], pixels[2]
+        e, by_x, by_y, by_radius, by_blur = image[0], image[1], image[2], image[3], image[4]
+        kept, whole, change = share
+        disc = (centre[0], centre[1], whole, ZERO, radius, blur)
+        for i in range(n):
+            if profiled:
+                part, jx, jy, g, js = profiled_edge_at(x[i], y[i], sharper[i], disc, profile)
+            else:
+                part, jx, jy, g, js = edge_at(x[i], y[i], sharper[i], disc)
+            e[i] = kept * e[i] + whole * part
+            by_x[i] = kept * by_x[i] + jx
+            by_y[i] = kept * by_y[i] + jy
+            by_radius[i] = kept * by_radius[i] + g
+            by_blur[i] = kept * by_blur[i] + change * js
+
+    return add_edge
+
+
+add_even_edge, add_profiled_edge = _add_edge_for(False), _add_edge_for(True)
+del _add_edge_for  # Python has no use for it
 
 
 @bare_step(fastmath=FAST)
 def disc_image(
-    n: int, pixels: Array, disc: tuple[Any, Any, Any, Any], shape: tuple[Any, Any, Any], image: Array
+    n: int,
+    pixels: Array,
+    disc: tuple[Any, Any, Any, Any],
+    profile: tuple[float, float, float],
+    shape: tuple[Any, Any, Any],
+    image: Array,
 ) -> None:
     """Write a blurred disc of brightness 1 as n pixels show it, and its change with what describes it.
 
@@ -103,24 +168,37 @@ def disc_image(
         The pixels (5, n or more): x, y, factor by which the edge is sharper there, 1 (0 for padding), grey value.
     disc
         x0, y0, radius and blur [px]; the blur is that of lens and pixel together.
+    profile
+        (limb, skew, tails). Brightness is 1 + limb (r^2 / radius^2 - 1/2) at the distance r from the centre: below 0
+        for balls under light from their front, above for bright rims. The edge is a Gaussian's integral E(t) and
+        ``skew`` and ``tails`` times its third and fourth derivatives (Edgeworth's series): a rim that falls off
+        more and more, rings of diffraction.
     shape
         Symmetric matrix (xx, xy, yy) by which the offsets of pixels were mapped.
     image
         (5, n or more), of finite values: brightness, and its change with x0, y0, radius and blur.
     """
     x0, y0, radius, blur = disc
-    m = parts_of(blur)
+    used = (f32(profile[0]), f32(profile[1]), f32(profile[2]))
+    profiled = profile != EVEN
+    m = profiled_parts_of(blur) if profiled else parts_of(blur)
+    if m == 1 and profiled:
+        add_profiled_edge(n, pixels, (x0, y0), radius, blur, used, (ZERO, ONE, ONE), image)
+        return
     if m == 1:
-        add_edge(n, pixels, (x0, y0), radius, blur, (ZERO, ONE, ONE), image)
+        add_even_edge(n, pixels, (x0, y0), radius, blur, used, (ZERO, ONE, ONE), image)
         return
     m0, m1, m2 = shape
-    part = f32(part_blur(blur))
+    part = f32(part_blur(blur, m))
     share, kept = ONE / f32(m * m), ZERO
     for j in range(m):
         for i in range(m):
             u, v = f32((i + 0.5) / m - 0.5), f32((j + 0.5) / m - 0.5)
             at = (x0 - f32(m0) * u - f32(m1) * v, y0 - f32(m1) * u - f32(m2) * v)
-            add_edge(n, pixels, at, radius, part, (kept, share, blur / part), image)
+            if profiled:
+                add_profiled_edge(n, pixels, at, radius, part, used, (kept, share, blur / part), image)
+            else:
+                add_even_edge(n, pixels, at, radius, part, used, (kept, share, blur / part), image)
             kept = ONE
 
 

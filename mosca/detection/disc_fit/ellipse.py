@@ -60,7 +60,7 @@ def stretched(
 ) -> Stretch:
     """Return the next shape of a target whose pixels, mapped by ``shape``, were fitted by a disc."""
     image = work.image
-    disc_image(n, pixels, (f32(fit.x), f32(fit.y), f32(fit.radius), f32(fit.blur)), shape, image)
+    disc_image(n, pixels, (f32(fit.x), f32(fit.y), f32(fit.radius), f32(fit.blur)), fit.profile, shape, image)
     sums = stretch_sums(n, pixels, fit, model, image)
     pp, pq, qq, cp, cq = f64(sums[0]), f64(sums[1]), f64(sums[2]), f64(sums[3]), f64(sums[4])
     det = pp * qq - pq * pq

@@ -46,6 +46,7 @@ from mosca.detection.disc_fit.pixels import (
     window_sums,
 )
 from mosca.detection.disc_fit.priors import Priors, add_learned, disc_prior
+from mosca.detection.disc_fit.profile import add_profile
 from mosca.detection.disc_fit.residual_noise import add_residuals
 from mosca.detection.images import ImageSet, behind_of, image_of
 from mosca.detection.search import (
@@ -93,8 +94,9 @@ SHAPE_STEPS, SHAPE_CHI2 = 3, 4.0
 """Most steps of an elliptic target's shape; one whose chi-square (two degrees of freedom) is less is not taken."""
 NO_STRETCH = (1.0, 0.0, 1.0)
 """The map of a round target."""
-EACH = 8
-"""The light's centroid is computed for every so many targets."""
+EACH, MOST_PROFILES = 8, 4
+"""The sums of centroid and noise are added to for every so many targets, those of the profile for as many of them at
+most in an image."""
 MORE_PX = 30
 """Margin of the widest window around the largest region, on each side; limits the blur of a fit."""
 
@@ -185,7 +187,7 @@ def write_row(
     out[MISFIT], out[ROUGH], out[PULL] = misfit, rough, light.pull
     out[XX], out[XY], out[YY] = centre.xx, centre.xy, centre.yy
     # a disc of radius R has its blurred edge at R - blur^2 / (2 R)
-    radius = math.hypot(fit.radius, part_blur(fit.blur))
+    radius = math.hypot(fit.radius, part_blur(fit.blur, parts_of(fit.blur)))
     out[DIAMETER] = 2.0 * radius
     out[DIAMETER_SIGMA] = 2.0 * math.sqrt(fit.radius_variance) * fit.radius / radius
     out[PEAK] = light.peak
@@ -320,15 +322,15 @@ def refine_region(
     model: Model,
     buffers: Buffers,
     sums: StatisticsSums,
-    takes_light: bool,
+    takes: tuple[bool, bool],
     out: Array,
 ) -> None:
     """Fit one region, write its row of the table ``out`` and add to the sums.
 
-    ``behind``: what was subtracted from the image; ``takes_light``: add to the sums of centroid and noise too.
+    ``behind``: what was subtracted from the image; ``takes``: add to the sums of light and noise, to the profile's.
     """
     k, blur, own = region.image, priors.blurs[region.image, 0], runs[region.first_run : region.end_run]
-    most = 0.5 * buffers.side - 2.0  # what the buffers hold
+    (takes_light, takes_profile), most = takes, 0.5 * buffers.side - 2.0  # what the buffers hold
     size = max(region.right - region.left + 1, region.bottom - region.top + 1)
     middle = ((region.left + region.right + 1) // 2, (region.top + region.bottom + 1) // 2)
     reach = min(reach_of(size, blur), most)
@@ -360,8 +362,7 @@ def refine_region(
         reach = min(radius + 3.0 * blur + 0.5, most)
         n = gather_mapped(image, behind, own, region, light.shape, (x0, y0), reach, model, buffers)
         pixels = buffers.pixels
-    start = (x0, y0, amplitude, light.background, radius)
-    padded = (n + 7) // 8 * 8
+    start, padded = (x0, y0, amplitude, light.background, radius), (n + 7) // 8 * 8
     fit = fit_disc(padded, pixels, start, prior, model, symmetric, light.shape, buffers.fit)
     # under a sharp edge second moments are no measure of a shape; small regions were taken for round
     odd_shape = not plain or fit.chi2 > (n - 6) * misfit_by_chance(n)
@@ -374,13 +375,14 @@ def refine_region(
         if symmetric and takes_light and fit.converged:
             compare_rims(padded, pixels, buffers.behind, light.shape, fit, prior, model, buffers.fit, sums.tallies[k])
     centre = centre_of(middle, light, fit)
-    good = is_good(region, light, fit, centre)
-    tally, usual = sums.tallies[k], priors.roughness[k]
+    tally, usual, good = sums.tallies[k], priors.roughness[k], is_good(region, light, fit, centre)
     odd, excess = write_row(region, light, fit, centre, (good, n, usual), model, out)
     widen(excess, symmetric and not odd, n, pixels, fit, model, light.shape, buffers.fit, out)
     if good and symmetric:
         tally[N_TARGETS] += 1.0
         tally[ROUGH_SUM] += min(out[ROUGH], ROUGH_FACTOR * usual + ROUGH_FLOOR)
+        if takes_profile and plain:
+            add_profile(padded, pixels, fit, model, light.shape, out[MISFIT], buffers.fit, tally)
         if takes_light and not odd:
             add_residuals(padded, pixels, fit, prior, model, light.shape, buffers.fit, tally)
     # long images teach where their edges are sharp: others may be smeared by motion
@@ -423,7 +425,7 @@ def buffers_for(largest: int, blurs: Array) -> Buffers:
     )
     return Buffers(
         side, np.empty((5, side * side + OVER), f32), windows, np.empty((4, side * side), np.uint8),
-        Workspace(np.zeros((12, side * side + OVER), f32), np.empty((6, 8))), np.empty(N_TERMS),
+        Workspace(np.zeros((12, side * side + OVER), f32), np.empty((7, 8))), np.empty(N_TERMS),
         np.empty((2, side * side + OVER), f32),
     )  # fmt: skip
 
@@ -443,6 +445,9 @@ def refine_regions(
     boxes, largest = boxes_of(found, images.height, images.width)
     buffers = buffers_for(largest, priors.blurs)
     known, regions = buffers.windows.known, found.regions
+    counts = np.zeros(n_images, np.int64)
+    for r in range(n_regions):
+        counts[int(regions[r, IMAGE])] += 1
     n = first_of_image = 0
     for r in range(n_regions):
         if boxes[r, 5]:
@@ -458,9 +463,12 @@ def refine_regions(
             (found.noise[r, SLOPE_X], found.noise[r, SLOPE_Y]),
         )  # fmt: skip
         model = Model(found.noise[r, DARK], found.noise[r, GAIN], full_dn)
+        number, behind = n - first_of_image, behind_of(images, k)
+        # what is left of a texture is no profile
+        takes_profile = len(behind) == 0 and number % max(counts[k] // MOST_PROFILES, EACH) == 0
         refine_region(
-            image_of(images, k), behind_of(images, k), found.runs, region, priors, model, buffers, sums,
-            (n - first_of_image) % EACH == 0, table[n],
+            image_of(images, k), behind, found.runs, region, priors, model, buffers, sums,
+            (number % EACH == 0, takes_profile), table[n],
         )  # fmt: skip
         region_of[n] = r
         n += 1

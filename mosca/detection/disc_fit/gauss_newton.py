@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 from mosca.data.arrays import Array
 from mosca.detection.disc_fit.disc_image import (
+    EVEN,
     FAST,
     cross_sums_divided,
     cross_sums_whole,
@@ -22,6 +23,8 @@ from mosca.detection.disc_fit.solve_step import factor_all, solve_all, solve_sha
 from mosca.numba_support.decorators import bare_step
 
 MOST_STEPS = 20
+HELD_FROM = 8
+"""Steps after which the blur no longer changes how pixels are divided: to and fro, it would never settle."""
 BACK = 0.3
 """A step that takes back more than this share of the last one is halved."""
 CLOSE_2 = 0.03
@@ -65,6 +68,8 @@ class DiscFit(NamedTuple):
     """[px^2]."""
     own_amplitude: tuple[float, float]
     """Amplitude [DN] from the data alone, and its variance [DN^2]; infinite where it was not computed."""
+    profile: tuple[float, float, float]
+    """See ``disc_image``; given."""
     converged: bool
 
 
@@ -80,6 +85,8 @@ class DiscPrior(NamedTuple):
     """Infinite where nothing is known."""
     rim: float
     """Radius within which a target hides its background, over that of its light."""
+    profile: tuple[float, float, float]
+    """See ``disc_image``."""
 
 
 class Workspace(NamedTuple):
@@ -89,7 +96,7 @@ class Workspace(NamedTuple):
     """(12, most pixels) float32: of ``disc_image``, and seven rows for ``mosca.detection.disc_fit.asymmetry`` and
     ``residual_noise``."""
     equations: Array
-    """(6, 8), see ``factor_all``."""
+    """(7, 8), see ``factor_all``, ``mosca.detection.disc_fit.profile``."""
 
 
 @bare_step(fastmath=FAST)
@@ -147,10 +154,11 @@ def step_of(
     dark, gain = f32(model.dark_dn2), f32(model.gain_dn)
     at32 = (f32(x0), f32(y0), f32(a), f32(b), f32(radius), f32(s))
     whole = parts_of(s) == 1
-    if whole:
+    even = whole and prior.profile == EVEN
+    if even:
         place, h, c, chi2 = sums_whole(n, pixels, at32, dark, gain, work.image)
     else:
-        disc_image(n, pixels, (at32[0], at32[1], at32[4], at32[5]), shape, work.image)
+        disc_image(n, pixels, (at32[0], at32[1], at32[4], at32[5]), prior.profile, shape, work.image)
         place, h, c, chi2 = sums_divided(n, pixels, at32, dark, gain, work.image)
     px, py = float(place[3]), float(place[4])
     own, own_variance = 0.0, math.inf
@@ -169,7 +177,7 @@ def step_of(
         dx, dy = cxx * px + cxy * py, cxy * px + cyy * py
     else:
         usual, known = amplitude_prior(first[2], first[2] + first[3] >= model.full_dn, s, prior)
-        if whole:
+        if even:
             cross = cross_sums_whole(n, pixels, at32, dark, gain, work.image)
         else:
             cross = cross_sums_divided(n, pixels, at32, dark, gain, work.image)
@@ -262,8 +270,12 @@ def fit_disc(
         a = max(a + share * step.amplitude, 0.4 * a)
         b += share * step.background
         radius = min(max(radius + share * step.radius, 0.6 * radius, 0.2 * s), 1.6 * radius + s)
-        s = min(max(s + share * step.blur, 0.75 * s, LEAST_BLUR), 1.3 * s, MOST_BLUR)
+        next_s = min(max(s + share * step.blur, 0.75 * s, LEAST_BLUR), 1.3 * s, MOST_BLUR)
+        if turn < HELD_FROM or parts_of(next_s) == parts_of(s):
+            s = next_s
         good = is_settled(turn, step, share, before, s)
         if good:
             break
-    return DiscFit(x0, y0, a, b, radius, s, covariance, chi2, blur_variance, radius_variance, own, good)
+    return DiscFit(
+        x0, y0, a, b, radius, s, covariance, chi2, blur_variance, radius_variance, own, prior.profile, good
+    )  # fmt: skip

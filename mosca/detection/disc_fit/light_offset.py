@@ -4,6 +4,7 @@ The model: ``mosca.detection.disc_fit.camera_statistics``. Compiled into the ker
 ``mosca.detection.disc_fit.fit_regions``.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -19,20 +20,25 @@ from mosca.numba_support.decorators import bare_step, step
 N_TARGETS, BLUR_SUM, BLUR_WEIGHT, ROUGH_SUM, N_LIGHT, NOISE_SUMS = range(6)
 AMPLITUDE_SUMS = 11
 RIM_SUMS, N_RIMS = 18, 5
-LEFT_OUT = RIM_SUMS + N_RIMS
+PROFILE_SUMS = RIM_SUMS + N_RIMS
+LEFT_OUT = PROFILE_SUMS + 19
 N_TALLIES, N_TERMS = LEFT_OUT + 5, 12
 """From column NOISE_SUMS on: sums of the gain's least squares, see ``mosca.detection.disc_fit.residual_noise``. From
 column AMPLITUDE_SUMS on, of targets' l = ln amplitude, its variance v, and f = ln flux, with weights w:
 w, w f, w f f, w l, w f l, w l l, w v. From column RIM_SUMS on: sums of chi-square over its mean, for each of the
-ratios of ``mosca.detection.disc_fit.hidden_background.RIMS``. From column LEFT_OUT on: how many groups of bright
-pixels were left out, see ``mosca.detection.search.LEFT_OUT_REASONS``."""
+ratios of ``mosca.detection.disc_fit.hidden_background.RIMS``. From column PROFILE_SUMS on: those of
+``mosca.detection.disc_fit.profile``. From column LEFT_OUT on: how many groups of bright pixels were left out, see
+``mosca.detection.search.LEFT_OUT_REASONS``."""
 N_OFFSET_TERMS = 9
 """Terms of the offset that are added to the fitted centre; those in R are shading."""
 
-LIGHT_BLURS = 4.5
-"""How far beyond the disc's edge, in blurs, a target's whole light is summed."""
+LIGHT_BLURS, EDGE_BLURS = 4.5, 3.0
+"""How far beyond the disc's edge, in blurs, a target's whole light is summed, and where its edge ends."""
 RING_PX, FEWEST_IN_RING = 1.2, 8.0
-"""Width of the outermost ring of that window, which gives the background, and the fewest pixels in it."""
+"""Width of the outermost ring of that window, which gives the background and lies beyond the edge, and the fewest
+pixels in it."""
+HALF_DIAGONAL = 0.71
+"""Of a pixel [px]: how far a centre lies from that of its pixel."""
 OFFSET_SIGMA_2, FAR_2 = 1e-4, 0.04
 """Variance [px^2] added to that of an offset of the light, and the squared offset from which its weight falls."""
 
@@ -93,21 +99,26 @@ def add_light(
 
     ``most``: how far from the middle the buffer holds pixels.
     """
-    reach = min(radius + LIGHT_BLURS * fit.blur, most)
-    middle = ((region.left + region.right + 1) // 2, (region.top + region.bottom + 1) // 2)
-    n = gather(image, middle, reach * reach, pixels)
+    reach = min(radius + max(LIGHT_BLURS * fit.blur, EDGE_BLURS * fit.blur + RING_PX), most - HALF_DIAGONAL)
+    # the same distance to all sides of the centre: what lies beyond would pull to one of them
+    column, row = math.floor(fit.x + 0.5), math.floor(fit.y + 0.5)
+    middle = (
+        (region.left + region.right + 1) // 2 + int(column), (region.top + region.bottom + 1) // 2 + int(row)
+    )  # fmt: skip
+    ax, ay, base = f32(fit.x - column), f32(fit.y - row), f32(fit.background)
+    n = gather(image, middle, (reach + HALF_DIAGONAL) ** 2, pixels)
     x, y, v = pixels[X], pixels[Y], pixels[V]
-    bright, limit = 0, f32(region.floor)
+    bright, limit, reach2 = 0, f32(region.floor), f32(reach * reach)
     for i in range(n):
         bright += v[i] > limit
     if bright != region.n_px:
         return
     # the background from the outer ring
     inner2 = f32((reach - RING_PX) ** 2)
-    ax, ay, base = f32(fit.x), f32(fit.y), f32(fit.background)
     ring = n_ring = f32(0)
     for i in range(n):
-        outside = (x[i] - ax) ** 2 + (y[i] - ay) ** 2 > inner2
+        far2 = (x[i] - ax) ** 2 + (y[i] - ay) ** 2
+        outside = (far2 > inner2) & (far2 <= reach2)
         ring += (v[i] - base) * outside
         n_ring += ONE * outside
     if n_ring < FEWEST_IN_RING:
@@ -115,18 +126,19 @@ def add_light(
     base += ring / n_ring
     s = sx = sy = f32(0)
     for i in range(n):
-        s += v[i] - base
-        sx += (v[i] - base) * (x[i] - ax)
-        sy += (v[i] - base) * (y[i] - ay)
+        light = (v[i] - base) * ((x[i] - ax) ** 2 + (y[i] - ay) ** 2 <= reach2)
+        s += light
+        sx += light * (x[i] - ax)
+        sy += light * (y[i] - ay)
     dx, dy = float(sx / s), float(sy / s)
-    far2 = dx * dx + dy * dy
-    if not far2 < 1.0:
+    off2 = dx * dx + dy * dy
+    if not off2 < 1.0:
         return
     # about the inverse variance of the difference, with a floor
     variance = fit.covariance
-    weight = 1.0 / ((variance[0] + variance[2] + OFFSET_SIGMA_2) * (1.0 + far2 / FAR_2))
+    weight = 1.0 / ((variance[0] + variance[2] + OFFSET_SIGMA_2) * (1.0 + off2 / FAR_2))
     k = region.image
-    set_terms(image, middle[0] + fit.x, middle[1] + fit.y, radius, terms)
+    set_terms(image, middle[0] + ax, middle[1] + ay, radius, terms)
     for i in range(N_TERMS):
         for j in range(N_TERMS):
             sums.normal[k, i, j] += weight * terms[i] * terms[j]

@@ -34,6 +34,8 @@ class Priors(NamedTuple):
     the mean, variance of the slope; the variances are infinite where nothing was learned."""
     rims: Array
     """(n,) radius within which targets hide their background, over that of their light."""
+    profiles: Array
+    """(n, 3) of ``disc_image``."""
 
 
 @bare_step(fastmath=FAST)
@@ -41,11 +43,13 @@ def disc_prior(k: int, priors: Priors, flux: float) -> DiscPrior:
     """Return what is known of a target of camera k with this flux [DN px^2]."""
     means, line = priors.amplitudes[k, :2], priors.amplitudes[k, 2:]
     blur, blur_sigma, rim = priors.blurs[k, 0], priors.blurs[k, 1], priors.rims[k]
+    profile = (priors.profiles[k, 0], priors.profiles[k, 1], priors.profiles[k, 2])
     if not line[1] < math.inf:
-        return DiscPrior(blur, blur_sigma, 1.0, math.inf, rim)
+        return DiscPrior(blur, blur_sigma, 1.0, math.inf, rim, profile)
     away = math.log(max(flux, 1.0)) - means[0]
     amplitude = math.exp(means[1] + line[0] * away)
-    return DiscPrior(blur, blur_sigma, amplitude, amplitude * math.sqrt(line[1] + line[2] * away * away), rim)
+    sigma = amplitude * math.sqrt(line[1] + line[2] * away * away)
+    return DiscPrior(blur, blur_sigma, amplitude, sigma, rim, profile)
 
 
 @bare_step(fastmath=FAST)

@@ -1,0 +1,265 @@
+"""How a camera's targets differ from evenly bright discs under a Gaussian blur, learned from their residuals.
+
+What a target tells of blur, limb, skew and tails (``mosca.detection.disc_fit.disc_image``) is learned together, since
+a bright rim looks like a sharp edge and a dark limb like a blurred one. The normal equations of amplitude,
+background, radius, blur and these three are reduced to the last four. They are in the values themselves, not in steps
+from those of the fit, so that targets fitted before a profile was known count alike.
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from mosca.data.arrays import Array
+from mosca.detection.disc_fit.disc_image import (
+    FAST,
+    HALF,
+    K1,
+    ONE,
+    P0,
+    P1,
+    P2,
+    P3,
+    P4,
+    Q0,
+    Q1,
+    Q2,
+    Q3,
+    Q4,
+    REACH,
+    TINY,
+    ZERO,
+    disc_image,
+    f32,
+    part_blur,
+    profiled_parts_of,
+    sums_divided,
+)
+from mosca.detection.disc_fit.ellipse import stretch_sums
+from mosca.detection.disc_fit.gauss_newton import DiscFit, Model, Workspace
+from mosca.detection.disc_fit.light_offset import PROFILE_SUMS
+from mosca.numba_support.decorators import bare_step
+
+CHANGES = 5
+"""First of three rows of a fit's image: its change with limb, skew and tails."""
+SPREADS = (0.05, 0.2, 0.05, 0.05)
+"""Standard deviations from target to target of blur (as a share of it), limb, skew and tails: no single target
+outweighs others."""
+PRIOR_SIGMAS = (1.0, 0.3, 0.3)
+"""Of limb, skew and tails, before any target is seen. With a limb of -1 the rim has a third of the middle's light."""
+CHANCE = 12.0
+"""Least chi-square of each of them: false-positive rate below 1 / 2,000."""
+MORE, SETTLED = 0.1, 0.9
+"""Least chi-square of a further one, as a share of what those before explain, and the share of targets that must have
+been fitted with those before: equations hold to first order, and tell second orders of a limb as skew and tails."""
+LEAST = (0.1, 0.07, 0.07)
+"""Least values that are used; smaller ones cost about 1 % of the centre's variance, as much as their beginning to be
+used moves targets that stand still."""
+MOST = np.array([[-1.5, 1.5], [-0.35, 0.35], [-0.15, 0.25]])
+"""Limits, within which the image of a disc has hardly a negative value."""
+LEAST_EDGE, LEAST_RADIUS = 2.0, 3.0
+"""Blurs that a radius must have to tell the form of an edge, and a limb: in a smaller disc the edge is everywhere."""
+MEMORY = 100.0
+"""Targets after which older ones are weighted down."""
+NOT_ROUND = 12.0
+"""Chi-square of an ellipse, over that of all pixels, from which a target is not round: smeared by motion."""
+
+
+@bare_step(fastmath=FAST)
+def add_change(
+    n: int, pixels: Array, at: tuple[Any, Any], radius: Any, blur: Any, share: Any, limb: Any, image: Array
+) -> None:
+    """Add the change of a disc with limb, skew and tails as n points show it to rows of ``image``: ``add_edge``."""
+    x, y, sharper = pixels[0], pixels[1], pixels[2]
+    by_limb, by_skew, by_tails = image[CHANGES], image[CHANGES + 1], image[CHANGES + 2]
+    rim, c1 = ONE + HALF * limb, f32(2) / radius
+    c2 = HALF * c1 / radius
+    for i in range(n):
+        dx, dy, s = x[i] - at[0], y[i] - at[1], blur / sharper[i]
+        far = math.sqrt(dx * dx + dy * dy + TINY) - radius
+        t = min(max(far / s, -REACH), REACH)
+        u = t * t
+        q = Q0 + u * (Q1 + u * (Q2 + u * (Q3 + u * Q4)))
+        e = HALF - t * (P0 + u * (P1 + u * (P2 + u * (P3 + u * P4))))
+        by_limb[i] += share * (e * (HALF + far * (c1 + c2 * far) + c2 * s * s) - s * q * (c1 + c2 * far))
+        by_skew[i] += share * rim * (u - ONE) * q
+        by_tails[i] += share * rim * t * (u - K1) * q
+
+
+@bare_step(fastmath=FAST)
+def profile_image(n: int, pixels: Array, fit: DiscFit, shape: tuple[float, float, float], image: Array) -> None:
+    """Write the change of a fitted disc of brightness 1 with limb, skew and tails, as n pixels show it."""
+    m = profiled_parts_of(fit.blur)
+    blur = f32(part_blur(fit.blur, m))
+    for i in range(n):
+        image[CHANGES, i] = image[CHANGES + 1, i] = image[CHANGES + 2, i] = ZERO
+    for j in range(m):
+        for i in range(m):
+            u, v = (i + 0.5) / m - 0.5, (j + 0.5) / m - 0.5
+            at = (f32(fit.x - shape[0] * u - shape[1] * v), f32(fit.y - shape[1] * u - shape[2] * v))
+            add_change(n, pixels, at, f32(fit.radius), blur, ONE / f32(m * m), f32(fit.profile[0]), image)
+
+
+@bare_step(fastmath=FAST)
+def change_sums(n: int, pixels: Array, fit: DiscFit, model: Model, row: Array, image: Array) -> Any:
+    """Return the products of a change with those by amplitude, background, radius and blur.
+
+    And with those by limb, skew and tails, and with the residuals.
+    """
+    there, v = pixels[3], pixels[4]
+    share, by_radius, by_blur = image[0], image[3], image[4]
+    by_limb, by_skew, by_tails = image[CHANGES], image[CHANGES + 1], image[CHANGES + 2]
+    a, b, dark, gain = f32(fit.amplitude), f32(fit.background), f32(model.dark_dn2), f32(model.gain_dn)
+    k0 = k1 = k2 = k3 = k4 = k5 = k6 = k7 = ZERO
+    for i in range(n):
+        w = there[i] * a * row[i] / (dark + gain * a * share[i])
+        k0 += w * share[i]
+        k1 += w
+        k2 += w * a * by_radius[i]
+        k3 += w * a * by_blur[i]
+        k4 += w * a * by_limb[i]
+        k5 += w * a * by_skew[i]
+        k6 += w * a * by_tails[i]
+        k7 += w * (v[i] - b - a * share[i])
+    return k0, k1, k2, k3, k4, k5, k6, k7
+
+
+@bare_step(fastmath=FAST)
+def add_profile(
+    n: int,
+    pixels: Array,
+    fit: DiscFit,
+    model: Model,
+    shape: tuple[float, float, float],
+    misfit: float,
+    work: Workspace,
+    tally: Array,
+) -> None:
+    """Add what the n pixels of a target's fit tell of blur, limb, skew and tails to its camera's ``tally``.
+
+    ``pixels``, ``shape``: as in ``disc_image``; ``misfit``: chi-square a degree of freedom. Overwrites ``work``.
+    """
+    image, e = work.image, work.equations
+    if fit.radius < LEAST_EDGE * fit.blur:
+        return
+    # as a disc with a profile is divided, whether the fit's had one or not
+    profile = (fit.profile[0], fit.profile[1], fit.profile[2] + 1e-6)
+    disc_image(n, pixels, (f32(fit.x), f32(fit.y), f32(fit.radius), f32(fit.blur)), profile, shape, image)
+    pp, pq, qq, p, q = stretch_sums(n, pixels, fit, model, image)
+    if qq * p * p - f32(2) * pq * p * q + pp * q * q > f32(NOT_ROUND * max(misfit, 1.0)) * (pp * qq - pq * pq):
+        return
+    profile_image(n, pixels, fit, shape, image)
+    at = (f32(fit.x), f32(fit.y), f32(fit.amplitude), f32(fit.background), f32(fit.radius), f32(fit.blur))
+    _, h, c, _ = sums_divided(n, pixels, at, f32(model.dark_dn2), f32(model.gain_dn), image)
+    k = 0
+    for i in range(4):
+        for j in range(i, 4):
+            e[j, i] = h[k]
+            k += 1
+        e[i, 7] = c[i]
+    for i in range(3):
+        k0, k1, k2, k3, k4, k5, k6, k7 = change_sums(n, pixels, fit, model, image[CHANGES + i], image)
+        row = e[4 + i]
+        row[0], row[1], row[2], row[3], row[4], row[5], row[6], row[7] = k0, k1, k2, k3, k4, k5, k6, k7
+    # amplitude, background and radius are eliminated
+    for k in range(3):
+        if not e[k, k] > 1e-9:
+            return
+        for i in range(k + 1, 7):
+            part = e[i, k] / e[k, k]
+            e[i, 7] -= part * e[k, 7]
+            for j in range(k + 1, i + 1):
+                e[i, j] -= part * e[j, k]
+    told = (True, fit.radius > LEAST_RADIUS * fit.blur, True, True)
+    known = (fit.blur, fit.profile[0], fit.profile[1], fit.profile[2])
+    for i in range(4):
+        e[3 + i, 7] *= told[i]
+        for j in range(i + 1):
+            e[3 + i, 3 + j] *= told[i] * told[j]
+            e[3 + j, 3 + i] = e[3 + i, 3 + j]
+    for i in range(4):
+        for j in range(4):
+            e[3 + i, 7] += e[3 + i, 3 + j] * known[j]
+    spreads = (SPREADS[0] * fit.blur, SPREADS[1], SPREADS[2], SPREADS[3])
+    for i in range(3):
+        tally[PROFILE_SUMS + 16 + i] += known[1 + i]
+    tally[PROFILE_SUMS + 15] += (known[1] != 0.0) + (known[2] != 0.0) + (known[3] != 0.0)
+    add_widened(max(misfit, 1.0), spreads, e, tally)
+
+
+@bare_step(fastmath=FAST)
+def add_widened(misfit: float, spreads: tuple[float, float, float, float], e: Array, tally: Array) -> None:
+    """Add normal equations to a tally, with the spread of targets in their covariance.
+
+    ``H x = r`` are rows and columns 3 to 6 and column 7 of ``e``, variances are ``misfit / H``. Unknown by unknown
+    the spread T widens them: ``H - h h' / (h_kk + misfit / T)`` is ``(misfit / H + T)^-1`` times misfit.
+    """
+    for k in range(4):
+        own = e[3 + k, 3 + k]
+        if not own > 0.0:
+            continue
+        part = 1.0 / (own + misfit / (spreads[k] * spreads[k]))
+        for i in range(4):
+            if i != k:
+                e[3 + i, 7] -= part * e[3 + i, 3 + k] * e[3 + k, 7]
+                for j in range(4):
+                    if j != k:
+                        e[3 + i, 3 + j] -= part * e[3 + i, 3 + k] * e[3 + k, 3 + j]
+        less = 1.0 - part * own
+        e[3 + k, 7] *= less
+        for i in range(4):
+            e[3 + k, 3 + i] *= less
+            if i != k:
+                e[3 + i, 3 + k] *= less
+    tally[PROFILE_SUMS] += 1.0
+    k = PROFILE_SUMS + 1
+    for i in range(4):
+        for j in range(i, 4):
+            tally[k] += e[3 + i, 3 + j] / misfit
+            k += 1
+    for i in range(4):
+        tally[k + i] += e[3 + i, 7] / misfit
+
+
+def weights_of_older(kept: Array, added: Array) -> Array:
+    """Return by how much sums (n, 19) of earlier targets are weighted down when those of others are added.
+
+    A target's equations hold for values near those of its fit: those of fits with another profile count less.
+    """
+    many, more = np.maximum(kept[:, 0], 1.0), np.maximum(added[:, 0], 1.0)
+    away = (kept[:, 16:] / many[:, None] - added[:, 16:] / more[:, None]) / SPREADS[1:]
+    weights = np.minimum(1.0, MEMORY / many) / (1.0 + (away**2).sum(axis=1))
+    return np.where((kept[:, 0] > 0) & (added[:, 0] > 0), weights, 1.0)
+
+
+def solve_profiles(sums: Array, blurs: Array) -> tuple[Array, Array]:
+    """Return profiles (n, 3) of cameras from their sums (n, 19), and their blurs (n,) [px].
+
+    ``blurs``: of even discs, which remain where nothing is significant.
+    """
+    out, blurs = np.zeros((len(sums), 3)), blurs.copy()
+    upper = np.triu_indices(4)
+    for k in np.flatnonzero(sums[:, 0] > 0):
+        normal = np.zeros((4, 4))
+        normal[upper] = normal.T[upper] = sums[k, 1:11]
+        normal += np.diag([1e-9, *1.0 / np.square(PRIOR_SIGMAS)])
+        used, explained, most = [0], 0.0, 1 + int(sums[k, 15] / sums[k, 0] + 1.0 - SETTLED)
+        while len(used) <= min(most, 3):
+            tried = [_with(other, used, normal, sums[k, 11:15]) for other in range(1, 4) if other not in used]
+            chi2, other, values = max(tried, key=lambda one: one[0])
+            if chi2 < max(CHANCE, MORE * explained):
+                break
+            used, explained = [*used, other], explained + chi2
+            blurs[k] = values[0]
+            out[k, np.array(used[1:]) - 1] = np.clip(values[1:], *MOST[np.array(used[1:]) - 1].T)
+    return out, blurs
+
+
+def _with(other: int, used: list[int], normal: Array, right: Array) -> tuple[float, int, Array]:
+    """Return chi-square and number of a further unknown, and the values of all; 0 where it is less than LEAST."""
+    which = [*used, other]
+    covariance = np.linalg.inv(normal[np.ix_(which, which)])
+    values = covariance @ right[which]
+    chi2 = float(values[-1] ** 2 / covariance[-1, -1])
+    return (chi2 if abs(values[-1]) > LEAST[other - 1] else 0.0), other, values
