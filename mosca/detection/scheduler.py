@@ -245,7 +245,7 @@ class DelayedStatistics:
     def __init__(self, camera: str, known: CameraStatistics = NO_STATISTICS) -> None:
         self._phase = _phase(camera) % UPDATE_PERIOD
         self._known = self._used = known
-        self._summed = known.textured_backgrounds()
+        self._summed = known.backgrounds_alone()
         self._pending: deque[tuple[int, CameraStatistics]] = deque()
         self._updated = -1
 

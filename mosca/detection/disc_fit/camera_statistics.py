@@ -149,10 +149,9 @@ class CameraStatistics:
         """Return each camera's own statistics."""
         return {name: self._of((name,)) for name in self.names}
 
-    def textured_backgrounds(self) -> "CameraStatistics":
-        """Return of these statistics the textured backgrounds alone, with their cameras."""
-        textured = {name: background for name, background in self.backgrounds.items() if background.textured}
-        return CameraStatistics(tuple(textured), no_sums(len(textured)), textured)
+    def backgrounds_alone(self) -> "CameraStatistics":
+        """Return of these statistics the backgrounds alone, with their cameras."""
+        return CameraStatistics(tuple(self.backgrounds), no_sums(len(self.backgrounds)), self.backgrounds)
 
     def targets(self) -> float:
         """Return how many targets they hold."""
@@ -173,6 +172,8 @@ NO_STATISTICS = CameraStatistics()
 def _less_profile(sums: StatisticsSums, added: StatisticsSums) -> StatisticsSums:
     """Return sums with those of profiles weighted down by ``weights_of_older``."""
     profiles = slice(PROFILE_SUMS, LEFT_OUT)
+    if not any(added.tallies[:, PROFILE_SUMS].tolist()):
+        return sums
     weights = weights_of_older(sums.tallies[:, profiles], added.tallies[:, profiles])
     if (weights == 1.0).all():
         return sums

@@ -239,27 +239,44 @@ def solve_profiles(sums: Array, blurs: Array) -> tuple[Array, Array]:
     ``blurs``: of even discs, which remain where nothing is significant.
     """
     out, blurs = np.zeros((len(sums), 3)), blurs.copy()
-    upper = np.triu_indices(4)
     for k in np.flatnonzero(sums[:, 0] > 0):
-        normal = np.zeros((4, 4))
-        normal[upper] = normal.T[upper] = sums[k, 1:11]
-        normal += np.diag([1e-9, *1.0 / np.square(PRIOR_SIGMAS)])
-        used, explained, most = [0], 0.0, 1 + int(sums[k, 15] / sums[k, 0] + 1.0 - SETTLED)
-        while len(used) <= min(most, 3):
-            tried = [_with(other, used, normal, sums[k, 11:15]) for other in range(1, 4) if other not in used]
-            chi2, other, values = max(tried, key=lambda one: one[0])
-            if chi2 < max(CHANCE, MORE * explained):
-                break
-            used, explained = [*used, other], explained + chi2
-            blurs[k] = values[0]
-            out[k, np.array(used[1:]) - 1] = np.clip(values[1:], *MOST[np.array(used[1:]) - 1].T)
+        found = _selected(sums[k].tolist())
+        if len(found) > 1:
+            blurs[k] = found.pop(0)
+            for other, value in found.items():
+                out[k, other - 1] = np.clip(value, *MOST[other - 1])
     return out, blurs
 
 
-def _with(other: int, used: list[int], normal: Array, right: Array) -> tuple[float, int, Array]:
-    """Return chi-square and number of a further unknown, and the values of all; 0 where it is less than LEAST."""
-    which = [*used, other]
-    covariance = np.linalg.inv(normal[np.ix_(which, which)])
-    values = covariance @ right[which]
-    chi2 = float(values[-1] ** 2 / covariance[-1, -1])
-    return (chi2 if abs(values[-1]) > LEAST[other - 1] else 0.0), other, values
+def _selected(sums: list[float]) -> dict[int, float]:
+    """Return the values of blur (0) and of those of limb, skew and tails (1, 2, 3) that are significant beside it.
+
+    Forward selection by Gauss-Jordan elimination: what is left of a row is the equation of a further unknown.
+    """
+    h, ridge, values = (
+        [[0.0] * 5 for _ in range(4)],
+        (1e-9, *(1.0 / sigma**2 for sigma in PRIOR_SIGMAS)),
+        iter(sums[1:]),
+    )
+    for i in range(4):
+        for j in range(i, 4):
+            h[i][j] = h[j][i] = next(values)
+        h[i][i] += ridge[i]
+    for i in range(4):
+        h[i][4] = next(values)
+    used, explained = [0], 0.0
+    most = min(1 + int(sums[15] / sums[0] + 1.0 - SETTLED), 3)
+    while True:
+        pivot = h[used[-1]]
+        for i in range(4):
+            part = h[i][used[-1]] / pivot[used[-1]] if i != used[-1] else 0.0
+            h[i] = [one - part * other for one, other in zip(h[i], pivot, strict=True)]
+        tried = [
+            (h[i][4] ** 2 / h[i][i], i)
+            for i in range(1, 4)
+            if i not in used and abs(h[i][4]) > LEAST[i - 1] * h[i][i]
+        ]
+        chi2, best = max(tried, default=(0.0, 0))
+        if len(used) > most or chi2 < max(CHANCE, MORE * explained):
+            return {i: h[i][4] / h[i][i] for i in used}
+        used, explained = [*used, best], explained + chi2
