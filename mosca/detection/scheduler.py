@@ -6,6 +6,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import accumulate, chain, pairwise
 from time import perf_counter
 
@@ -142,7 +143,7 @@ def detect_ahead(
     queue: deque[_Ahead] = deque()
 
     def first() -> tuple[FrameSet, dict[str, Detections], float]:
-        detections, added, seconds = _await_first(detector, queue)
+        detections, added, seconds = _await_first(queue)
         delayed.add(added)
         frame_set = queue.popleft().frame_set
         attend(frame_set, detections, added)
@@ -154,7 +155,11 @@ def detect_ahead(
         try:
             for number, frame_set in enumerate(sets):
                 used = delayed.for_frame_set(number)
-                queue.append(_Ahead(frame_set, used, pool.submit(detector.detect, frame_set, used)))
+                # the run's own record of a background, whatever a first look told
+                detect = partial(
+                    detector.detect, frame_set, used, measures_all=number == 0 and not detector.is_textured(used)
+                )
+                queue.append(_Ahead(frame_set, detect, pool.submit(detect)))
                 if len(queue) >= min(workers + 2, DELAY):
                     yield first()
             while queue:
@@ -196,14 +201,14 @@ def most_ahead(frame_set: FrameSet) -> int:
 
 @dataclass
 class _Ahead:
-    """A frame set whose detection is under way, with the statistics that it uses."""
+    """A frame set whose detection is under way."""
 
     frame_set: FrameSet
-    statistics: CameraStatistics
+    detect: Callable[[], Detected]
     future: Future[Detected]
 
 
-def _await_first(detector: FrameSetDetector, queue: Sequence[_Ahead]) -> Detected:
+def _await_first(queue: Sequence[_Ahead]) -> Detected:
     """Return the detections of the first set of the queue; until then work on those that no thread has begun."""
     first = queue[0]
     for ahead in queue:
@@ -212,7 +217,7 @@ def _await_first(detector: FrameSetDetector, queue: Sequence[_Ahead]) -> Detecte
         if ahead.future.cancel():  # no thread has begun it
             ahead.future = Future()
             try:
-                ahead.future.set_result(detector.detect(ahead.frame_set, ahead.statistics))
+                ahead.future.set_result(ahead.detect())
             except Exception as error:  # raised when this set is yielded
                 ahead.future.set_exception(error)
     return first.future.result()
@@ -227,7 +232,9 @@ def _one_by_one(
         delayed = _DelayedSums(known)
         used = delayed.for_frame_set(0)
         for number, frame_set in enumerate(sets):
-            detections, added, seconds = detector.detect(frame_set, used, helpers, split)
+            detections, added, seconds = detector.detect(
+                frame_set, used, helpers, split, measures_all=number == 0 and not detector.is_textured(used)
+            )
             yield frame_set, detections, seconds
             # off the latency path: the solve takes long
             delayed.add(added)

@@ -201,8 +201,8 @@ def _priors(statistics: CameraStatistics) -> Priors:
     known = tallies[:, BLUR_WEIGHT] > 0
     weight = np.where(known, tallies[:, BLUR_WEIGHT], 1.0)
     mean = np.where(known, tallies[:, BLUR_SUM] / weight, FIRST_BLUR_PX)
-    profiles, mean = solve_profiles(tallies[:, PROFILE_SUMS:LEFT_OUT], mean)
-    mean = np.clip(mean, LEAST_BLUR, MOST_BLUR)
+    profiles, blurs = solve_profiles(tallies[:, PROFILE_SUMS:LEFT_OUT], mean)
+    mean, blurs = np.clip(mean, LEAST_BLUR, MOST_BLUR), np.clip(blurs, LEAST_BLUR, MOST_BLUR)
     surely = known & (tallies[:, N_TARGETS] >= FEW)
     spread = np.sqrt((np.where(surely, SPREAD, FIRST_SPREAD) * mean) ** 2 + np.where(known, 1 / weight, 0.0))
     usual = (tallies[:, ROUGH_SUM] + FEW * FIRST_ROUGHNESS) / (tallies[:, N_TARGETS] + FEW)
@@ -211,7 +211,7 @@ def _priors(statistics: CameraStatistics) -> Priors:
     if len(enough):
         offsets[enough] = _offsets(normal[enough], right_side[enough])
     amplitudes, rims = _amplitudes(tallies[:, AMPLITUDE_SUMS:RIM_SUMS]), _rims(tallies[:, RIM_SUMS:PROFILE_SUMS])
-    return Priors(np.column_stack([mean, spread]), offsets, usual, amplitudes, rims, profiles)
+    return Priors(np.column_stack([mean, spread, blurs]), offsets, usual, amplitudes, rims, profiles)
 
 
 def _rims(sums: Array) -> Array:

@@ -14,7 +14,7 @@ from mosca.data.arrays import Array
 from mosca.data.detections import MERGED, PARTIAL, SATURATED, UNREFINED
 from mosca.detection.centroid import DIAMETER, DIAMETER_SIGMA, ELONGATION, PEAK, XX, XY, YY, X, Y
 from mosca.detection.disc_fit.asymmetry import asymmetry
-from mosca.detection.disc_fit.disc_image import FAST, f32, part_blur, parts_of
+from mosca.detection.disc_fit.disc_image import EVEN, FAST, f32, part_blur, parts_of
 from mosca.detection.disc_fit.ellipse import ellipticity_of, stretched
 from mosca.detection.disc_fit.first_values import Light, Region, first_disc, is_plain, light_of, reshaped, turned
 from mosca.detection.disc_fit.gauss_newton import DiscFit, DiscPrior, Model, Workspace, fit_disc
@@ -45,7 +45,7 @@ from mosca.detection.disc_fit.pixels import (
     region_sums,
     window_sums,
 )
-from mosca.detection.disc_fit.priors import Priors, add_learned, disc_prior
+from mosca.detection.disc_fit.priors import Priors, add_learned, disc_prior, profile_prior
 from mosca.detection.disc_fit.profile import add_profile
 from mosca.detection.disc_fit.residual_noise import add_residuals
 from mosca.detection.images import ImageSet, behind_of, image_of
@@ -186,10 +186,6 @@ def write_row(
     rough = max(misfit - 1.0, 0.0) * variance / contrast_2
     out[MISFIT], out[ROUGH], out[PULL] = misfit, rough, light.pull
     out[XX], out[XY], out[YY] = centre.xx, centre.xy, centre.yy
-    # a disc of radius R has its blurred edge at R - blur^2 / (2 R)
-    radius = math.hypot(fit.radius, part_blur(fit.blur, parts_of(fit.blur)))
-    out[DIAMETER] = 2.0 * radius
-    out[DIAMETER_SIGMA] = 2.0 * math.sqrt(fit.radius_variance) * fit.radius / radius
     out[PEAK] = light.peak
     size_x, size_y = region.right - region.left + 1, region.bottom - region.top + 1
     out[ELONGATION] = max(size_x, size_y) / min(size_x, size_y)
@@ -202,6 +198,15 @@ def write_row(
         out[FLAGS] += PARTIAL + (MERGED if out[PULL] > LONG else 0)
     excess = misfit if odd else misfit / (1.0 + usual * contrast_2 / variance)
     return odd, excess if good and excess > chance else 1.0
+
+
+@bare_step(fastmath=FAST)
+def write_diameter(fit: DiscFit, out: Array) -> None:
+    """Write the diameter of an even disc to a row of the table: with profiles, cameras' diameters are not alike."""
+    # a disc of radius R has its blurred edge at R - blur^2 / (2 R)
+    radius = math.hypot(fit.radius, part_blur(fit.blur, parts_of(fit.blur)))
+    out[DIAMETER] = 2.0 * radius
+    out[DIAMETER_SIGMA] = 2.0 * math.sqrt(fit.radius_variance) * fit.radius / radius
 
 
 @bare_step(fastmath=FAST)
@@ -374,6 +379,12 @@ def refine_region(
         fit = refit_before(padded, pixels, buffers.behind, light.shape, fit, prior, model, symmetric, buffers.fit)
         if symmetric and takes_light and fit.converged:
             compare_rims(padded, pixels, buffers.behind, light.shape, fit, prior, model, buffers.fit, sums.tallies[k])
+    write_diameter(fit, out)
+    even, learned = fit, profile_prior(k, priors, prior)
+    if symmetric and fit.converged and learned.profile != EVEN:
+        start = (fit.x, fit.y, fit.amplitude, fit.background, fit.radius)
+        fit = fit_disc(padded, pixels, start, learned, model, symmetric, light.shape, buffers.fit)
+        fit = fit if fit.converged else even
     centre = centre_of(middle, light, fit)
     tally, usual, good = sums.tallies[k], priors.roughness[k], is_good(region, light, fit, centre)
     odd, excess = write_row(region, light, fit, centre, (good, n, usual), model, out)
@@ -387,7 +398,7 @@ def refine_region(
             add_residuals(padded, pixels, fit, prior, model, light.shape, buffers.fit, tally)
     # long images teach where their edges are sharp: others may be smeared by motion
     if good and symmetric and (plain or (parts_of(fit.blur) > 1 and not odd)):
-        out[BLUR], out[BLUR_INFO] = add_learned(fit, amplitude, float(light_sums[0]), prior, tally)
+        out[BLUR], out[BLUR_INFO] = add_learned(even, amplitude, float(light_sums[0]), prior, tally)
         if takes_light and plain and not odd:
             add_light(image, region, most, fit, centre.radius, buffers.pixels, buffers.terms, sums)
     shape = ellipticity_of(padded, pixels, region, light, fit, good, out[MISFIT], model, buffers.fit)

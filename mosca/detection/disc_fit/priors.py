@@ -4,7 +4,7 @@ import math
 from typing import NamedTuple
 
 from mosca.data.arrays import Array
-from mosca.detection.disc_fit.disc_image import FAST
+from mosca.detection.disc_fit.disc_image import EVEN, FAST
 from mosca.detection.disc_fit.gauss_newton import DiscFit, DiscPrior
 from mosca.detection.disc_fit.light_offset import AMPLITUDE_SUMS, BLUR_SUM, BLUR_WEIGHT
 from mosca.numba_support.decorators import bare_step
@@ -24,7 +24,7 @@ class Priors(NamedTuple):
     """What the fits of n images start from."""
 
     blurs: Array
-    """(n, 2) mean and standard deviation of the blur [px]."""
+    """(n, 3) mean and standard deviation of the blur of even discs, and mean of that of discs with a profile [px]."""
     offsets: Array
     """(n, N_TERMS, 2) terms of the offset [px] from the fitted centre to the light's centroid."""
     roughness: Array
@@ -40,16 +40,22 @@ class Priors(NamedTuple):
 
 @bare_step(fastmath=FAST)
 def disc_prior(k: int, priors: Priors, flux: float) -> DiscPrior:
-    """Return what is known of a target of camera k with this flux [DN px^2]."""
+    """Return what is known of a target of camera k with this flux [DN px^2], as an evenly bright disc."""
     means, line = priors.amplitudes[k, :2], priors.amplitudes[k, 2:]
     blur, blur_sigma, rim = priors.blurs[k, 0], priors.blurs[k, 1], priors.rims[k]
-    profile = (priors.profiles[k, 0], priors.profiles[k, 1], priors.profiles[k, 2])
     if not line[1] < math.inf:
-        return DiscPrior(blur, blur_sigma, 1.0, math.inf, rim, profile)
+        return DiscPrior(blur, blur_sigma, 1.0, math.inf, rim, EVEN)
     away = math.log(max(flux, 1.0)) - means[0]
     amplitude = math.exp(means[1] + line[0] * away)
     sigma = amplitude * math.sqrt(line[1] + line[2] * away * away)
-    return DiscPrior(blur, blur_sigma, amplitude, sigma, rim, profile)
+    return DiscPrior(blur, blur_sigma, amplitude, sigma, rim, EVEN)
+
+
+@bare_step(fastmath=FAST)
+def profile_prior(k: int, priors: Priors, prior: DiscPrior) -> DiscPrior:
+    """Return ``prior``, of an even disc, with the profile of camera k."""
+    profile = (priors.profiles[k, 0], priors.profiles[k, 1], priors.profiles[k, 2])
+    return DiscPrior(priors.blurs[k, 2], prior.blur_sigma, prior.amplitude, prior.amplitude_sigma, prior.rim, profile)
 
 
 @bare_step(fastmath=FAST)
