@@ -28,17 +28,10 @@ from mosca.detection.centroid import (
     measure_regions,
 )
 from mosca.detection.centroid import N_COLUMNS as N_MEASURED
-from mosca.detection.disc_fit.fit_regions import (
-    ELLIPTIC_SIGMA,
-    ELLIPTIC_X,
-    ELLIPTIC_Y,
-    FLAGS,
-    N_COLUMNS,
-    TOUCHING,
-    refine_regions,
-)
+from mosca.detection.disc_fit.fit_regions import refine_regions
 from mosca.detection.disc_fit.light_offset import LEFT_OUT, StatisticsSums, no_sums_compiled
 from mosca.detection.disc_fit.priors import Priors
+from mosca.detection.disc_fit.row import ELLIPTIC_SIGMA, ELLIPTIC_X, ELLIPTIC_Y, FLAGS, N_COLUMNS, TOUCHING
 from mosca.detection.images import ImageSet, image_of
 from mosca.detection.merged_targets.pixels import region_mean, region_moments
 from mosca.detection.noise_regions import decide_in_set, set_noise
@@ -55,7 +48,7 @@ class Measured(NamedTuple):
     """The targets of a frame set that were measured."""
 
     table: Array
-    """(k, N_COLUMNS of ``mosca.detection.disc_fit.fit_regions``)."""
+    """(k, N_COLUMNS of ``mosca.detection.disc_fit.row``)."""
     region_of: Array
     """(k,) int32 region of each row."""
     image_of: Array

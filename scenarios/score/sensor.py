@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from mosca.detection.disc_fit.fit_regions import FIRST_ROUGHNESS
+from mosca.detection.disc_fit.row import FIRST_ROUGHNESS
 from mosca.diagnostics.sensor import LearnedSensor
 from twin.cameras.sensor.sensor import Sensor
 

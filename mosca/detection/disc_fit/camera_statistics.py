@@ -42,7 +42,6 @@ from typing import Any, TypeVar
 import numpy as np
 
 from mosca.data.arrays import Array
-from mosca.detection.disc_fit.fit_regions import FIRST_ROUGHNESS
 from mosca.detection.disc_fit.gauss_newton import LEAST_BLUR, MOST_BLUR
 from mosca.detection.disc_fit.hidden_background import RIM_SIGMAS, RIMS
 from mosca.detection.disc_fit.light_offset import (
@@ -61,6 +60,7 @@ from mosca.detection.disc_fit.light_offset import (
 )
 from mosca.detection.disc_fit.priors import AMPLITUDE_SIGMA_2, Priors
 from mosca.detection.disc_fit.profile import solve_profiles, weights_of_older
+from mosca.detection.disc_fit.row import FIRST_ROUGHNESS
 from mosca.detection.local_background import LocalBackground
 
 T = TypeVar("T")

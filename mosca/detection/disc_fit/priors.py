@@ -40,22 +40,22 @@ class Priors(NamedTuple):
 
 @bare_step(fastmath=FAST)
 def disc_prior(k: int, priors: Priors, flux: float) -> DiscPrior:
-    """Return what is known of a target of camera k with this flux [DN px^2], as an evenly bright disc."""
+    """Return what is known of a target of camera k with this flux [DN px^2]."""
     means, line = priors.amplitudes[k, :2], priors.amplitudes[k, 2:]
-    blur, blur_sigma, rim = priors.blurs[k, 0], priors.blurs[k, 1], priors.rims[k]
+    blur_sigma, blur, rim = priors.blurs[k, 1], priors.blurs[k, 2], priors.rims[k]
+    profile = (priors.profiles[k, 0], priors.profiles[k, 1], priors.profiles[k, 2])
     if not line[1] < math.inf:
-        return DiscPrior(blur, blur_sigma, 1.0, math.inf, rim, EVEN)
+        return DiscPrior(blur, blur_sigma, 1.0, math.inf, rim, profile)
     away = math.log(max(flux, 1.0)) - means[0]
     amplitude = math.exp(means[1] + line[0] * away)
     sigma = amplitude * math.sqrt(line[1] + line[2] * away * away)
-    return DiscPrior(blur, blur_sigma, amplitude, sigma, rim, EVEN)
+    return DiscPrior(blur, blur_sigma, amplitude, sigma, rim, profile)
 
 
 @bare_step(fastmath=FAST)
-def profile_prior(k: int, priors: Priors, prior: DiscPrior) -> DiscPrior:
-    """Return ``prior``, of an even disc, with the profile of camera k."""
-    profile = (priors.profiles[k, 0], priors.profiles[k, 1], priors.profiles[k, 2])
-    return DiscPrior(priors.blurs[k, 2], prior.blur_sigma, prior.amplitude, prior.amplitude_sigma, prior.rim, profile)
+def even_prior(k: int, priors: Priors, prior: DiscPrior) -> DiscPrior:
+    """Return ``prior`` for an evenly bright disc of camera k."""
+    return DiscPrior(priors.blurs[k, 0], prior.blur_sigma, prior.amplitude, prior.amplitude_sigma, prior.rim, EVEN)
 
 
 @bare_step(fastmath=FAST)

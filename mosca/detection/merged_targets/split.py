@@ -27,10 +27,10 @@ from mosca.data.arrays import Array
 from mosca.data.detections import MERGED, PARTIAL, SATURATED, UNREFINED
 from mosca.detection.centroid import DIAMETER, DIAMETER_SIGMA, ELONGATION, PEAK, XX, XY, YY, X, Y
 from mosca.detection.disc_fit.disc_image import FAST
-from mosca.detection.disc_fit.fit_regions import BLUR, BLUR_INFO, FLAGS, MISFIT, N_COLUMNS, PULL, ROUGH
 from mosca.detection.disc_fit.gauss_newton import Model
 from mosca.detection.disc_fit.light_offset import N_TERMS, moved
 from mosca.detection.disc_fit.priors import Priors
+from mosca.detection.disc_fit.row import BLUR, BLUR_INFO, FLAGS, MISFIT, N_COLUMNS, PULL, ROUGH
 from mosca.detection.frame_set_kernel import Measured
 from mosca.detection.images import ImageSet, image_of
 from mosca.detection.merged_targets.fit import ELLIPSE, PAIR, SWEPT, FitTask, clearance, fit
