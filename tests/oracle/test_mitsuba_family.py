@@ -52,7 +52,7 @@ def test_places_and_points_have_no_bias(name: str, tmp_path: Path) -> None:
 
 MOST_RATIO = {
     "balls_1p2px": 1.3, "balls_2px": 1.1, "balls_4px": 1.1, "balls_8px": 1.1, "defocus_4px": 1.1, "discs_8px": 1.1,
-    "balls_20px": 1.1, "motion_6px": 1.3,
+    "balls_20px": 1.1, "motion_6px": 1.25,
 }  # fmt: skip
 """Rms over the bound; 1.1 is aimed at in the last."""
 
@@ -67,7 +67,7 @@ def test_points_reach_their_bound_and_state_their_errors(name: str, tmp_path: Pa
     assert ratio <= MOST_RATIO[name]
     assert 2.4 <= nees <= 3.6
     # 0.93 to 0.97 is aimed at; what lamps do to discs is a range, and targets of a pixel do not tell the gain
-    assert 0.92 <= within <= (0.985 if name in ("discs_8px", "balls_1p2px") else 0.97)
+    assert 0.92 <= within <= (0.985 if name in ("discs_8px", "balls_1p2px", "balls_20px") else 0.97)
     if name == "balls_8px":  # the control: a ball's eccentricity left in
         assert point_figures(tmp_path / name, values, target="point")[1] > 1.1
 
@@ -77,7 +77,7 @@ def test_targets_before_a_bright_grainy_floor_are_found_and_state_their_errors(t
     values = write_recording(scene, render, tmp_path / "a")
     complete, _, nees, within, _ = point_figures(tmp_path / "a", values)
     assert complete >= 0.995
-    assert 2.4 <= nees <= 4.2  # 3.6 and 0.93 are aimed at: slow targets before a floor that is never seen
-    assert within >= 0.87
+    assert 2.4 <= nees <= 3.8  # 3.6 and 0.93 are aimed at: slow targets before a floor that is never seen
+    assert within >= 0.9
     # the control: a run that learns the floor only while it runs misses targets of its first frame sets
     assert point_figures(tmp_path / "a", values, lookahead=0)[0] < 0.98

@@ -24,7 +24,8 @@ from mosca.numba_support.decorators import bare_step
 
 MOST_STEPS = 20
 HELD_FROM = 8
-"""Steps after which the blur no longer changes how pixels are divided: to and fro, it would never settle."""
+"""Steps after which the blur of a disc with a profile no longer changes how pixels are divided: to and fro, it would
+never settle."""
 BACK = 0.3
 """A step that takes back more than this share of the last one is halved."""
 CLOSE_2 = 0.03
@@ -271,7 +272,7 @@ def fit_disc(
         b += share * step.background
         radius = min(max(radius + share * step.radius, 0.6 * radius, 0.2 * s), 1.6 * radius + s)
         next_s = min(max(s + share * step.blur, 0.75 * s, LEAST_BLUR), 1.3 * s, MOST_BLUR)
-        if turn < HELD_FROM or parts_of(next_s) == parts_of(s):
+        if turn < HELD_FROM or prior.profile == EVEN or parts_of(next_s) == parts_of(s):
             s = next_s
         good = is_settled(turn, step, share, before, s)
         if good:
