@@ -217,7 +217,8 @@ def test_planted_blunders_are_rejected_and_named(seed, share):
     xy[bad] += rng.uniform(4, 400, (len(bad), 1)) * np.column_stack([np.cos(angle), np.sin(angle)])
     done = adjust("opencv", xy, points, seed)
     assert set(bad) <= set(done.rejected)
-    assert len(done.rejected) <= len(bad) + 1
+    # one false alarm in a hundred adjustments: more than two in one of five million
+    assert len(done.rejected) <= len(bad) + 2
     assert done.sigma0_px == pytest.approx(0.2, rel=0.25)
 
 

@@ -11,11 +11,12 @@ import pytest
 from rigs import PINHOLE, ring
 from scipy.stats import chi2
 
-from mosca.camera.projection import project
+from mosca.camera.projection import project, rays
 from mosca.camera.ray_table import make_ray_table
 from mosca.correspondence.match import EVERYWHERE, MatchSettings, match
-from mosca.data.detections import Detections
+from mosca.data.detections import MERGED, UNREFINED, Detections
 from mosca.data.rays import Predicted
+from mosca.data.rig import OpenCVLens, Rig
 
 SIGMA, DIAMETER_M, TARGETS, LONG = 0.02, 0.014, 60, 1.5
 RIG = ring(4, PINHOLE, height_m=[0.6, 1.3, 0.6, 1.3])
@@ -96,3 +97,55 @@ def test_two_images_show_no_disagreement():
     points = placed({name: one for name, one in found.items() if name in ("c0", "c1")}, tracks)
     assert len(points) > 0
     assert points.trusted.max() < 1.9
+
+
+def test_a_merged_image_does_not_decide_between_two_clean_ones():
+    """Two rays miss each other by 3 standard deviations; a merged image agrees with a wrong place on the first."""
+    rng = np.random.default_rng(0)
+    points, found = images(rng, (), 0.0, [False] * 4)
+    first, second, merged, unseen = RIG.cameras
+    along = points - second.world_from_camera.translation
+    exact = project(first, points)
+    line = project(first, points + 0.01 * along) - exact  # the epipolar line of the second camera's ray
+    across = np.column_stack([-line[:, 1], line[:, 0]]) / np.linalg.norm(line, axis=1)[:, None]
+    shifted = exact + 3.0 * np.sqrt(2) * SIGMA * across
+    ray = rays(first, shifted).direction
+    near = first.world_from_camera.translation + ray * np.linalg.norm(
+        points - first.world_from_camera.translation, axis=1, keepdims=True
+    )
+    px_a_mm = np.linalg.norm(project(merged, near + 1e-3 * ray) - project(merged, near), axis=1, keepdims=True)
+    found[first.name] = replace(found[first.name], xy_px=shifted)
+    found[second.name] = replace(found[second.name], xy_px=project(second, points))
+    found[merged.name] = replace(
+        found[merged.name], xy_px=project(merged, near + 0.7e-3 / px_a_mm * ray),
+        diameter_px=0.95 * found[merged.name].diameter_px, flags=np.full(TARGETS, MERGED | UNREFINED, np.uint8),
+        covariance_px2=np.tile(0.15**2 * np.eye(2), (TARGETS, 1, 1)),
+    )  # fmt: skip
+    del found[unseen.name]
+    placed_there = placed(found).xyz
+    assert len(placed_there) == TARGETS
+    # 4 to 5 mm off, all of them, where both explanations have the same prior probability
+    assert np.linalg.norm(placed_there[:, None] - points, axis=2).min(axis=1).max() < 1e-3
+
+
+@pytest.mark.parametrize("off_deg", [0.0, 35.0, 50.0])
+def test_a_ball_is_not_long_where_the_lens_makes_it_so(off_deg):
+    """Off the axis the outline of a ball is an ellipse; one that is long besides is told."""
+    camera = replace(RIG.cameras[0], width=2400, lens=OpenCVLens(800.0, 800.0, 1199.5, 245.0))
+    far, radius = 3.0, 0.05
+    t = np.linspace(0, 2 * np.pi, 200)
+    cone = np.arcsin(radius / far)
+    towards, up = np.deg2rad(off_deg), np.array([0.0, 1.0, 0.0])
+    axis, aside = (np.array([np.sin(a), 0.0, np.cos(a)]) for a in (towards, towards + np.pi / 2))
+    rim = np.cos(cone) * axis + np.sin(cone) * (np.cos(t)[:, None] * aside + np.sin(t)[:, None] * up)
+    outline = project(camera, camera.world_from_camera.transform(rim))
+    wide, high = np.ptp(outline, axis=0)
+    seen = {
+        long: Detections(
+            camera.name, outline.mean(axis=0)[None], SIGMA**2 * np.eye(2)[None], np.array([np.sqrt(wide * high)]),
+            np.array([100.0]), np.array([long * wide / high]),
+        )
+        for long in (1.0, 1.2)
+    }  # fmt: skip
+    rig = Rig((camera,))
+    assert [make_ray_table(rig, {camera.name: one}, 0.0).odd for one in seen.values()] == [0, 1]
