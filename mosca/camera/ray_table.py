@@ -204,8 +204,8 @@ def fill_rays(cameras, seen, start, balls, xy, covariance, extra, size, shape, f
         views[c, DENSITY] = density
         for n in range(start[c], start[c + 1]):
             good = direction_of(own, xy[n, 0], xy[n, 1], d, local)
-            gram = gram_of(local)
-            # a ball's image is long where the lens images its cone so
+            # the same in every frame; a ball's image is long where the lens images its cone so
+            gram = gram_of(local) if good else (1.0, 0.0, 1.0)
             ratio = np.sqrt(gram[0] / gram[2])
             across, long = _longer_axis(diameter[n], max(1.0, elongation[n] / max(ratio, 1.0 / ratio)))
             odd += long or flags[n] & (UNREFINED | MERGED) == UNREFINED

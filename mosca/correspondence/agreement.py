@@ -5,7 +5,8 @@ neighbour (``mosca.correspondence.hypothesis.trust2_of``): its error may be a go
 target in motion, or a box of whole pixels, has such images that err by their detection's noise alone; if all of a
 point's images are doubted, a merged one counts as much as they do. Once all images of a point are known, they tell
 which agree to within their noise. Each doubted image has two possible variances; the likelihood of all images
-with the point integrated out (with equal prior probabilities; ``evidence``) chooses between them.
+with the point integrated out (with equal prior probabilities; ``evidence``) chooses between them. That one which
+looks clean errs like that has the prior probability of ``LN_UNSEEN``.
 
 An image that contradicts the others, beyond ``MatchSettings.outlier_sigma`` of the chi-square of those that count in
 full, is taken for one of a target that is mostly hidden or merged, though its size does not show it.

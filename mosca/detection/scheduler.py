@@ -155,10 +155,7 @@ def detect_ahead(
         try:
             for number, frame_set in enumerate(sets):
                 used = delayed.for_frame_set(number)
-                # the run's own record of a background, whatever a first look told
-                detect = partial(
-                    detector.detect, frame_set, used, measures_all=number == 0 and not detector.is_textured(used)
-                )
+                detect = partial(detector.detect, frame_set, used, measures_all=_records(detector, number, used))
                 queue.append(_Ahead(frame_set, detect, pool.submit(detect)))
                 if len(queue) >= min(workers + 2, DELAY):
                     yield first()
@@ -191,6 +188,14 @@ def _first_look(
         for frame_set in looked_at:
             learned = learned.plus(detector.detect(frame_set, known, helpers, split, measures_all=True)[1])
     return chain(seen, left), learned
+
+
+def _records(detector: FrameSetDetector, number: int, used: CameraStatistics) -> bool:
+    """Return whether set ``number`` measures all backgrounds: the first, for the run's own record of even ones.
+
+    It would be a second vote of one image on the pixels of a textured one.
+    """
+    return number == 0 and not detector.is_textured(used)
 
 
 def most_ahead(frame_set: FrameSet) -> int:
@@ -232,9 +237,8 @@ def _one_by_one(
         delayed = _DelayedSums(known)
         used = delayed.for_frame_set(0)
         for number, frame_set in enumerate(sets):
-            detections, added, seconds = detector.detect(
-                frame_set, used, helpers, split, measures_all=number == 0 and not detector.is_textured(used)
-            )
+            measures_all = _records(detector, number, used)
+            detections, added, seconds = detector.detect(frame_set, used, helpers, split, measures_all)
             yield frame_set, detections, seconds
             # off the latency path: the solve takes long
             delayed.add(added)

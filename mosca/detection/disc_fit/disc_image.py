@@ -16,10 +16,10 @@ FAST = {"reassoc", "nsz", "arcp", "contract", "afn"}
 
 f32 = np.float32
 
-# The edge, on |t| <= 3: erf(t / sqrt 2) / 2 = t P(t^2), right to 3e-4, and 1/2 at 3; its derivative the normal
-# density Q(t^2), 0 at 3. Least squares; polynomials, since a division costs as much as ten of their terms.
 P0, P1, P2, P3, P4 = f32(0.3982078), f32(-0.06448306), f32(0.008401767), f32(-0.0006522268), f32(2.190772e-05)
 Q0, Q1, Q2, Q3, Q4 = f32(0.3964177), f32(-0.1851492), f32(0.03625069), f32(-0.003324804), f32(0.00011544)
+"""The edge, on |t| <= 3: erf(t / sqrt 2) / 2 = t P(t^2), right to 3e-4, and 1/2 at 3; its derivative the normal
+density Q(t^2), 0 at 3. Least squares; polynomials, since a division costs as much as ten of their terms."""
 K1, K2 = f32(3), f32(6)  # of the Hermite polynomials t^3 - 3 t and t^4 - 6 t^2 + 3
 ZERO, HALF, ONE, REACH = f32(0), f32(0.5), f32(1), f32(3)  # REACH: blurs from the edge where it ends
 EVEN = (0.0, 0.0, 0.0)  # profile of a disc, see disc_image
@@ -57,6 +57,14 @@ def part_blur(blur: float, m: int) -> float:
 
 
 @inlined_step(fastmath=FAST)
+def gaussian_edge(t: Any) -> Any:
+    """Return the square of a place t within ``REACH`` blurs of an edge, what the edge shows there and its slope."""
+    u = t * t
+    q = Q0 + u * (Q1 + u * (Q2 + u * (Q3 + u * Q4)))
+    return u, HALF - t * (P0 + u * (P1 + u * (P2 + u * (P3 + u * P4)))), q
+
+
+@inlined_step(fastmath=FAST)
 def edge_at(x: Any, y: Any, sharper: Any, disc: tuple[Any, Any, Any, Any, Any, Any]) -> Any:
     """Return what a whole pixel shows of a blurred disc of brightness 1, and ``amplitude`` times its slopes.
 
@@ -69,9 +77,8 @@ def edge_at(x: Any, y: Any, sharper: Any, disc: tuple[Any, Any, Any, Any, Any, A
     per_r = ONE / math.sqrt(r2)
     t = (r2 * per_r - radius) * sharp * sharper
     t = min(max(t, -REACH), REACH)
-    u = t * t
-    e = HALF - t * (P0 + u * (P1 + u * (P2 + u * (P3 + u * P4))))
-    g = a * sharp * sharper * (Q0 + u * (Q1 + u * (Q2 + u * (Q3 + u * Q4))))
+    _, e, q = gaussian_edge(t)
+    g = a * sharp * sharper * q
     return e, g * per_r * dx, g * per_r * dy, g, g * t
 
 
@@ -92,9 +99,8 @@ def profiled_edge_at(
     r, per_radius, s = r2 * per_r, ONE / radius, ONE / sharp
     far = r - radius
     t = min(max(far * sharp, -REACH), REACH)
-    u = t * t
-    q = Q0 + u * (Q1 + u * (Q2 + u * (Q3 + u * Q4)))
-    e = HALF - t * (P0 + u * (P1 + u * (P2 + u * (P3 + u * P4)))) + (skew * (u - ONE) + tails * t * (u - K1)) * q
+    u, gauss, q = gaussian_edge(t)
+    e = gauss + (skew * (u - ONE) + tails * t * (u - K1)) * q
     f = q * sharp * (ONE + skew * t * (u - K1) + tails * (u * (u - K2) + K1))
     # a step times 1 + limb (r^2 / radius^2 - 1/2), under the blur
     c1 = f32(2) * limb * per_radius

@@ -116,9 +116,10 @@ def write_even(
     even = fit
     if fit.converged and fit.profile != EVEN and not light.crowded and not light.saturated:
         start = (fit.x, fit.y, fit.amplitude, fit.background, fit.radius)
-        even = fit_disc(n, pixels, start, prior, model, True, light.shape, work)
-    write_diameter(even if even.converged else fit, out)
-    return even if even.converged else fit
+        other = fit_disc(n, pixels, start, prior, model, True, light.shape, work)
+        even = other if other.converged else fit
+    write_diameter(even, out)
+    return even
 
 
 @bare_step(fastmath=FAST)

@@ -20,8 +20,8 @@ from mosca.numba_support.decorators import bare_step, step
 N_TARGETS, BLUR_SUM, BLUR_WEIGHT, ROUGH_SUM, N_LIGHT, NOISE_SUMS = range(6)
 AMPLITUDE_SUMS = 11
 RIM_SUMS, N_RIMS = 18, 5
-PROFILE_SUMS = RIM_SUMS + N_RIMS
-LEFT_OUT = PROFILE_SUMS + 19
+PROFILE_SUMS, N_PROFILE_SUMS = RIM_SUMS + N_RIMS, 19
+LEFT_OUT = PROFILE_SUMS + N_PROFILE_SUMS
 N_TALLIES, N_TERMS = LEFT_OUT + 5, 12
 """From column NOISE_SUMS on: sums of the gain's least squares, see ``mosca.detection.disc_fit.residual_noise``. From
 column AMPLITUDE_SUMS on, of targets' l = ln amplitude, its variance v, and f = ln flux, with weights w:

@@ -17,21 +17,12 @@ from mosca.detection.disc_fit.disc_image import (
     HALF,
     K1,
     ONE,
-    P0,
-    P1,
-    P2,
-    P3,
-    P4,
-    Q0,
-    Q1,
-    Q2,
-    Q3,
-    Q4,
     REACH,
     TINY,
     ZERO,
     disc_image,
     f32,
+    gaussian_edge,
     part_blur,
     profiled_parts_of,
     sums_divided,
@@ -41,6 +32,9 @@ from mosca.detection.disc_fit.gauss_newton import DiscFit, Model, Workspace
 from mosca.detection.disc_fit.light_offset import PROFILE_SUMS
 from mosca.numba_support.decorators import bare_step
 
+COUNT, NORMAL, RIGHT, USED, VALUES = 0, 1, 11, 15, 16
+"""Columns of a camera's sums: number of targets; upper triangle (10) and right side (4) of the normal equations of
+blur, limb, skew and tails; of the profiles that they were fitted with, how many values were not 0, and these (3)."""
 CHANGES = 5
 """First of three rows of a fit's image: its change with limb, skew and tails."""
 SPREADS = (0.05, 0.2, 0.05, 0.05)
@@ -60,7 +54,7 @@ MOST = np.array([[-1.5, 1.5], [-0.35, 0.35], [-0.15, 0.25]])
 """Limits, within which the image of a disc has hardly a negative value."""
 LEAST_EDGE, LEAST_RADIUS = 2.0, 3.0
 """Blurs that a radius must have to tell the form of an edge, and a limb: in a smaller disc the edge is everywhere."""
-MEMORY = 100.0
+REMEMBERED = 100.0
 """Targets after which older ones are weighted down."""
 NOT_ROUND = 12.0
 """Chi-square of an ellipse, over that of all pixels, from which a target is not round: smeared by motion."""
@@ -79,9 +73,7 @@ def add_change(
         dx, dy, s = x[i] - at[0], y[i] - at[1], blur / sharper[i]
         far = math.sqrt(dx * dx + dy * dy + TINY) - radius
         t = min(max(far / s, -REACH), REACH)
-        u = t * t
-        q = Q0 + u * (Q1 + u * (Q2 + u * (Q3 + u * Q4)))
-        e = HALF - t * (P0 + u * (P1 + u * (P2 + u * (P3 + u * P4))))
+        u, e, q = gaussian_edge(t)
         by_limb[i] += share * (e * (HALF + far * (c1 + c2 * far) + c2 * s * s) - s * q * (c1 + c2 * far))
         by_skew[i] += share * rim * (u - ONE) * q
         by_tails[i] += share * rim * t * (u - K1) * q
@@ -183,8 +175,8 @@ def add_profile(
             e[3 + i, 7] += e[3 + i, 3 + j] * known[j]
     spreads = (SPREADS[0] * fit.blur, SPREADS[1], SPREADS[2], SPREADS[3])
     for i in range(3):
-        tally[PROFILE_SUMS + 16 + i] += known[1 + i]
-    tally[PROFILE_SUMS + 15] += (known[1] != 0.0) + (known[2] != 0.0) + (known[3] != 0.0)
+        tally[PROFILE_SUMS + VALUES + i] += known[1 + i]
+    tally[PROFILE_SUMS + USED] += (known[1] != 0.0) + (known[2] != 0.0) + (known[3] != 0.0)
     add_widened(max(misfit, 1.0), spreads, e, tally)
 
 
@@ -212,34 +204,34 @@ def add_widened(misfit: float, spreads: tuple[float, float, float, float], e: Ar
             e[3 + k, 3 + i] *= less
             if i != k:
                 e[3 + i, 3 + k] *= less
-    tally[PROFILE_SUMS] += 1.0
-    k = PROFILE_SUMS + 1
+    tally[PROFILE_SUMS + COUNT] += 1.0
+    k = PROFILE_SUMS + NORMAL
     for i in range(4):
         for j in range(i, 4):
             tally[k] += e[3 + i, 3 + j] / misfit
             k += 1
     for i in range(4):
-        tally[k + i] += e[3 + i, 7] / misfit
+        tally[PROFILE_SUMS + RIGHT + i] += e[3 + i, 7] / misfit
 
 
 def weights_of_older(kept: Array, added: Array) -> Array:
-    """Return by how much sums (n, 19) of earlier targets are weighted down when those of others are added.
+    """Return by how much sums (n, VALUES + 3) of earlier targets are weighted down when those of others are added.
 
     A target's equations hold for values near those of its fit: those of fits with another profile count less.
     """
-    many, more = np.maximum(kept[:, 0], 1.0), np.maximum(added[:, 0], 1.0)
-    away = (kept[:, 16:] / many[:, None] - added[:, 16:] / more[:, None]) / SPREADS[1:]
-    weights = np.minimum(1.0, MEMORY / many) / (1.0 + (away**2).sum(axis=1))
-    return np.where((kept[:, 0] > 0) & (added[:, 0] > 0), weights, 1.0)
+    many, more = np.maximum(kept[:, COUNT], 1.0), np.maximum(added[:, COUNT], 1.0)
+    away = (kept[:, VALUES:] / many[:, None] - added[:, VALUES:] / more[:, None]) / SPREADS[1:]
+    weights = np.minimum(1.0, REMEMBERED / many) / (1.0 + (away**2).sum(axis=1))
+    return np.where((kept[:, COUNT] > 0) & (added[:, COUNT] > 0), weights, 1.0)
 
 
 def solve_profiles(sums: Array, blurs: Array) -> tuple[Array, Array]:
-    """Return profiles (n, 3) of cameras from their sums (n, 19), and their blurs (n,) [px].
+    """Return profiles (n, 3) of cameras from their sums (n, VALUES + 3), and their blurs (n,) [px].
 
     ``blurs``: of even discs, which remain where nothing is significant.
     """
     out, blurs = np.zeros((len(sums), 3)), blurs.copy()
-    for k in np.flatnonzero(sums[:, 0] > 0):
+    for k in np.flatnonzero(sums[:, COUNT] > 0):
         found = _selected(sums[k].tolist())
         if len(found) > 1:
             blurs[k] = found.pop(0)
@@ -253,19 +245,14 @@ def _selected(sums: list[float]) -> dict[int, float]:
 
     Forward selection by Gauss-Jordan elimination: what is left of a row is the equation of a further unknown.
     """
-    h, ridge, values = (
-        [[0.0] * 5 for _ in range(4)],
-        (1e-9, *(1.0 / sigma**2 for sigma in PRIOR_SIGMAS)),
-        iter(sums[1:]),
-    )
+    ridge, upper = (1e-9, *(1.0 / sigma**2 for sigma in PRIOR_SIGMAS)), iter(sums[NORMAL:RIGHT])
+    h = [[0.0] * 4 + [right] for right in sums[RIGHT:USED]]
     for i in range(4):
         for j in range(i, 4):
-            h[i][j] = h[j][i] = next(values)
+            h[i][j] = h[j][i] = next(upper)
         h[i][i] += ridge[i]
-    for i in range(4):
-        h[i][4] = next(values)
     used, explained = [0], 0.0
-    most = min(1 + int(sums[15] / sums[0] + 1.0 - SETTLED), 3)
+    most = min(1 + int(sums[USED] / sums[COUNT] + 1.0 - SETTLED), 3)
     while True:
         pivot = h[used[-1]]
         for i in range(4):

@@ -97,7 +97,7 @@ def write_row(
     model: Model,
     out: Array,
 ) -> tuple[bool, float]:
-    """Write all but the centre of a fit to its row of the table; return whether it is rejected as odd.
+    """Write all but centre and diameter of a fit to its row of the table; return whether it is rejected as odd.
 
     And chi-square per degree of freedom over the camera's usual one, 1 where chance explains it. ``told``: whether
     the fit is good, of how many pixels, and the camera's usual misfit.
