@@ -78,6 +78,16 @@ def test_the_light_of_sharp_targets_has_its_middle_at_theirs():
     assert taught(3.0, 0.0, 200, 10, 400).mean_px < 0.002
 
 
+@pytest.mark.parametrize(("diameter", "smear"), [(2.0, 6.0), (5.3, 6.0), (8.3, 6.0)])
+def test_targets_that_moved_while_exposed_reach_the_bound(diameter, smear):
+    """As ellipses of the same second moments: 0.77, 0.88 and 0.86, chi-squares 1.3, 0.6 and 0.8."""
+    ours = taught(diameter, 0.5, 200, rounds=3, smear=smear)
+    assert ours.efficiency > 0.92
+    assert ours.wave_px < 0.003
+    assert 0.85 < ours.chi2 < (1.6 if diameter < 3 else 1.15)
+    assert not ours.profile.any()
+
+
 def test_targets_that_are_smeared_teach_nothing():
     """By less than their moments tell. As a skew edge it would be applied to those at rest."""
     assert not taught(14.3, 0.0, 200, smear=3.0).profile.any()

@@ -14,7 +14,8 @@ uncorrelated with the other four for a window that is symmetric about the target
 variance. The blur has a prior from earlier frames, since radius and blur of a target of 2 px are nearly collinear.
 Saturated pixels and those of neighbours are left out. Where the blur is small beside a pixel, pixels are divided into
 parts (``mosca.detection.disc_fit.disc_image``), all unknowns are solved for together, and the shape of elliptic
-targets follows from the residuals (``mosca.detection.disc_fit.ellipse``).
+targets follows from the residuals (``mosca.detection.disc_fit.ellipse``). Where a disc that moved while exposed
+leaves less than an ellipse it is taken (``mosca.detection.disc_fit.smear``).
 
 No point spread function is given. What is estimated from the frames, camera by camera (``CameraStatistics``):
 
@@ -48,13 +49,14 @@ from mosca.detection.disc_fit.light_offset import (
     AMPLITUDE_SUMS,
     BLUR_SUM,
     BLUR_WEIGHT,
-    LEFT_OUT,
     N_LIGHT,
     N_TARGETS,
     N_TERMS,
     PROFILE_SUMS,
     RIM_SUMS,
     ROUGH_SUM,
+    SMEARED_SUM,
+    TRIED_SUM,
     StatisticsSums,
     no_sums,
 )
@@ -171,7 +173,7 @@ NO_STATISTICS = CameraStatistics()
 
 def _less_profile(sums: StatisticsSums, added: StatisticsSums) -> StatisticsSums:
     """Return sums with those of profiles weighted down by ``weights_of_older``."""
-    profiles = slice(PROFILE_SUMS, LEFT_OUT)
+    profiles = slice(PROFILE_SUMS, TRIED_SUM)
     if not any(added.tallies[:, PROFILE_SUMS].tolist()):
         return sums
     weights = weights_of_older(sums.tallies[:, profiles], added.tallies[:, profiles])
@@ -201,7 +203,7 @@ def _priors(statistics: CameraStatistics) -> Priors:
     known = tallies[:, BLUR_WEIGHT] > 0
     weight = np.where(known, tallies[:, BLUR_WEIGHT], 1.0)
     mean = np.where(known, tallies[:, BLUR_SUM] / weight, FIRST_BLUR_PX)
-    profiles, blurs = solve_profiles(tallies[:, PROFILE_SUMS:LEFT_OUT], mean)
+    profiles, blurs = solve_profiles(tallies[:, PROFILE_SUMS:TRIED_SUM], mean)
     mean, blurs = np.clip(mean, LEAST_BLUR, MOST_BLUR), np.clip(blurs, LEAST_BLUR, MOST_BLUR)
     surely = known & (tallies[:, N_TARGETS] >= FEW)
     spread = np.sqrt((np.where(surely, SPREAD, FIRST_SPREAD) * mean) ** 2 + np.where(known, 1 / weight, 0.0))
@@ -211,7 +213,8 @@ def _priors(statistics: CameraStatistics) -> Priors:
     if len(enough):
         offsets[enough] = _offsets(normal[enough], right_side[enough])
     amplitudes, rims = _amplitudes(tallies[:, AMPLITUDE_SUMS:RIM_SUMS]), _rims(tallies[:, RIM_SUMS:PROFILE_SUMS])
-    return Priors(np.column_stack([mean, spread, blurs]), offsets, usual, amplitudes, rims, profiles)
+    smeared = (tallies[:, SMEARED_SUM] + 1) / (tallies[:, TRIED_SUM] + 1)
+    return Priors(np.column_stack([mean, spread, blurs]), offsets, usual, amplitudes, rims, profiles, smeared)
 
 
 def _rims(sums: Array) -> Array:

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mosca.data.arrays import Array
-from mosca.detection.disc_fit.disc_image import FAST, ZERO, disc_image, f32
+from mosca.detection.disc_fit.disc_image import FAST, ZERO, disc_image, f32, is_smeared
 from mosca.detection.disc_fit.first_values import Light, Region, is_plain, least_difference
 from mosca.detection.disc_fit.gauss_newton import DiscFit, Model, Workspace
 from mosca.numba_support.decorators import bare_step
@@ -23,10 +23,10 @@ MOST_CHANGE = 0.3
 
 
 class Stretch(NamedTuple):
-    """A step of an ellipse's shape."""
+    """What the residuals of a fitted disc show of a stretch."""
 
-    shape: tuple[float, float, float]
-    """Symmetric matrix (xx, xy, yy) of determinant 1 in which the target is round."""
+    p: float
+    q: float
     chi2: float
     """Squared length of the step over its error."""
     variance: float
@@ -55,21 +55,26 @@ def stretch_sums(n: int, pixels: Array, fit: DiscFit, model: Model, image: Array
 
 
 @bare_step(fastmath=FAST)
-def stretched(
+def stretch_of(
     n: int, pixels: Array, fit: DiscFit, model: Model, shape: tuple[float, float, float], work: Workspace
 ) -> Stretch:
-    """Return the next shape of a target whose pixels, mapped by ``shape``, were fitted by a disc."""
+    """Return the stretch of a target whose pixels, mapped by ``shape``, were fitted by a disc."""
     image = work.image
     disc_image(n, pixels, (f32(fit.x), f32(fit.y), f32(fit.radius), f32(fit.blur)), fit.profile, shape, image)
     sums = stretch_sums(n, pixels, fit, model, image)
     pp, pq, qq, cp, cq = f64(sums[0]), f64(sums[1]), f64(sums[2]), f64(sums[3]), f64(sums[4])
     det = pp * qq - pq * pq
     if not det > 0.0:
-        return Stretch(shape, 0.0, math.inf)
+        return Stretch(0.0, 0.0, 0.0, math.inf)
     p, q = (qq * cp - pq * cq) / det, (pp * cq - pq * cp) / det
-    chi2 = p * cp + q * cq
-    hold = min(1.0, MOST_CHANGE / max(math.sqrt(p * p + q * q), 1e-9))
-    p, q = hold * p, hold * q
+    return Stretch(p, q, p * cp + q * cq, 1.0 / math.sqrt(det))
+
+
+@bare_step(fastmath=FAST)
+def stretched(shape: tuple[float, float, float], change: Stretch) -> tuple[float, float, float]:
+    """Return the symmetric matrix (xx, xy, yy) of determinant 1 in which a target is round, after ``change``."""
+    hold = min(1.0, MOST_CHANGE / max(math.hypot(change.p, change.q), 1e-9))
+    p, q = hold * change.p, hold * change.q
     # (1 + T) S maps to the same circle as the root of its square, which is symmetric (Cayley and Hamilton)
     m0, m1, m2 = shape
     a, b = m0 + p * m0 + q * m1, m1 + p * m1 + q * m2
@@ -77,7 +82,7 @@ def stretched(
     xx, xy, yy = a * a + c * c, a * b + c * d, b * b + d * d
     root = math.sqrt(xx * yy - xy * xy)
     t = math.sqrt(xx / root + yy / root + 2.0)
-    return Stretch(((xx / root + 1.0) / t, xy / root / t, (yy / root + 1.0) / t), chi2, 1.0 / math.sqrt(det))
+    return (xx / root + 1.0) / t, xy / root / t, (yy / root + 1.0) / t
 
 
 @bare_step(fastmath=FAST)
@@ -92,6 +97,15 @@ def ellipticity(shape: tuple[float, float, float]) -> tuple[float, float]:
         return 0.0, 0.0
     scale = 2.0 * math.log(sine + math.sqrt(1.0 + sine * sine)) / sine
     return scale * a, scale * b
+
+
+@bare_step(fastmath=FAST)
+def smeared_ellipticity(fit: DiscFit) -> tuple[float, float]:
+    """Return the ellipticity of the ellipse that has the second moments of a smeared disc."""
+    x, y = fit.profile.smear_x, fit.profile.smear_y
+    square = x * x + y * y
+    scale = 0.5 * math.log(1.0 + square / (3.0 * fit.radius * fit.radius)) / square
+    return scale * (x * x - y * y), scale * 2.0 * x * y
 
 
 @bare_step(fastmath=FAST)
@@ -115,10 +129,12 @@ def ellipticity_of(
     """
     if not good:
         return 0.0, 0.0, 0.0
-    if not (is_plain(light.shape) or light.crowded or light.saturated):
-        now = stretched(n, pixels, fit, model, light.shape, work)
-        if now.variance < math.inf:
-            x, y = ellipticity(now.shape)
-            return x, y, 2.0 * math.sqrt(now.variance * max(misfit, 1.0))
+    if is_smeared(fit.profile) or not (is_plain(light.shape) or light.crowded or light.saturated):
+        change = stretch_of(n, pixels, fit, model, light.shape, work)
+        if change.variance < math.inf:
+            x, y = (
+                smeared_ellipticity(fit) if is_smeared(fit.profile) else ellipticity(stretched(light.shape, change))
+            )
+            return x, y, 2.0 * math.sqrt(change.variance * max(misfit, 1.0))
     x, y = ellipticity(light.shape)
     return x, y, 0.5 * least_difference(fit.blur, region.n_px)

@@ -5,21 +5,23 @@ The model, the noise and the source: ``mosca.detection.disc_fit.camera_statistic
 always give the same centres.
 """
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from mosca.data.arrays import Array
 from mosca.detection.centroid import X, Y
-from mosca.detection.disc_fit.disc_image import EVEN, FAST, f32, parts_of
-from mosca.detection.disc_fit.ellipse import ellipticity_of, stretched
-from mosca.detection.disc_fit.first_values import Light, Region, first_disc, is_plain, light_of, reshaped, turned
+from mosca.detection.disc_fit.disc_image import FAST, f32, is_profiled, is_smeared, parts_of
+from mosca.detection.disc_fit.ellipse import ellipticity_of
+from mosca.detection.disc_fit.first_values import Light, Region, first_disc, is_plain, light_of, reshaped
 from mosca.detection.disc_fit.gauss_newton import DiscFit, DiscPrior, Model, Workspace, fit_disc
 from mosca.detection.disc_fit.hidden_background import compare_rims, refit_before, take_behind
 from mosca.detection.disc_fit.light_offset import (
     N_TARGETS,
     N_TERMS,
     ROUGH_SUM,
+    SMEARED_SUM,
+    TRIED_SUM,
     StatisticsSums,
     add_light,
     moved,
@@ -31,19 +33,16 @@ from mosca.detection.disc_fit.pixels import (
     corner_background,
     fill_window,
     gather_at_border,
-    gather_unmarked,
-    half_side,
     is_inside,
     level_pixels,
     made_window,
-    mark_foreign,
-    pad,
     reach_of,
     region_sums,
     window_sums,
 )
-from mosca.detection.disc_fit.priors import Priors, add_learned, disc_prior, even_prior
+from mosca.detection.disc_fit.priors import Priors, add_learned, disc_prior, even_prior, with_profile
 from mosca.detection.disc_fit.profile import add_profile
+from mosca.detection.disc_fit.refit_shape import NO_STRETCH, Buffers, gather_mapped, refit_shaped
 from mosca.detection.disc_fit.residual_noise import add_residuals
 from mosca.detection.disc_fit.row import (
     BLUR,
@@ -80,32 +79,14 @@ from mosca.numba_support.intrinsics import array_at
 
 ROUGH_FACTOR, ROUGH_FLOOR = 4.0, 1e-4
 """A single target counts for the camera's usual misfit with at most so many times that, plus (1 %)^2."""
-SHAPE_STEPS, SHAPE_CHI2 = 3, 4.0
-"""Most steps of an elliptic target's shape; one whose chi-square (two degrees of freedom) is less is not taken."""
-NO_STRETCH = (1.0, 0.0, 1.0)
-"""The map of a round target."""
+MANY_SMEARED = 0.25
+"""Share of a camera's round targets that no disc fits which are smeared by motion, from which all such are fitted
+with other shapes, not a few in an image alone: where nothing moves they are hidden in part, and it takes time."""
 EACH, MOST_PROFILES = 8, 4
 """The sums of centroid and noise are added to for every so many targets, those of the profile for as many of them at
-most in an image."""
+most in an image; so are other shapes tried."""
 MORE_PX = 30
 """Margin of the widest window around the largest region, on each side; limits the blur of a fit."""
-
-
-class Buffers(NamedTuple):
-    """Working memory of the fits of a frame set."""
-
-    side: int
-    """Edge of the widest window [px]."""
-    pixels: Array
-    """(5, side^2 + OVER) float32: pixels of a fit that no round window holds."""
-    windows: RoundWindows
-    marks: Array
-    """(4, side^2) uint8."""
-    fit: Workspace
-    terms: Array
-    """(N_TERMS,): terms of the offset."""
-    behind: Array
-    """(2, side^2 + OVER) float32: see ``take_behind``."""
 
 
 @bare_step(fastmath=FAST)
@@ -114,7 +95,7 @@ def write_even(
 ) -> DiscFit:
     """Write the diameter of an even disc to a row of the table, and return its fit: ``fit`` where it is one."""
     even = fit
-    if fit.converged and fit.profile != EVEN and not light.crowded and not light.saturated:
+    if fit.converged and is_profiled(fit.profile) and not light.crowded and not light.saturated:
         start = (fit.x, fit.y, fit.amplitude, fit.background, fit.radius)
         other = fit_disc(n, pixels, start, prior, model, True, light.shape, work)
         even = other if other.converged else fit
@@ -141,71 +122,31 @@ def uncovered_sums(
 
 
 @bare_step(fastmath=FAST)
-def gather_mapped(
-    image: Array,
-    behind: Array,
-    own: Array,
-    region: Region,
-    shape: tuple[float, float, float],
-    around: tuple[float, float],
-    reach: float,
-    model: Model,
-    buffers: Buffers,
-) -> int:
-    """Copy a region's pixels, without neighbours' and saturated ones, to ``buffers.pixels``; return how many.
+def may_have_shape(n: int, fit: DiscFit, light: Light, tries: bool) -> bool:
+    """Return whether a target may have another shape than its fit to n pixels; ``tries``: also round blurred ones.
 
-    ``own``: its runs; ``behind``: what was subtracted from the image; the others as in ``gather_unmarked``.
+    Under a sharp edge second moments are no measure of a shape, and small regions were taken for round.
     """
-    middle = ((region.left + region.right + 1) // 2, (region.top + region.bottom + 1) // 2)
-    side = 2 * min(half_side(shape, around, reach), buffers.side // 2) + 1
-    marked = mark_foreign(image, own, middle, region.floor, model.full_dn, side, buffers.marks)
-    n: int = gather_unmarked(image, middle, shape, around, reach, buffers.marks[0], marked, buffers.pixels)
-    pad(n, buffers.pixels)
-    m0, m1, m2 = shape
-    det, (slope_x, slope_y) = m0 * m2 - m1 * m1, region.slope
-    level_pixels(n, buffers.pixels, ((m2 * slope_x - m1 * slope_y) / det, (m0 * slope_y - m1 * slope_x) / det))
-    if len(behind) > 0:
-        take_behind(n, buffers.pixels, behind, middle, region.slope, shape, region.threshold, buffers.behind)
-    return n
+    sharp = parts_of(fit.blur) > 1 and not light.crowded
+    if light.saturated or not is_plain(light.shape):
+        return not light.saturated and (sharp or fit.chi2 > n)
+    return (sharp or tries) and fit.chi2 > (n - 6) * misfit_by_chance(n)
 
 
 @bare_step(fastmath=FAST)
-def refit_ellipse(
-    image: Array,
-    behind: Array,
-    own: Array,
-    region: Region,
-    light: Light,
-    fit: DiscFit,
-    prior: DiscPrior,
-    model: Model,
-    buffers: Buffers,
-) -> tuple[DiscFit, Light, int]:
-    """Fit a region again, with its shape from the residuals of ``fit``.
-
-    Returns fit, light with the shape, and how many pixels ``buffers.pixels`` holds. A round target that no ellipse
-    fits stays round.
-    """
-    first, round_light, plain = fit, light, is_plain(light.shape)
-    reach = min(fit.radius + 3.0 * fit.blur + 0.5, 0.5 * buffers.side - 2.0)
-    n, good = (
-        gather_mapped(image, behind, own, region, light.shape, (fit.x, fit.y), reach, model, buffers),
-        fit.converged,
-    )
-    for _ in range(SHAPE_STEPS):
-        changed = stretched((n + 7) // 8 * 8, buffers.pixels, fit, model, light.shape, buffers.fit)
-        if not good or changed.chi2 < SHAPE_CHI2:
-            break
-        x0, y0 = turned(fit.x, fit.y, light.shape, changed.shape)
-        light = reshaped(light, changed.shape)
-        n = gather_mapped(image, behind, own, region, light.shape, (x0, y0), reach, model, buffers)
-        start = (x0, y0, fit.amplitude, fit.background, fit.radius)
-        fit = fit_disc((n + 7) // 8 * 8, buffers.pixels, start, prior, model, True, light.shape, buffers.fit)
-        good = fit.converged
-    if plain and not (good and fit.chi2 < (n - 6) * misfit_by_chance(n)):
-        n = gather_mapped(image, behind, own, region, round_light.shape, (first.x, first.y), reach, model, buffers)
-        return first, round_light, n
-    return fit, light, n
+def gather_whole(
+    image: Array, middle: tuple[int, int], size: int, reach: float, region: Region, buffers: Buffers
+) -> tuple[int, Array]:
+    """Copy all pixels up to ``reach`` from a region's middle, once for a lonely target; return how many, and them."""
+    pixels = buffers.pixels
+    if is_inside(image, middle, reach):
+        address, columns = made_window(size, reach, buffers.windows)
+        pixels = array_at(address, pixels, (5, columns))
+        n = fill_window(image, middle, size, reach, buffers.windows, pixels)
+    else:
+        n = gather_at_border(image, middle, reach, pixels)
+    level_pixels(n, pixels, region.slope)
+    return n, pixels
 
 
 @bare_step(fastmath=FAST)
@@ -218,27 +159,20 @@ def refine_region(
     model: Model,
     buffers: Buffers,
     sums: StatisticsSums,
-    takes: tuple[bool, bool],
+    takes: tuple[bool, bool, bool],
     out: Array,
 ) -> None:
     """Fit one region, write its row of the table ``out`` and add to the sums.
 
-    ``behind``: what was subtracted from the image; ``takes``: add to the sums of light and noise, to the profile's.
+    ``behind``: what was subtracted from the image; ``takes``: add to the sums of light and noise, to the
+    profile's, try other shapes.
     """
     k, blur, own = region.image, priors.blurs[region.image, 2], runs[region.first_run : region.end_run]
-    (takes_light, takes_profile), most = takes, 0.5 * buffers.side - 2.0  # what the buffers hold
+    (takes_light, takes_profile, tries), most = takes, 0.5 * buffers.side - 2.0  # what the buffers hold
     size = max(region.right - region.left + 1, region.bottom - region.top + 1)
     middle = ((region.left + region.right + 1) // 2, (region.top + region.bottom + 1) // 2)
     reach = min(reach_of(size, blur), most)
-    # the whole of a lonely round target is copied once
-    pixels = buffers.pixels
-    if is_inside(image, middle, reach):
-        address, columns = made_window(size, reach, buffers.windows)
-        pixels = array_at(address, pixels, (5, columns))
-        n = fill_window(image, middle, size, reach, buffers.windows, pixels)
-    else:
-        n = gather_at_border(image, middle, reach, pixels)
-    level_pixels(n, pixels, region.slope)
+    n, pixels = gather_whole(image, middle, size, reach, region, buffers)
     box = (region.left, region.right, region.top, region.bottom)
     background = min(corner_background(image, box, region.floor), float(region.threshold))
     bright, peak, light_sums = window_sums(n, pixels, region.floor, background)
@@ -252,24 +186,29 @@ def refine_region(
     light = light_of(region, background, peak, light_sums, crowded, blur, model.full_dn)
     (m0, m1, m2), plain, (amplitude, radius) = light.shape, is_plain(light.shape), first_disc(region, light, blur)
     x0, y0 = m0 * light.x + m1 * light.y, m1 * light.x + m2 * light.y
-    symmetric = not light.crowded and not light.saturated
-    if not symmetric or not plain:
+    symmetric, mapped = not light.crowded and not light.saturated, light.crowded or light.saturated or not plain
+    if mapped:
         reach = min(radius + 3.0 * blur + 0.5, most)
         n = gather_mapped(image, behind, own, region, light.shape, (x0, y0), reach, model, buffers)
         pixels = buffers.pixels
     start, padded = (x0, y0, amplitude, light.background, radius), (n + 7) // 8 * 8
     fit = fit_disc(padded, pixels, start, prior, model, symmetric, light.shape, buffers.fit)
-    # under a sharp edge second moments are no measure of a shape; small regions were taken for round
-    odd_shape = not plain or fit.chi2 > (n - 6) * misfit_by_chance(n)
-    if symmetric and odd_shape and parts_of(fit.blur) > 1:
-        fit, light, n = refit_ellipse(image, behind, own, region, light, fit, prior, model, buffers)
-        pixels, padded = buffers.pixels, (n + 7) // 8 * 8
-        plain &= is_plain(light.shape)
+    if may_have_shape(n, fit, light, tries or priors.smeared[k] > MANY_SMEARED):
+        fit, light, m = refit_shaped(image, behind, own, region, light, fit, prior, model, buffers)
+        sums.tallies[k, TRIED_SUM] += plain
+        sums.tallies[k, SMEARED_SUM] += plain and is_smeared(fit.profile)
+        plain &= is_plain(light.shape) and not is_smeared(fit.profile)
+        if m == 0 and (mapped or len(behind) > 0):  # other pixels were copied over those of the fit
+            around = (x0, y0) if mapped else (0.0, 0.0)
+            m = gather_mapped(image, behind, own, region, light.shape, around, reach, model, buffers)
+        if m > 0:
+            pixels, n, padded = buffers.pixels, m, (m + 7) // 8 * 8
+        prior = with_profile(prior, fit.profile)
     if len(behind) > 0:
         fit = refit_before(padded, pixels, buffers.behind, light.shape, fit, prior, model, symmetric, buffers.fit)
         if symmetric and takes_light and fit.converged:
             compare_rims(padded, pixels, buffers.behind, light.shape, fit, prior, model, buffers.fit, sums.tallies[k])
-    even = write_even(padded, pixels, fit, even_prior(k, priors, prior), model, light, buffers.fit, out)
+    even = write_even(padded, pixels, fit, even_prior(k, priors, prior, fit), model, light, buffers.fit, out)
     centre = centre_of(middle, light, fit)
     tally, usual, good = sums.tallies[k], priors.roughness[k], is_good(region, light, fit, centre)
     odd, excess = write_row(region, light, fit, centre, (good, n, usual), model, out)
@@ -281,10 +220,10 @@ def refine_region(
             add_profile(padded, pixels, fit, model, light.shape, out[MISFIT], buffers.fit, tally)
         if takes_light and not odd:
             add_residuals(padded, pixels, fit, prior, model, light.shape, buffers.fit, tally)
-    # long images teach where their edges are sharp: others may be smeared by motion
-    if good and symmetric and (plain or (parts_of(fit.blur) > 1 and not odd)):
+    # an ellipse teaches where its edge is sharp: others may be smeared by motion
+    if good and symmetric and (plain or ((parts_of(fit.blur) > 1 or is_smeared(fit.profile)) and not odd)):
         out[BLUR], out[BLUR_INFO] = add_learned(even, amplitude, float(light_sums[0]), prior, tally)
-        if takes_light and plain and not odd:
+        if takes_light and (plain or is_smeared(fit.profile)) and not odd:
             add_light(image, region, most, fit, centre.radius, buffers.pixels, buffers.terms, sums)
     shape = ellipticity_of(padded, pixels, region, light, fit, good, out[MISFIT], model, buffers.fit)
     out[ELLIPTIC_X], out[ELLIPTIC_Y], out[ELLIPTIC_SIGMA] = shape
@@ -360,11 +299,11 @@ def refine_regions(
         )  # fmt: skip
         model = Model(found.noise[r, DARK], found.noise[r, GAIN], full_dn)
         number, behind = n - first_of_image, behind_of(images, k)
-        # what is left of a texture is no profile
-        takes_profile = len(behind) == 0 and number % max(counts[k] // MOST_PROFILES, EACH) == 0
+        seldom = number % max(counts[k] // MOST_PROFILES, EACH) == 0
+        takes = (number % EACH == 0, len(behind) == 0 and seldom, seldom)  # what is left of a texture is no profile
         refine_region(
             image_of(images, k), behind, found.runs, region, priors, model, buffers, sums,
-            (number % EACH == 0, takes_profile), table[n],
+            takes, table[n],
         )  # fmt: skip
         region_of[n] = r
         n += 1

@@ -11,6 +11,7 @@ from mosca.data.arrays import Array
 from mosca.detection.disc_fit.disc_image import (
     EVEN,
     FAST,
+    Profile,
     cross_sums_divided,
     cross_sums_whole,
     disc_image,
@@ -69,8 +70,8 @@ class DiscFit(NamedTuple):
     """[px^2]."""
     own_amplitude: tuple[float, float]
     """Amplitude [DN] from the data alone, and its variance [DN^2]; infinite where it was not computed."""
-    profile: tuple[float, float, float]
-    """See ``disc_image``; given."""
+    profile: Profile
+    """Given."""
     converged: bool
 
 
@@ -86,8 +87,7 @@ class DiscPrior(NamedTuple):
     """Infinite where nothing is known."""
     rim: float
     """Radius within which a target hides its background, over that of its light."""
-    profile: tuple[float, float, float]
-    """See ``disc_image``."""
+    profile: Profile
 
 
 class Workspace(NamedTuple):

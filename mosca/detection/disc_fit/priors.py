@@ -4,7 +4,7 @@ import math
 from typing import NamedTuple
 
 from mosca.data.arrays import Array
-from mosca.detection.disc_fit.disc_image import EVEN, FAST
+from mosca.detection.disc_fit.disc_image import FAST, Profile
 from mosca.detection.disc_fit.gauss_newton import DiscFit, DiscPrior
 from mosca.detection.disc_fit.light_offset import AMPLITUDE_SUMS, BLUR_SUM, BLUR_WEIGHT
 from mosca.numba_support.decorators import bare_step
@@ -35,7 +35,9 @@ class Priors(NamedTuple):
     rims: Array
     """(n,) radius within which targets hide their background, over that of their light."""
     profiles: Array
-    """(n, 3) of ``disc_image``."""
+    """(n, 3) limb, skew and tails, see ``Profile``."""
+    smeared: Array
+    """(n,) share of round targets that no disc fits which are smeared by motion; 1 before any was seen."""
 
 
 @bare_step(fastmath=FAST)
@@ -43,7 +45,7 @@ def disc_prior(k: int, priors: Priors, flux: float) -> DiscPrior:
     """Return what is known of a target of camera k with this flux [DN px^2]."""
     means, line = priors.amplitudes[k, :2], priors.amplitudes[k, 2:]
     blur_sigma, blur, rim = priors.blurs[k, 1], priors.blurs[k, 2], priors.rims[k]
-    profile = (priors.profiles[k, 0], priors.profiles[k, 1], priors.profiles[k, 2])
+    profile = Profile(priors.profiles[k, 0], priors.profiles[k, 1], priors.profiles[k, 2], 0.0, 0.0)
     if not line[1] < math.inf:
         return DiscPrior(blur, blur_sigma, 1.0, math.inf, rim, profile)
     away = math.log(max(flux, 1.0)) - means[0]
@@ -53,9 +55,17 @@ def disc_prior(k: int, priors: Priors, flux: float) -> DiscPrior:
 
 
 @bare_step(fastmath=FAST)
-def even_prior(k: int, priors: Priors, prior: DiscPrior) -> DiscPrior:
-    """Return ``prior`` for an evenly bright disc of camera k."""
-    return DiscPrior(priors.blurs[k, 0], prior.blur_sigma, prior.amplitude, prior.amplitude_sigma, prior.rim, EVEN)
+def with_profile(prior: DiscPrior, profile: Profile) -> DiscPrior:
+    """Return ``prior`` for discs of another profile."""
+    return DiscPrior(prior.blur, prior.blur_sigma, prior.amplitude, prior.amplitude_sigma, prior.rim, profile)
+
+
+@bare_step(fastmath=FAST)
+def even_prior(k: int, priors: Priors, prior: DiscPrior, fit: DiscFit) -> DiscPrior:
+    """Return ``prior`` for an evenly bright disc of camera k that moved as that of ``fit``."""
+    profile = Profile(0.0, 0.0, 0.0, fit.profile.smear_x, fit.profile.smear_y)
+    blur = priors.blurs[k, 0]
+    return DiscPrior(blur, prior.blur_sigma, prior.amplitude, prior.amplitude_sigma, prior.rim, profile)
 
 
 @bare_step(fastmath=FAST)

@@ -20,6 +20,7 @@ from mosca.detection.disc_fit.disc_image import (
     REACH,
     TINY,
     ZERO,
+    Profile,
     disc_image,
     f32,
     gaussian_edge,
@@ -90,7 +91,7 @@ def profile_image(n: int, pixels: Array, fit: DiscFit, shape: tuple[float, float
         for i in range(m):
             u, v = (i + 0.5) / m - 0.5, (j + 0.5) / m - 0.5
             at = (f32(fit.x - shape[0] * u - shape[1] * v), f32(fit.y - shape[1] * u - shape[2] * v))
-            add_change(n, pixels, at, f32(fit.radius), blur, ONE / f32(m * m), f32(fit.profile[0]), image)
+            add_change(n, pixels, at, f32(fit.radius), blur, ONE / f32(m * m), f32(fit.profile.limb), image)
 
 
 @bare_step(fastmath=FAST)
@@ -136,7 +137,7 @@ def add_profile(
     if fit.radius < LEAST_EDGE * fit.blur:
         return
     # as a disc with a profile is divided, whether the fit's had one or not
-    profile = (fit.profile[0], fit.profile[1], fit.profile[2] + 1e-6)
+    profile = Profile(fit.profile.limb, fit.profile.skew, fit.profile.tails + 1e-6, 0.0, 0.0)
     disc_image(n, pixels, (f32(fit.x), f32(fit.y), f32(fit.radius), f32(fit.blur)), profile, shape, image)
     pp, pq, qq, p, q = stretch_sums(n, pixels, fit, model, image)
     if qq * p * p - f32(2) * pq * p * q + pp * q * q > f32(NOT_ROUND * max(misfit, 1.0)) * (pp * qq - pq * pq):
@@ -164,7 +165,7 @@ def add_profile(
             for j in range(k + 1, i + 1):
                 e[i, j] -= part * e[j, k]
     told = (True, fit.radius > LEAST_RADIUS * fit.blur, True, True)
-    known = (fit.blur, fit.profile[0], fit.profile[1], fit.profile[2])
+    known = (fit.blur, fit.profile.limb, fit.profile.skew, fit.profile.tails)
     for i in range(4):
         e[3 + i, 7] *= told[i]
         for j in range(i + 1):
