@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 from wand_scenes import behind_bars, rig, seen, similarity, waved
 
-from mosca.calibration.uncalibrated.wand import calibrate_wand
+from mosca.calibration.uncalibrated.image_points import point_views
+from mosca.calibration.uncalibrated.partial_adjustment import rods_between
+from mosca.calibration.uncalibrated.wand import calibrate_wand, rods_of
 from mosca.data.wands import Wand
 
 NOISE_PX = 0.005
@@ -12,12 +14,12 @@ SHIFT_M = 5e-4
 """As far as Mitsuba's images have it: a hundredth of a ball's diameter."""
 
 
-def scale_error(along, most_m, frames=200):
+def scale_error(along, most_m, frames=200, alike_from_m=None):
     cameras = rig(4, seed=4)
     world = waved(frames, along=along, seed=4)
     sightings = seen(cameras, world, NOISE_PX, blunders=0.0, seed=4)
     found = calibrate_wand(
-        behind_bars(cameras, world, sightings, most_m),
+        behind_bars(cameras, world, sightings, most_m, alike_from_m),
         # the sightings are those of centres, not of outlines
         Wand(along, 1e-6),
         np.random.default_rng(0),
@@ -38,9 +40,29 @@ def test_what_a_bar_hides_does_not_stretch_the_rig(along):
     assert 0.8 < found.sigma0 < 1.2
 
 
+def test_a_shift_by_as_many_pixels_in_small_images_as_in_large_ones_is_none_of_the_cameras():
+    scale, found = scale_error((0.0, 0.15, 0.5), SHIFT_M, alike_from_m=4.0)
+    assert abs(scale) < 5e-5
+    # 0.0036 px where the shift is taken to be in proportion to the images' size
+    assert found.body_px < NOISE_PX / 5
+
+
 def test_a_wand_that_hides_nothing_keeps_its_image_points():
     scale, found = scale_error((0.0, 0.15, 0.5), 0.0)
     assert abs(scale) < 3e-5
     cameras = rig(4, seed=4)
     sightings = seen(cameras, waved(200, seed=4), NOISE_PX, blunders=0.0, seed=4)
     assert np.allclose(found.sightings.xy_px, sightings.xy_px, atol=1e-9)
+
+
+def test_distances_that_others_imply_on_a_line_count_once():
+    cameras, along, frames = rig(4, seed=4), (0.0, 0.12, 0.31, 0.5), 3
+    sightings = seen(cameras, waved(frames, along=along, seed=4), NOISE_PX, blunders=0.0, share=1.0)
+    lenses = tuple(camera.lens for camera in cameras)
+    tracks = point_views(sightings, len(along), lenses, rods_of(Wand(along, 1e-6), frames))
+    # three distances place four points on a line; the other three are their sums
+    assert len(rods_between(tracks, 1.0).first) == 3 * frames
+    # without the first ball of the first wand two place the three that are left
+    left = rods_between(tracks.only(tracks.point != 0), 1.0)
+    assert len(left.first) == 3 * frames - 1
+    assert 0 not in left.first

@@ -102,8 +102,10 @@ def seen(cameras, world, noise_px=NOISE_PX, blunders=0.03, seed=2, share=0.95) -
     )
 
 
-def behind_bars(cameras, world, sightings, most_m) -> Sightings:
+def behind_bars(cameras, world, sightings, most_m, alike_from_m=None) -> Sightings:
     """Return the sightings with balls moved away from bars that point at the camera, by up to ``most_m`` [m].
+
+    ``alike_from_m``: by as many pixels at all distances as at this one; None: in proportion to the image.
 
     As Mitsuba renders balls of 40 mm on a bar of 8 mm: nothing up to a cosine of 0.1 between bar and line of sight,
     all from 0.6 on. Bars join neighbouring balls.
@@ -114,7 +116,9 @@ def behind_bars(cameras, world, sightings, most_m) -> Sightings:
         frame, ball = sightings.frame[mine], sightings.mark[mine]
         at = world[frame, ball]
         sight = one.world_from_camera.translation - at
-        sight /= np.linalg.norm(sight, axis=1, keepdims=True)
+        distance = np.linalg.norm(sight, axis=1)
+        sight /= distance[:, None]
+        most = most_m * (distance / alike_from_m if alike_from_m else 1.0)
         for step in (-1, 1):
             other = ball + step
             there = (other >= 0) & (other < world.shape[1])
@@ -123,7 +127,7 @@ def behind_bars(cameras, world, sightings, most_m) -> Sightings:
             cosine = np.einsum("ni,ni->n", bar, sight)
             across = bar - cosine[:, None] * sight
             across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-9)
-            away = np.where(there, most_m * np.clip((cosine - 0.1) / 0.5, 0.0, 1.0), 0.0)
+            away = np.where(there, most * np.clip((cosine - 0.1) / 0.5, 0.0, 1.0), 0.0)
             xy[mine] += project(one, at - away[:, None] * across) - project(one, at)
     return replace(sightings, xy_px=xy)
 

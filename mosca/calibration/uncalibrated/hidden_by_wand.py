@@ -4,8 +4,9 @@ A bar that comes out of a ball towards the camera covers a part of its image, an
 a hundredth of the diameter away from the bar; a bar that goes away from the camera lies behind the ball. The error is
 alike in all frames with the wand at one tilt, so that it does not average out: it stretches the wand and with it the
 scale. Which bar a wand has is not known. The residuals tell it (additional parameters, Brown 1976): a shift along the
-bar, a piecewise linear function of the cosine between bar and line of sight, zero where the bar points away; and what
-that leaves, as variance components by the same cosine (Koch 1999, section 3.6).
+bar, a piecewise linear function of the cosine between bar and line of sight, zero where the bar points away. What is
+hidden grows with the image, blur and pixels do not, so that the shift is in proportion to the image's size in part,
+and as many pixels at all sizes in part. What it leaves gives variances by the same cosine (Koch 1999, section 3.6).
 """
 
 from collections.abc import Callable
@@ -13,7 +14,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import chi2
-from scipy.stats import f as f_distribution
 
 from mosca.calibration.uncalibrated.image_points import PointViews
 from mosca.calibration.uncalibrated.partial_adjustment import Network
@@ -25,8 +25,8 @@ KNOTS = 5
 LEAST_REDUNDANCY = 40
 """Of a class that is judged by itself."""
 SIGNIFICANT = 1e-3
-"""Level of the tests: of the shift, and of each class's variance against that of the quietest class."""
-ROUNDS, SETTLED = 12, 0.1
+"""Level of the test whether bars shift image points."""
+ROUNDS, SETTLED = 40, 0.1
 """Most adjustments; change of image points, in standard deviations, and of these, relative, at which they end."""
 
 
@@ -50,13 +50,14 @@ def without_hidden(start: Network, adjusted: Callable[[Network, PointViews], Net
     """
     base, one = start.tracks, start
     bars = bar_directions(start)
-    shift = np.zeros(KNOTS)
+    design = _designs(bars)
+    shift = np.zeros(design.shape[2])
     for k in range(ROUNDS):
-        more, gain = _shifts(one, bars)
+        more, gain = _shifts(one, design)
         if k == 0 and chi2.sf(gain / max(one.adjustment.sigma0**2, 1e-12), len(shift)) > SIGNIFICANT:
             return start
         shift = shift + more
-        xy = base.xy_px - np.nan_to_num((_hats(bars.cosine) @ shift)[:, None] * bars.along)
+        xy = base.xy_px - np.nan_to_num(design @ shift)
         factor = _variance_factors(one, one.tracks.xy_px - xy, base, bars.cosine)
         sigma = np.asarray(base.sigma_px) * np.sqrt(factor)
         moved = np.linalg.norm(xy - one.tracks.xy_px, axis=1) / sigma
@@ -104,12 +105,24 @@ def _hats(cosine: Array) -> Array:
     return np.asarray(np.maximum(0.0, 1.0 - np.abs(place - np.arange(1, KNOTS + 1))))
 
 
-def _shifts(one: Network, bars: BarDirections) -> tuple[Array, float]:
-    """Return the shift [m] at each knot that the residuals show, and by how much it lowers the sum of squares."""
-    design = _hats(bars.cosine)[:, :, None] * bars.along[:, None, :] / one.tracks.sigma_px[:, None, None]
+def _designs(bars: BarDirections) -> Array:
+    """Return the shifts (n, 2, 2 KNOTS) [px] of image points by a unit at each knot.
+
+    A unit is one pixel: of the first half where images are of median size, elsewhere in proportion to it; of the
+    second half everywhere.
+    """
+    hats, along = _hats(bars.cosine)[:, None, :], bars.along[:, :, None]
+    size = np.linalg.norm(along, axis=1, keepdims=True)
+    usual = np.median(size[np.isfinite(size)]) if np.isfinite(size).any() else 1.0
+    return np.asarray(np.concatenate([hats * along / usual, hats * along / np.maximum(size, 1e-9)], axis=2))
+
+
+def _shifts(one: Network, design: Array) -> tuple[Array, float]:
+    """Return the shift (2 KNOTS,) [px] that the residuals show, and by how much it lowers the sum of squares."""
     residual = one.residuals_px / one.tracks.sigma_px[:, None]
     good = one.adjustment.used & np.isfinite(design).all(axis=(1, 2)) & np.isfinite(residual).all(axis=1)
-    a, r = np.swapaxes(design[good], 1, 2).reshape(-1, KNOTS), residual[good].ravel()
+    a = (design / one.tracks.sigma_px[:, None, None])[good].reshape(-1, design.shape[2])
+    r = residual[good].ravel()
     shift = np.linalg.lstsq(a, r)[0]
     return shift, float(r @ r - ((r - a @ shift) ** 2).sum())
 
@@ -117,20 +130,25 @@ def _shifts(one: Network, bars: BarDirections) -> tuple[Array, float]:
 def _variance_factors(one: Network, moved_px: Array, base: PointViews, cosine: Array) -> Array:
     """Return the factor (n,) of the variances of ``base`` that makes them as right as where bars point away.
 
-    ``moved_px`` (n, 2): by how much the image points were moved since the network was adjusted, residuals less.
+    ``moved_px`` (n, 2): by how much the image points were moved since the network was adjusted, residuals less. What
+    is stated of a ball that a bar hides tells how badly a disc fits it, and no longer the error of its centre once
+    that is moved: each class gets one variance. Medians, since balls that nearly touch another's image are far off.
     """
     assert one.adjustment.precision is not None
-    squares, stated = ((one.residuals_px - moved_px) ** 2).sum(axis=1), np.asarray(base.sigma_px) ** 2
+    stated = np.asarray(base.sigma_px) ** 2
     # the adjustment leaves of an error what redundancy is there: little where few others are as good
     left = one.adjustment.precision.redundancy_numbers.sum(axis=1)
-    known = np.isfinite(cosine) & np.isfinite(squares) & np.isfinite(left)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        squares = ((one.residuals_px - moved_px) ** 2).sum(axis=1) / left
     # class 0: bars that point away
     of = np.ceil(np.clip(np.nan_to_num(cosine), 0.0, 1.0) * KNOTS).astype(int)
-    redundancy = np.bincount(of[known], left[known], KNOTS + 1)
-    ratio = np.bincount(of[known], (squares / stated)[known], KNOTS + 1) / np.maximum(redundancy, 1e-9)
-    if not (redundancy[0] >= LEAST_REDUNDANCY and ratio[0] > 0):
-        return np.ones(len(base))
-    factor = ratio / ratio[0]
-    chance = f_distribution.sf(factor, redundancy, redundancy[0])
-    differs = (redundancy >= LEAST_REDUNDANCY) & (np.minimum(chance, 1 - chance) < SIGNIFICANT / 2)
-    return np.where(known & differs[of], factor[of], 1.0)
+    of[~(np.isfinite(cosine) & np.isfinite(squares))] = -1
+    classes = [np.flatnonzero(of == k) for k in range(KNOTS + 1)]
+    factor, away = np.ones(len(base)), classes[0]
+    usual = np.median((squares / stated)[away]) if left[away].sum() >= LEAST_REDUNDANCY else 0.0
+    if usual == 0:
+        return factor
+    for mine in classes[1:]:
+        if left[mine].sum() >= LEAST_REDUNDANCY:
+            factor[mine] = np.median(squares[mine]) / (usual * stated[mine])
+    return factor

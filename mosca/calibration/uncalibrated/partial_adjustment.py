@@ -106,7 +106,10 @@ def rods_between(tracks: PointViews, inflate: float) -> Distances:
     rays = np.bincount(tracks.point, minlength=tracks.points)
     rods = tracks.rods
     both = (rays[rods.first] >= 2) & (rays[rods.second] >= 2)
-    return Distances(rods.first[both], rods.second[both], rods.length_m[both], rods.sigma_m[both] * inflate)
+    # on one line a distance is the sum of others: each ball is joined to the first that is known
+    one = np.flatnonzero(both)
+    one = one[np.unique(rods.second[one], return_index=True)[1]]
+    return Distances(rods.first[one], rods.second[one], rods.length_m[one], rods.sigma_m[one] * inflate)
 
 
 def imaged(tracks: PointViews, cameras: Mapping[int, Camera]) -> PointViews:
