@@ -127,6 +127,7 @@ def test_clocks_state_what_they_scatter_where_image_errors_last(monkeypatch):
     assert scatter < 1.5 * np.sqrt((stated**2).mean())
 
 
+@pytest.mark.slow
 def test_clocks_of_independent_errors_are_stated_as_before(monkeypatch):
     _error, stated, alone = offsets(0.0, 2, monkeypatch)
     np.testing.assert_allclose(stated, alone, rtol=1e-9)

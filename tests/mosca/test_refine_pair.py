@@ -83,7 +83,9 @@ def pair_of(rng, apart, diameter):
     return [(*(middle + half), diameter / 2, BRIGHT, None), (*(middle - half), diameter / 2, BRIGHT, None)]
 
 
-@pytest.mark.parametrize(("diameter", "most"), [(5.0, 2.0), (6.5, 1.3), (8.0, 1.3)])
+@pytest.mark.parametrize(
+    ("diameter", "most"), [pytest.param(5.0, 2.0, marks=pytest.mark.slow), (6.5, 1.3), (8.0, 1.3)]
+)
 def test_two_discs_reach_their_joint_bound(diameter, most, learned):
     rng = np.random.default_rng(int(diameter))
     squared, least, stated, left = [], [], [], 0

@@ -8,6 +8,7 @@ from scenarios.run.library import run_scenario
 SHORT = "continuous/free_running_short"
 
 
+@pytest.mark.slow
 def test_other_models_are_scored_on_the_same_image_points():
     result = run_scenario(SHORT, {"continuous.compare": ["linear", "cubic"]})
     value = {metric.name: metric.value for metric in result.record.metrics}

@@ -103,7 +103,7 @@ def test_a_table_of_image_points_becomes_tracks(tmp_path, named):
         assert np.linalg.norm(true[np.arange(len(tracks)), column] - tracks.xyz, axis=1).max() < 5e-3
 
 
-@pytest.mark.parametrize("named", [True, False])
+@pytest.mark.parametrize("named", [pytest.param(True, marks=pytest.mark.slow), False])
 def test_cameras_of_a_table_that_were_started_apart_are_tied(tmp_path, named):
     """Frame numbers only: every camera counts from its own first frame."""
     table(tmp_path / "points.csv", named, late_s=(0.0, 0.111, 0.223), by_frame=True)
