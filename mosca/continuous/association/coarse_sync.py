@@ -2,10 +2,10 @@
 with.
 
 Rays of two cameras to one point lie in a plane with the line between the cameras (epipolar constraint), if and only
-if they were of one instant. So one camera's clock is shifted against the other's until most rays find
-a partner in their plane; chance partners are as many at any shift. The shift is found over the whole recording
-first, then in windows along it, through which a straight line goes: offset and drift. Curves (``estimate``) make it
-fine.
+if they were of one instant. So one camera's clock is shifted against the other's until most rays find a partner in
+their plane, in every part of the recording; chance partners are as many at any shift. The shift is found over the
+whole recording first, then in windows along it, through which a straight line goes: offset and drift. Curves
+(``estimate``) make it fine.
 """
 
 from collections.abc import Sequence
@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from scipy.stats import norm
+from scipy.stats import chi2, rankdata
 
 from mosca.camera.projection import lens_directions
 from mosca.continuous.association.frame_detections import CameraDetections
@@ -32,10 +32,13 @@ CLEAR = 8.0
 """Peak height of the best shift above the others, in their (robust) standard deviations, from which it is taken even
 where another one rivals it."""
 CHANCE = 1e-3
-"""Chance that the best of all shifts is as high though none is right; a shift without a rival is higher."""
+"""Chance that the best of all shifts fits as well though none is right."""
+RANKED = 100
+"""Steps to both sides that are compared at least, though fewer are searched: among few no rank is improbable."""
 RIVAL = 0.85
 """A second peak of at least this fraction of the best makes the shift ambiguous, as for periodic motion (gait)."""
 WINDOWS = 8
+"""Parts of a recording that are judged, and timed, each for itself."""
 DRIFT_FROM_S = 4.0
 """Shorter recordings do not determine a drift that matters in them."""
 WIDEST_DRIFT = 400e-6
@@ -75,33 +78,30 @@ def tied_clocks(
     ``search_s``: largest difference of the cameras' start times. InputError where the images do not determine it.
     """
     own_s = [one.time_s(int(one.frame_ns[0])) for one in seen]
-    ties: dict[int, ClockTie] = {0: ClockTie(int(seen[0].frame_ns[0]))}
     paths = [Tracklets.of(one, tracklet[c], own_s[c]) for c, one in enumerate(seen)]
-    waiting = list(range(1, len(seen)))
+    ties: dict[int, ClockTie] = {0: ClockTie(int(seen[0].frame_ns[0]))}
+    waiting: dict[int, ClockTie | None] = dict.fromkeys(range(1, len(seen)))
+    newest = 0
     while waiting:
-        best: tuple[int, ClockTie] | None = None
-        for c in waiting:
-            for known in ties:
-                pair = _Pair(
-                    rig.cameras[known], rig.cameras[c], max(seen[known].period_s, seen[c].period_s),
-                    Tracklets.of(seen[known], tracklet[known], ties[known].common_s(own_s[known])), paths[c]
-                )  # fmt: skip
+        held = Tracklets.of(seen[newest], tracklet[newest], ties[newest].common_s(own_s[newest]))
+        for c, so_far in waiting.items():
+            if so_far is None or so_far.clear < 3 * CLEAR:
+                period_s = max(seen[newest].period_s, seen[c].period_s)
+                pair = _Pair(rig.cameras[newest], rig.cameras[c], period_s, held, paths[c])
                 found = _searched(pair, search_s, int(seen[c].frame_ns[0]))
-                if found is not None and (best is None or found.clear > best[1].clear):
-                    best = c, found
-                if best is not None and best[0] == c and best[1].clear > 3 * CLEAR:
-                    break
-            if best is not None and best[0] == c:
-                break
-        if best is None:
+                if found is not None and (so_far is None or found.clear > so_far.clear):
+                    waiting[c] = found
+        told = {c: tie for c, tie in waiting.items() if tie is not None}
+        if not told:
             named = ", ".join(f"'{seen[c].info.name}'" for c in waiting)
             raise InputError(
                 f"camera {named}: no time offset within {search_s:g} s makes its images meet those of "
                 "another camera; check the rig's poses and that both film the same moving points, or give a "
                 "wider --search if they were started farther apart"
             )
-        ties[best[0]] = best[1]
-        waiting.remove(best[0])
+        newest = max(told, key=lambda c: told[c].clear)
+        ties[newest] = told[newest]
+        del waiting[newest]
     return tuple(ties[c] for c in range(len(seen)))
 
 
@@ -125,8 +125,7 @@ class _Pair:
         """Distance from the epipolar line at which a partner counts exp(-1/2) in the windows: as positions between
         exposures are known.
         """
-        between = np.hypot(self.path_a.interpolation_px, self.path_b.interpolation_px)
-        return float(np.clip(between, FINE_PX, COARSE_PX))
+        return max(float(np.hypot(self.path_a.interpolation_px, self.path_b.interpolation_px)), FINE_PX)
 
     def speed_px(self) -> float:
         """Return the upper quartile of the speed of image points in the camera searched [px/s]."""
@@ -142,20 +141,31 @@ def _searched(pair: _Pair, search_s: float, origin_ns: int) -> ClockTie | None:
     if speed <= 0.0:
         return None
     step = float(np.clip(COARSE_PX / speed, 0.1 * pair.period_s, 2.0 * pair.period_s))
-    begin_a, end_a = float(pair.path_a.time_s.min()), float(pair.path_a.time_s.max())
-    shifts = np.arange(-search_s, search_s + step, step)
+    most = int(np.ceil(search_s / step))
+    shifts = step * np.arange(-max(most, RANKED), max(most, RANKED) + 1)
     # compared where both may have run
-    votes, count = _votes(pair, _inner(begin_a, end_a), shifts, COARSE_PX)
-    enough = count >= 0.25 * count.max()
-    score = np.where(enough, votes / np.maximum(count, 1), 0.0)
+    begin_a, end_a = float(pair.path_a.time_s.min()), float(pair.path_a.time_s.max())
+    parts = np.array_split(_instants(pair.path_a, begin_a, end_a), WINDOWS)
+    each = [_votes(pair, instants, shifts, COARSE_PX) for instants in parts]
+    votes, count = (np.array(one) for one in zip(*each, strict=True))
+    asked = count.sum(axis=0)
+    enough = asked >= 0.25 * asked.max()
+    score = np.where(enough, votes.sum(axis=0) / np.maximum(asked, 1), 0.0)
     some = score[enough]
     middle = float(np.median(some))
     spread = 1.4826 * float(np.median(np.abs(some - middle))) + 1e-6
-    at = int(np.argmax(score))
-    clear = (float(score[at]) - middle) / max(spread, 0.005)
-    if clear < norm.isf(CHANCE / len(shifts)) or score[at] < middle + 0.1:
+    tried = enough & (np.abs(shifts) <= search_s + step)
+    chance = np.where(tried, log_chances(votes, count) + np.log(max(tried.sum(), 1)), 0.0)
+    height = score - middle
+    if chance.min() > np.log(CHANCE):
         return None
-    other = rival(score - middle, at)
+    begin, end = _extent(height, int(np.argmin(chance)))
+    at = begin + int(np.argmax(height[begin:end]))
+    clear = float(height[at]) / max(spread, 0.005)
+    if height[at] < 0.1:
+        return None
+    # what chance explains is no rival
+    other = rival(np.where(chance < np.log(CHANCE), height, np.minimum(height, 0.5 * height[at])), at)
     if clear < CLEAR and other is not None:
         return None
     # b's clock = shift + (1 + drift) a's: inverted
@@ -166,18 +176,39 @@ def _searched(pair: _Pair, search_s: float, origin_ns: int) -> ClockTie | None:
     )
 
 
+def log_chances(votes: Array, count: Array) -> Array:
+    """Return for each shift (n,) the logarithm of the chance that it fits as well in all parts though it is wrong.
+
+    ``votes``, ``count`` (parts, n) as of ``_votes``. Rays that meet by chance do so for as long as points move alike,
+    and how long that is depends on motion, number of points and overlap. So each part of the recording is ranked
+    among the shifts, which assumes nothing of the scores' distribution, and what the parts say is combined (Fisher
+    1932): the right shift is among the best in every part, chance lasts for one or two.
+    """
+    ran = count >= np.maximum(0.5 * count.max(axis=1, keepdims=True), 1)
+    total = np.zeros(votes.shape[1])
+    for own, vote, of in zip(ran, votes, count, strict=True):
+        if own.any():
+            total[own] -= np.log(rankdata(-vote[own] / of[own], method="max") / own.sum())
+    parts = ran.sum(axis=0)
+    return np.where(parts > 0, chi2.logsf(2.0 * total, 2 * np.maximum(parts, 1)), 0.0)
+
+
 def rival(score: Array, best: int) -> int | None:
     """Return the position of another maximum that is about as high as the ``best``, None where there is none.
 
     ``score`` (n,) above what chance makes; the top itself reaches down to half its height on both sides.
     """
-    low = np.flatnonzero(score < 0.5 * score[best])
-    begin = int(low[low < best].max(initial=-1)) + 1
-    end = int(low[low > best].min(initial=len(score)))
+    begin, end = _extent(score, best)
     others = score.copy()
     others[begin:end] = -np.inf
     second = int(np.argmax(others))
     return second if others[second] >= RIVAL * score[best] else None
+
+
+def _extent(score: Array, top: int) -> tuple[int, int]:
+    """Return begin and end of the positions about ``top`` that are at least half as high."""
+    low = np.flatnonzero(score < 0.5 * score[top])
+    return int(low[low < top].max(initial=-1)) + 1, int(low[low > top].min(initial=len(score)))
 
 
 def _line(pair: _Pair, shift: float, step: float, speed: float) -> tuple[float, float]:
@@ -192,7 +223,7 @@ def _line(pair: _Pair, shift: float, step: float, speed: float) -> tuple[float, 
     for a, b in pairwise(edges):
         reach = 2.0 * step + WIDEST_DRIFT * length
         near = shift + np.arange(-reach, reach + fine, fine)
-        votes, count = _votes(pair, _inner(a, b), near, pair.fine_px)
+        votes, count = _votes(pair, _instants(pair.path_a, a, b), near, pair.fine_px)
         score = votes / np.maximum(count, 1)
         if count.max() == 0:
             continue
@@ -260,6 +291,17 @@ def _world_rays(camera: Camera, places: ImageInterpolation) -> tuple[Array, Arra
     directions = lens_directions(camera.lens, places.xy_px) @ camera.world_from_camera.rotation.T
     known = np.isfinite(directions).all(axis=1)
     return places.instant[known], directions[known]
+
+
+def _instants(path: Tracklets, begin_s: float, end_s: float) -> Array:
+    """Return the instants of a comparison within a span, at exposures of the camera held where its positions between
+    them are worse than votes are wide. Else anywhere: at exposures of equal rates all the other camera's positions
+    are interpolated at one phase, with an error in common.
+    """
+    if path.interpolation_px <= COARSE_PX:
+        return _inner(begin_s, end_s)
+    times = np.unique(path.time_s[(path.time_s >= begin_s) & (path.time_s <= end_s)])
+    return times[np.unique(np.linspace(0, len(times) - 1, INSTANTS).round().astype(int))] if len(times) else times
 
 
 def _inner(begin_s: float, end_s: float) -> Array:
