@@ -173,6 +173,7 @@ def refine_region(
     middle = ((region.left + region.right + 1) // 2, (region.top + region.bottom + 1) // 2)
     reach = min(reach_of(size, blur), most)
     n, pixels = gather_whole(image, middle, size, reach, region, buffers)
+    whole = is_inside(image, middle, reach) and len(behind) == 0
     box = (region.left, region.right, region.top, region.bottom)
     background = min(corner_background(image, box, region.floor), float(region.threshold))
     bright, peak, light_sums = window_sums(n, pixels, region.floor, background)
@@ -198,7 +199,7 @@ def refine_region(
         sums.tallies[k, TRIED_SUM] += plain
         sums.tallies[k, SMEARED_SUM] += plain and is_smeared(fit.profile)
         plain &= is_plain(light.shape) and not is_smeared(fit.profile)
-        if m == 0 and (mapped or len(behind) > 0):  # other pixels were copied over those of the fit
+        if m == 0 and (mapped or not whole):  # other pixels were copied over those of the fit
             around = (x0, y0) if mapped else (0.0, 0.0)
             m = gather_mapped(image, behind, own, region, light.shape, around, reach, model, buffers)
         if m > 0:
