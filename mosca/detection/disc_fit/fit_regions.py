@@ -81,7 +81,8 @@ ROUGH_FACTOR, ROUGH_FLOOR = 4.0, 1e-4
 """A single target counts for the camera's usual misfit with at most so many times that, plus (1 %)^2."""
 MANY_SMEARED = 0.25
 """Share of a camera's round targets that no disc fits which are smeared by motion, from which all such are fitted
-with other shapes, not a few in an image alone: where nothing moves they are hidden in part, and it takes time."""
+with other shapes, not a few in an image alone: where nothing moves they are hidden in part, and it takes time. The
+same places with half and twice of it."""
 EACH, MOST_PROFILES = 8, 4
 """The sums of centroid and noise are added to for every so many targets, those of the profile for as many of them at
 most in an image; so are other shapes tried."""
