@@ -54,7 +54,7 @@ MOST_RATIO = {
     "balls_1p2px": 1.3, "balls_2px": 1.1, "balls_4px": 1.1, "balls_8px": 1.1, "defocus_4px": 1.1, "discs_8px": 1.1,
     "balls_20px": 1.1, "motion_6px": 1.1,
 }  # fmt: skip
-"""Rms over the bound; 1.1 is aimed at in the last."""
+"""Rms over the bound."""
 
 
 @pytest.mark.parametrize("name", MOST_RATIO)

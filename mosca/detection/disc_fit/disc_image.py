@@ -55,6 +55,13 @@ class Profile(NamedTuple):
 
 
 EVEN = Profile(0.0, 0.0, 0.0, 0.0, 0.0)
+"""An evenly bright disc that stands still."""
+
+
+@bare_step(fastmath=FAST)
+def even_as(profile: Profile) -> Profile:
+    """Return the profile of an evenly bright disc that moved alike."""
+    return Profile(0.0, 0.0, 0.0, profile.smear_x, profile.smear_y)
 
 
 @bare_step(fastmath=FAST)

@@ -20,6 +20,8 @@ MOST_STRETCHED = 0.85
 """Largest difference of moments that is corrected, as a share of their mean; beyond, pixels are too sparse."""
 LEAST_RADIUS = 0.4
 """Least radius that a fit starts from, in blurs."""
+NO_STRETCH = (1.0, 0.0, 1.0)
+"""The map of a round target."""
 CLIPPED_GAIN = 1.5
 """Factor from the peak of a saturated target to the amplitude that its fit starts from."""
 
@@ -107,7 +109,7 @@ def stretch(xx: float, xy: float, yy: float, blur: float, n: int) -> tuple[float
     size = max(0.5 * (xx + yy) - blur2, 0.5 * blur2)
     p, q = 0.5 * (xx - yy) / size, xy / size
     if p * p + q * q < least_difference(blur, n) ** 2:
-        return 1.0, 0.0, 1.0
+        return NO_STRETCH
     e = min(math.sqrt(p * p + q * q), MOST_STRETCHED)
     k = e / math.sqrt(p * p + q * q)
     # moments are proportional to [[1 + p, q], [q, 1 - p]]: its inverse root, by Cayley and Hamilton
@@ -132,7 +134,7 @@ def light_of(
     x, y, xx, xy, yy = central_moments(sums)
     pull_x, pull_y = (xx - yy) / (xx + yy), 2.0 * xy / (xx + yy)
     narrow = min(region.right - region.left, region.bottom - region.top) + 1 < TOLD_PX
-    shape = (1.0, 0.0, 1.0) if narrow and parts_of(blur) > 1 else stretch(xx, xy, yy, blur, region.n_px)
+    shape = NO_STRETCH if narrow and parts_of(blur) > 1 else stretch(xx, xy, yy, blur, region.n_px)
     return Light(
         peak, background, x, y, shape,
         math.sqrt(pull_x * pull_x + pull_y * pull_y), crowded, peak >= full_dn,

@@ -13,7 +13,7 @@ from mosca.data.arrays import Array
 from mosca.detection.centroid import X, Y
 from mosca.detection.disc_fit.disc_image import FAST, f32, is_profiled, is_smeared, parts_of
 from mosca.detection.disc_fit.ellipse import ellipticity_of
-from mosca.detection.disc_fit.first_values import Light, Region, first_disc, is_plain, light_of, reshaped
+from mosca.detection.disc_fit.first_values import NO_STRETCH, Light, Region, first_disc, is_plain, light_of, reshaped
 from mosca.detection.disc_fit.gauss_newton import DiscFit, DiscPrior, Model, Workspace, fit_disc
 from mosca.detection.disc_fit.hidden_background import compare_rims, refit_before, take_behind
 from mosca.detection.disc_fit.light_offset import (
@@ -42,7 +42,7 @@ from mosca.detection.disc_fit.pixels import (
 )
 from mosca.detection.disc_fit.priors import Priors, add_learned, disc_prior, even_prior, with_profile
 from mosca.detection.disc_fit.profile import add_profile
-from mosca.detection.disc_fit.refit_shape import NO_STRETCH, Buffers, gather_mapped, refit_shaped
+from mosca.detection.disc_fit.refit_shape import Buffers, gather_mapped, reach_around, refit_shaped
 from mosca.detection.disc_fit.residual_noise import add_residuals
 from mosca.detection.disc_fit.row import (
     BLUR,
@@ -129,9 +129,11 @@ def may_have_shape(n: int, fit: DiscFit, light: Light, tries: bool) -> bool:
     Under a sharp edge second moments are no measure of a shape, and small regions were taken for round.
     """
     sharp = parts_of(fit.blur) > 1 and not light.crowded
-    if light.saturated or not is_plain(light.shape):
-        return not light.saturated and (sharp or fit.chi2 > n)
-    return (sharp or tries) and fit.chi2 > (n - 6) * misfit_by_chance(n)
+    if light.saturated:
+        return False
+    if is_plain(light.shape):
+        return (sharp or tries) and fit.chi2 > (n - 6) * misfit_by_chance(n)
+    return sharp or fit.chi2 > n
 
 
 @bare_step(fastmath=FAST)
@@ -188,9 +190,10 @@ def refine_region(
     light = light_of(region, background, peak, light_sums, crowded, blur, model.full_dn)
     (m0, m1, m2), plain, (amplitude, radius) = light.shape, is_plain(light.shape), first_disc(region, light, blur)
     x0, y0 = m0 * light.x + m1 * light.y, m1 * light.x + m2 * light.y
-    symmetric, mapped = not light.crowded and not light.saturated, light.crowded or light.saturated or not plain
+    symmetric = not light.crowded and not light.saturated
+    mapped = not symmetric or not plain
     if mapped:
-        reach = min(radius + 3.0 * blur + 0.5, most)
+        reach = reach_around(radius, blur, buffers)
         n = gather_mapped(image, behind, own, region, light.shape, (x0, y0), reach, model, buffers)
         pixels = buffers.pixels
     start, padded = (x0, y0, amplitude, light.background, radius), (n + 7) // 8 * 8

@@ -9,7 +9,7 @@ mean over the window: the disc's amplitude is above the background around it.
 import math
 
 from mosca.data.arrays import Array
-from mosca.detection.disc_fit.disc_image import FAST, ZERO, Profile, disc_image, f32
+from mosca.detection.disc_fit.disc_image import FAST, ZERO, disc_image, even_as, f32
 from mosca.detection.disc_fit.gauss_newton import DiscFit, DiscPrior, Model, Workspace, fit_disc
 from mosca.detection.disc_fit.light_offset import N_RIMS, RIM_SUMS
 from mosca.numba_support.decorators import bare_step
@@ -90,7 +90,7 @@ def uncover(
         mean += behind[0, i]
     mean /= count
     x, y, radius, blur, level = f32(fit.x), f32(fit.y), f32(fit.radius), f32(fit.blur), f32(fit.background)
-    even = Profile(0.0, 0.0, 0.0, fit.profile.smear_x, fit.profile.smear_y)
+    even = even_as(fit.profile)
     if rim == 1.0:
         disc_image(n, pixels, (x, y, radius, blur), even, shape, work.image)
         for i in range(n):

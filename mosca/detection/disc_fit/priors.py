@@ -4,7 +4,7 @@ import math
 from typing import NamedTuple
 
 from mosca.data.arrays import Array
-from mosca.detection.disc_fit.disc_image import FAST, Profile
+from mosca.detection.disc_fit.disc_image import FAST, Profile, even_as
 from mosca.detection.disc_fit.gauss_newton import DiscFit, DiscPrior
 from mosca.detection.disc_fit.light_offset import AMPLITUDE_SUMS, BLUR_SUM, BLUR_WEIGHT
 from mosca.numba_support.decorators import bare_step
@@ -63,8 +63,7 @@ def with_profile(prior: DiscPrior, profile: Profile) -> DiscPrior:
 @bare_step(fastmath=FAST)
 def even_prior(k: int, priors: Priors, prior: DiscPrior, fit: DiscFit) -> DiscPrior:
     """Return ``prior`` for an evenly bright disc of camera k that moved as that of ``fit``."""
-    profile = Profile(0.0, 0.0, 0.0, fit.profile.smear_x, fit.profile.smear_y)
-    blur = priors.blurs[k, 0]
+    blur, profile = priors.blurs[k, 0], even_as(fit.profile)
     return DiscPrior(blur, prior.blur_sigma, prior.amplitude, prior.amplitude_sigma, prior.rim, profile)
 
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 from mosca.data.arrays import Array
 from mosca.detection.disc_fit.disc_image import FAST, parts_of
 from mosca.detection.disc_fit.ellipse import stretch_of, stretched
-from mosca.detection.disc_fit.first_values import Light, Region, is_plain, reshaped, turned
+from mosca.detection.disc_fit.first_values import NO_STRETCH, Light, Region, is_plain, reshaped, turned
 from mosca.detection.disc_fit.gauss_newton import DiscFit, DiscPrior, Model, Workspace, fit_disc
 from mosca.detection.disc_fit.hidden_background import take_behind
 from mosca.detection.disc_fit.pixels import RoundWindows, gather_unmarked, half_side, level_pixels, mark_foreign, pad
@@ -22,8 +22,6 @@ from mosca.numba_support.decorators import bare_step
 SHAPE_STEPS, SMEAR_STEPS, SHAPE_CHI2 = 3, 6, 4.0
 """Most steps of an ellipse's shape and of a smeared disc's; one whose chi-square (two degrees of freedom) is less is
 the last."""
-NO_STRETCH = (1.0, 0.0, 1.0)
-"""The map of a round target."""
 
 
 class Buffers(NamedTuple):
@@ -41,6 +39,12 @@ class Buffers(NamedTuple):
     """(N_TERMS,): terms of the offset."""
     behind: Array
     """(2, side^2 + OVER) float32: see ``take_behind``."""
+
+
+@bare_step(fastmath=FAST)
+def reach_around(radius: float, blur: float, buffers: Buffers) -> float:
+    """Return how far from its centre the pixels of a target are fitted, as far as the buffers hold them [px]."""
+    return min(radius + 3.0 * blur + 0.5, 0.5 * buffers.side - 2.0)
 
 
 @bare_step(fastmath=FAST)
@@ -93,8 +97,7 @@ def refit_smeared(
     amplitude, background = fit.amplitude * (fit.radius / radius) ** 2, fit.background
     for _ in range(SMEAR_STEPS):
         tried = with_profile(prior, smeared(prior.profile, way))
-        reach = radius + 0.5 * math.sqrt(math.hypot(way[0], way[1])) + 3.0 * prior.blur + 0.5
-        reach = min(reach, 0.5 * buffers.side - 2.0)
+        reach = reach_around(radius + 0.5 * math.sqrt(math.hypot(way[0], way[1])), prior.blur, buffers)
         n = gather_mapped(image, behind, own, region, NO_STRETCH, (x, y), reach, model, buffers)
         padded, start = (n + 7) // 8 * 8, (x, y, amplitude, background, radius)
         fit = fit_disc(padded, buffers.pixels, start, tried, model, not light.crowded, NO_STRETCH, buffers.fit)
@@ -125,7 +128,7 @@ def refit_shaped(
     it is. A round target that neither fits stays round.
     """
     first, first_light, plain, symmetric = fit, light, is_plain(light.shape), not light.crowded
-    reach, good = min(fit.radius + 3.0 * fit.blur + 0.5, 0.5 * buffers.side - 2.0), fit.converged
+    reach, good = reach_around(fit.radius, fit.blur, buffers), fit.converged
     n = gather_mapped(image, behind, own, region, light.shape, (fit.x, fit.y), reach, model, buffers)
     for _ in range(SHAPE_STEPS if plain or parts_of(fit.blur) > 1 else 0):
         change = stretch_of((n + 7) // 8 * 8, buffers.pixels, fit, model, light.shape, buffers.fit)

@@ -12,6 +12,7 @@ import math
 from mosca.data.arrays import Array
 from mosca.detection.disc_fit.disc_image import FAST, Profile
 from mosca.detection.disc_fit.ellipse import stretch_of
+from mosca.detection.disc_fit.first_values import NO_STRETCH
 from mosca.detection.disc_fit.gauss_newton import DiscFit, Model, Workspace
 from mosca.numba_support.decorators import bare_step
 
@@ -54,6 +55,6 @@ def changed_way(
 
     By the stretch (p, q) that its residuals show: it changes moments M by ``-(p, q) trace M``.
     """
-    change = stretch_of(n, pixels, fit, model, (1.0, 0.0, 1.0), work)
+    change = stretch_of(n, pixels, fit, model, NO_STRETCH, work)
     times = 24.0 * (0.5 * fit.radius * fit.radius + math.hypot(way[0], way[1]) / 12.0)
     return (way[0] - times * change.p, way[1] - times * change.q), change.chi2
