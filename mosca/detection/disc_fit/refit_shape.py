@@ -84,14 +84,12 @@ def refit_smeared(
     region: Region,
     light: Light,
     fit: DiscFit,
-    misfit: float,
     prior: DiscPrior,
     model: Model,
     buffers: Buffers,
 ) -> tuple[DiscFit, int, bool]:
     """Fit a region again as a disc that moved while it was exposed, starting from ``fit`` of an ellipse.
 
-    ``misfit``: chi-square per pixel of the ellipse; the way with the ellipse's moments leaves less, or it is none.
     Returns the fit, how many pixels ``buffers.pixels`` holds, and whether its way is settled.
     """
     way, radius, n = way_of(light.shape, fit.radius), still_radius(light.shape, fit.radius), 0
@@ -103,7 +101,7 @@ def refit_smeared(
         n = gather_mapped(image, behind, own, region, NO_STRETCH, (x, y), reach, model, buffers)
         padded, start = (n + 7) // 8 * 8, (x, y, amplitude, background, radius)
         fit = fit_disc(padded, buffers.pixels, start, tried, model, not light.crowded, NO_STRETCH, buffers.fit)
-        if not (fit.converged and fit.chi2 < misfit * n):
+        if not fit.converged:
             break
         x, y, amplitude, background, radius = fit.x, fit.y, fit.amplitude, fit.background, fit.radius
         way, chi2 = changed_way(way, padded, buffers.pixels, fit, model, buffers.fit)
@@ -144,8 +142,8 @@ def refit_shaped(
         fit = fit_disc((n + 7) // 8 * 8, buffers.pixels, start, prior, model, symmetric, light.shape, buffers.fit)
         good = fit.converged
     if good and not is_plain(light.shape) and fit.chi2 > n:
-        moving, m, settled = refit_smeared(image, behind, own, region, light, fit, fit.chi2 / n, prior, model, buffers)
-        if settled and moving.chi2 < (m - 6) * misfit_by_chance(m):
+        moving, m, settled = refit_smeared(image, behind, own, region, light, fit, prior, model, buffers)
+        if settled and moving.chi2 < min(fit.chi2 / n * m, (m - 6) * misfit_by_chance(m)):
             return moving, reshaped(light, NO_STRETCH), m
         if light.shape != first_light.shape:
             n = gather_mapped(image, behind, own, region, light.shape, (fit.x, fit.y), reach, model, buffers)
