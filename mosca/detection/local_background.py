@@ -57,6 +57,7 @@ class LocalBackground:
     rough: Array | None = None
     """(rows, columns) variance and texture where a pixel's own background is not known [DN^2]."""
     _limits: dict[tuple[float, tuple[int, int], Any], Array] = field(default_factory=dict, repr=False)
+    _behind: dict[tuple[int, int], Array] = field(default_factory=dict, repr=False)
 
     def plus(self, other: "LocalBackground | None") -> "LocalBackground":
         """Return the running mean of both, ``other`` being the later one."""
@@ -65,7 +66,7 @@ class LocalBackground:
         pixels = other.pixels if self.pixels is None else self.pixels.plus(other.pixels)
         if other.rough is not None and self.rough is None:
             # the first one without the texture
-            return replace(other, pixels=pixels, _limits={})
+            return replace(other, pixels=pixels, _limits={}, _behind={})
         count = min(self.count + other.count, MEMORY)
         share = other.count / count
         level, variance, texture = (
@@ -94,6 +95,22 @@ class LocalBackground:
         out = np.empty(shape, np.int32)
         interpolate_cells(FINENESS * self.level, float(np.iinfo(np.int32).max), out)
         return np.asarray(out / np.float32(FINENESS), np.float32)
+
+    def behind(self, shape: tuple[int, int]) -> Array:
+        """Return the texture of each pixel, and the standard deviation of its error (2, H, W) float32 [DN].
+
+        That is what the filling leaves where the pixel is not known; the noise of a known one's mean is left out.
+        """
+        if self.pixels is None:
+            return np.zeros((2, *shape), np.float32)
+        rough = self.variance + self.texture if self.rough is None else self.rough
+        if shape not in self._behind:
+            variance = np.empty(shape, np.int32)
+            interpolate_cells(FINENESS * self.pixels.fill_share * rough, float(np.iinfo(np.int32).max), variance)
+            variance[self.pixels.known] = 0
+            error = np.sqrt(variance / np.float32(FINENESS), dtype=np.float32)
+            self._behind[shape] = np.stack([self.pixels.behind, error])
+        return self._behind[shape]
 
     def limits(self, sigmas: float, shape: tuple[int, int], dtype: Any) -> Array:
         """Return for each pixel (H, W) the largest grey value within ``sigmas`` above the background."""

@@ -38,6 +38,7 @@ from mosca.detection.disc_fit.pixels import (
     made_window,
     reach_of,
     region_sums,
+    sure_pixels,
     window_sums,
 )
 from mosca.detection.disc_fit.priors import Priors, add_learned, disc_prior, even_prior, with_profile
@@ -181,6 +182,8 @@ def refine_region(
     background = min(corner_background(image, box, region.floor), float(region.threshold))
     bright, peak, light_sums = window_sums(n, pixels, region.floor, background)
     crowded = bright != region.n_px
+    if crowded and len(behind) > 0:
+        crowded = sure_pixels(n, pixels, behind, middle, region.floor, model.dark_dn2) > region.n_px
     if crowded:
         peak, light_sums = region_sums(image, own, middle, background)
     elif len(behind) > 0:

@@ -47,7 +47,7 @@ def take_behind(
     n, pixels, shape
         The pixels (5, n or more) of a fit and the symmetric matrix by which their offsets were mapped.
     behind
-        (H, W) what was subtracted from the image, after rounding it [DN].
+        (2, H, W) what was subtracted from the image, after rounding it, and its error [DN].
     middle
         Pixel (column, row) of the image at the offset (0, 0).
     slope
@@ -65,7 +65,7 @@ def take_behind(
         out[0, i], out[1, i] = ZERO, v[i]
         if there[i] > ZERO:
             column, row = round((m2 * x[i] - m1 * y[i]) / det), round((m0 * y[i] - m1 * x[i]) / det)
-            texture = behind[middle[1] + int(row), middle[0] + int(column)]
+            texture = behind[0, middle[1] + int(row), middle[0] + int(column)]
             out[0, i] = texture + f32(slope[0] * column + slope[1] * row)
             out[1, i] += f32(math.floor(texture + f32(0.5))) - texture
             count += there[i]

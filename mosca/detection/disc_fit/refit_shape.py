@@ -65,7 +65,9 @@ def gather_mapped(
     """
     middle = ((region.left + region.right + 1) // 2, (region.top + region.bottom + 1) // 2)
     side = 2 * min(half_side(shape, around, reach), buffers.side // 2) + 1
-    marked = mark_foreign(image, own, middle, region.floor, model.full_dn, side, buffers.marks)
+    marked = mark_foreign(
+        image, behind, own, middle, (region.floor, model.full_dn, model.dark_dn2), side, buffers.marks
+    )
     n: int = gather_unmarked(image, middle, shape, around, reach, buffers.marks[0], marked, buffers.pixels)
     pad(n, buffers.pixels)
     m0, m1, m2 = shape
