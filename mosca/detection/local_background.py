@@ -99,7 +99,7 @@ class LocalBackground:
     def behind(self, shape: tuple[int, int]) -> Array:
         """Return the texture of each pixel, and the standard deviation of its error (2, H, W) float32 [DN].
 
-        That is what the filling leaves where the pixel is not known; the noise of a known one's mean is left out.
+        That of the mean of as many images as voted; where the pixel is not known, what the filling leaves.
         """
         if self.pixels is None:
             return np.zeros((2, *shape), np.float32)
@@ -107,8 +107,10 @@ class LocalBackground:
         if shape not in self._behind:
             variance = np.empty(shape, np.int32)
             interpolate_cells(FINENESS * self.pixels.fill_share * rough, float(np.iinfo(np.int32).max), variance)
-            variance[self.pixels.known] = 0
-            error = np.sqrt(variance / np.float32(FINENESS), dtype=np.float32)
+            own = np.empty(shape, np.int32)
+            interpolate_cells(FINENESS * self.variance, float(np.iinfo(np.int32).max), own)
+            variance = np.where(self.pixels.known, own / np.maximum(self.pixels.votes, 1), variance)
+            error = np.sqrt(variance / FINENESS).astype(np.float32)
             self._behind[shape] = np.stack([self.pixels.behind, error])
         return self._behind[shape]
 

@@ -187,7 +187,9 @@ def refine_region(
     if crowded:
         peak, light_sums = region_sums(image, own, middle, background)
     elif len(behind) > 0:
-        take_behind(n, pixels, behind, middle, region.slope, NO_STRETCH, region.threshold, buffers.behind)
+        take_behind(
+            n, pixels, behind, middle, region.slope, NO_STRETCH, region.threshold, model.dark_dn2, buffers.behind
+        )
         peak, light_sums = uncovered_sums(n, pixels, region, background, priors, model, buffers)
     prior = disc_prior(k, priors, float(light_sums[0]))
     light = light_of(region, background, peak, light_sums, crowded, blur, model.full_dn)
@@ -269,7 +271,7 @@ def buffers_for(largest: int, blurs: Array) -> Buffers:
     return Buffers(
         side, np.empty((5, side * side + OVER), f32), windows, np.empty((4, side * side), np.uint8),
         Workspace(np.zeros((12, side * side + OVER), f32), np.empty((7, 8))), np.empty(N_TERMS),
-        np.empty((2, side * side + OVER), f32),
+        np.empty((4, side * side + OVER), f32),
     )  # fmt: skip
 
 

@@ -38,7 +38,7 @@ class Buffers(NamedTuple):
     terms: Array
     """(N_TERMS,): terms of the offset."""
     behind: Array
-    """(2, side^2 + OVER) float32: see ``take_behind``."""
+    """(4, side^2 + OVER) float32: see ``take_behind``."""
 
 
 @bare_step(fastmath=FAST)
@@ -74,7 +74,9 @@ def gather_mapped(
     det, (slope_x, slope_y) = m0 * m2 - m1 * m1, region.slope
     level_pixels(n, buffers.pixels, ((m2 * slope_x - m1 * slope_y) / det, (m0 * slope_y - m1 * slope_x) / det))
     if len(behind) > 0:
-        take_behind(n, buffers.pixels, behind, middle, region.slope, shape, region.threshold, buffers.behind)
+        take_behind(
+            n, buffers.pixels, behind, middle, region.slope, shape, region.threshold, model.dark_dn2, buffers.behind
+        )
     return n
 
 
