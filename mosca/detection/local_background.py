@@ -56,7 +56,7 @@ class LocalBackground:
     """Of each pixel, where the background is textured."""
     rough: Array | None = None
     """(rows, columns) variance and texture where a pixel's own background is not known [DN^2]."""
-    _limits: dict[tuple[float, tuple[int, int], Any], Array] = field(default_factory=dict, repr=False)
+    _limits: dict[tuple[float, tuple[int, int], Any, bool], Array] = field(default_factory=dict, repr=False)
     _behind: dict[tuple[int, int], Array] = field(default_factory=dict, repr=False)
 
     def plus(self, other: "LocalBackground | None") -> "LocalBackground":
@@ -114,13 +114,16 @@ class LocalBackground:
             self._behind[shape] = np.stack([self.pixels.behind, error])
         return self._behind[shape]
 
-    def limits(self, sigmas: float, shape: tuple[int, int], dtype: Any) -> Array:
-        """Return for each pixel (H, W) the largest grey value within ``sigmas`` above the background."""
-        key = (sigmas, shape, dtype)
+    def limits(self, sigmas: float, shape: tuple[int, int], dtype: Any, as_if_known: bool = False) -> Array:
+        """Return for each pixel (H, W) the largest grey value within ``sigmas`` above the background.
+
+        ``as_if_known``: those of the noise alone, as if no pixel's background had been filled.
+        """
+        key = (sigmas, shape, dtype, as_if_known)
         if key not in self._limits:
             limits, most = np.empty(shape, dtype), float(np.iinfo(dtype).max - 1)
             interpolate_cells(self.level + sigmas * np.sqrt(self.variance + self.texture), most, limits)
-            if self.rough is not None and self.pixels is not None:
+            if self.rough is not None and self.pixels is not None and not as_if_known:
                 unknown = np.empty(shape, dtype)
                 variance = self.variance + self.pixels.fill_share * self.rough
                 interpolate_cells(self.level + sigmas * np.sqrt(variance), most, unknown)

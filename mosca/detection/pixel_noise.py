@@ -173,5 +173,5 @@ def _made_noise(
     if settings.thresholds == "paper":
         limits = np.full(like.shape, search_of(settings, round(8 + np.log2(scale))).lowest + 1, like.dtype)
     else:
-        limits = background.limits(SEARCH_SIGMAS, like.shape, like.dtype)
+        limits = background.limits(SEARCH_SIGMAS, like.shape, like.dtype, as_if_known=True)
     return gain, background, limits
