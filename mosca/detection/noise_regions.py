@@ -279,7 +279,9 @@ def has_sure_pixel(runs: Array, values: Array, blob: Blob, behind: Array) -> boo
     limit = blob.level + SEARCH_SIGMAS * math.sqrt(blob.variance)
     for i in range(len(runs)):
         for k in range(runs[i, END] - runs[i, FIRST]):
-            if is_sure(values[runs[i, PLACE] + k] - limit, behind[1, runs[i, ROW], runs[i, FIRST] + k], blob.variance):
+            if is_sure(
+                values[runs[i, PLACE] + k] - limit, behind[1, runs[i, ROW], runs[i, FIRST] + k], blob.variance
+            ):
                 return True
     return False
 
