@@ -191,12 +191,18 @@ def detect_with_statistics(
     names, task = tuple(cameras), _task(settings, bit_depth, _METHODS[settings.centroid])
     measured = measured_backgrounds(images, dark, names, settings, statistics, refresh)
     known = statistics.plus(CameraStatistics(names, no_sums(n), measured)) if measured else statistics
-    behind = [None if background is None else background.astype(np.float32) for background in dark]
+    behind = [
+        None if background is None else np.stack([background, 0 * background]).astype(np.float32)
+        for background in dark
+    ]
     learns = [background is None and task.by_noise for background in dark]
     for k, name in enumerate(names):
         own = known.backgrounds[name].usable if learns[k] and name in known.backgrounds else None
         if own is not None and own.behind.shape == first.shape:
-            pixels[k], behind[k] = own.subtracted_from(pixels[k], int(task.full_dn)), own.behind
+            pixels[k], behind[k] = (
+                own.subtracted_from(pixels[k], int(task.full_dn)),
+                known.backgrounds[name].behind(first.shape),
+            )
     found, sums = _detect_alike(pixels, behind, names, settings, task, windows, known)
     for k, name in enumerate(names):
         if name in measured and learns[k] and known.backgrounds[name].textured:

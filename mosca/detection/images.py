@@ -21,8 +21,8 @@ class ImageSet(NamedTuple):
     limits: Array
     """Of the first pixel of each image's limits (n,) uint64, alike: pixels above theirs are looked at."""
     behind: Array
-    """Of the first pixel of each image's background texture (n,) uint64, float32 [DN], 0 where there is none: it was
-    subtracted though targets hide it."""
+    """Of the first pixel of each image's background texture (n,) uint64, (2, H, W) float32: what was subtracted
+    though targets hide it, and the standard deviation of its error [DN]; 0 where there is none."""
     like: Array
     """Of the pixels' type (0,): uint8 or uint16."""
     height: int
@@ -34,7 +34,7 @@ class ImageSet(NamedTuple):
 def image_set(images: Sequence[Array], limits: Sequence[Array], behind: Sequence[Array | None]) -> ImageSet:
     """Describe contiguous images (H, W), at least one, of one size and type (uint8 or uint16).
 
-    ``limits``: of each image, alike; ``behind``: float32, what was subtracted from it.
+    ``limits``: of each image, alike; ``behind``: (2, H, W) float32, what was subtracted from it and its error [DN].
     """
     height, width = images[0].shape
     addresses = np.array(
@@ -59,9 +59,12 @@ def pixels_of(images: ImageSet, k: int) -> Array:
 
 @step
 def behind_of(images: ImageSet, k: int) -> Array:
-    """Return what was subtracted from image k (H, W) float32 [DN], as a non-owning view; (0, 0) where nothing was."""
+    """Return what was subtracted from image k and its error (2, H, W) float32 [DN], as a non-owning view.
+
+    Empty where nothing was.
+    """
     there = np.int64(images.behind[k] != 0)
-    result: Array = array_at(images.behind[k], _TEXTURE, (there * images.height, there * images.width))
+    result: Array = array_at(images.behind[k], _TEXTURE, (2 * there, images.height, images.width))
     return result
 
 

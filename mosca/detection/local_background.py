@@ -56,7 +56,8 @@ class LocalBackground:
     """Of each pixel, where the background is textured."""
     rough: Array | None = None
     """(rows, columns) variance and texture where a pixel's own background is not known [DN^2]."""
-    _limits: dict[tuple[float, tuple[int, int], Any], Array] = field(default_factory=dict, repr=False)
+    _limits: dict[tuple[float, tuple[int, int], Any, bool], Array] = field(default_factory=dict, repr=False)
+    _behind: dict[tuple[int, int], Array] = field(default_factory=dict, repr=False)
 
     def plus(self, other: "LocalBackground | None") -> "LocalBackground":
         """Return the running mean of both, ``other`` being the later one."""
@@ -65,7 +66,7 @@ class LocalBackground:
         pixels = other.pixels if self.pixels is None else self.pixels.plus(other.pixels)
         if other.rough is not None and self.rough is None:
             # the first one without the texture
-            return replace(other, pixels=pixels, _limits={})
+            return replace(other, pixels=pixels, _limits={}, _behind={})
         count = min(self.count + other.count, MEMORY)
         share = other.count / count
         level, variance, texture = (
@@ -95,13 +96,34 @@ class LocalBackground:
         interpolate_cells(FINENESS * self.level, float(np.iinfo(np.int32).max), out)
         return np.asarray(out / np.float32(FINENESS), np.float32)
 
-    def limits(self, sigmas: float, shape: tuple[int, int], dtype: Any) -> Array:
-        """Return for each pixel (H, W) the largest grey value within ``sigmas`` above the background."""
-        key = (sigmas, shape, dtype)
+    def behind(self, shape: tuple[int, int]) -> Array:
+        """Return the texture of each pixel, and the standard deviation of its error (2, H, W) float32 [DN].
+
+        That of the mean of as many images as voted; where the pixel is not known, what the filling leaves.
+        """
+        if self.pixels is None:
+            return np.zeros((2, *shape), np.float32)
+        rough = self.variance + self.texture if self.rough is None else self.rough
+        if shape not in self._behind:
+            variance = np.empty(shape, np.int32)
+            interpolate_cells(FINENESS * self.pixels.fill_share * rough, float(np.iinfo(np.int32).max), variance)
+            own = np.empty(shape, np.int32)
+            interpolate_cells(FINENESS * self.variance, float(np.iinfo(np.int32).max), own)
+            variance = np.where(self.pixels.known, own / np.maximum(self.pixels.votes, 1), variance)
+            error = np.sqrt(variance / FINENESS).astype(np.float32)
+            self._behind[shape] = np.stack([self.pixels.behind, error])
+        return self._behind[shape]
+
+    def limits(self, sigmas: float, shape: tuple[int, int], dtype: Any, as_if_known: bool = False) -> Array:
+        """Return for each pixel (H, W) the largest grey value within ``sigmas`` above the background.
+
+        ``as_if_known``: those of the noise alone, as if no pixel's background had been filled.
+        """
+        key = (sigmas, shape, dtype, as_if_known)
         if key not in self._limits:
             limits, most = np.empty(shape, dtype), float(np.iinfo(dtype).max - 1)
             interpolate_cells(self.level + sigmas * np.sqrt(self.variance + self.texture), most, limits)
-            if self.rough is not None and self.pixels is not None:
+            if self.rough is not None and self.pixels is not None and not as_if_known:
                 unknown = np.empty(shape, dtype)
                 variance = self.variance + self.pixels.fill_share * self.rough
                 interpolate_cells(self.level + sigmas * np.sqrt(variance), most, unknown)

@@ -11,7 +11,8 @@ import numpy as np
 
 from mosca.data.arrays import Array
 from mosca.detection.bright_runs import BrightPixels
-from mosca.detection.images import ImageSet, image_of
+from mosca.detection.disc_fit.pixels import is_sure
+from mosca.detection.images import ImageSet, behind_of, image_of
 from mosca.detection.local_background import nearest_cell, plane_at
 from mosca.detection.pixel_noise import SEARCH_SIGMAS, PixelNoise
 from mosca.detection.region_growth import grow_regions
@@ -87,6 +88,8 @@ class Place(NamedTuple):
     """Its number."""
     pixels: Array
     """(H, W) grey values."""
+    behind: Array
+    """(2, H, W), see ``mosca.detection.images.ImageSet``."""
     found: Array
     """(m, 3) runs, as in ``FoundRegions``."""
     regions: Array
@@ -270,6 +273,19 @@ def examine(
     return n, r
 
 
+@bare_step
+def has_sure_pixel(runs: Array, values: Array, blob: Blob, behind: Array) -> bool:
+    """Return whether a blob is more than an error of what was subtracted: one of its pixels is above that, too."""
+    limit = blob.level + SEARCH_SIGMAS * math.sqrt(blob.variance)
+    for i in range(len(runs)):
+        for k in range(runs[i, END] - runs[i, FIRST]):
+            if is_sure(
+                values[runs[i, PLACE] + k] - limit, behind[1, runs[i, ROW], runs[i, FIRST] + k], blob.variance
+            ):
+                return True
+    return False
+
+
 @step
 def decide(
     runs: Array, values: Array, search: Search, noise: PixelNoise, place: Place, n: int, r: int
@@ -281,6 +297,9 @@ def decide(
     for b in range(len(start) - 1):
         own = runs[start[b] : start[b + 1]]
         blob = blob_of(own, values, noise, place.image, place.pixels.shape)
+        if len(place.behind) > 0 and not has_sure_pixel(own, values, blob, place.behind):
+            place.left_out[NOISE] += 1.0
+            continue
         m, joined = trim_runs(own, values, blob.cut, cut)
         if joined:
             part = part_of(cut[:m], values, blob.cut)
@@ -322,7 +341,7 @@ def decide_in_set(
     for k in range(len(run_start) - 1):
         own_runs = bright.runs[run_start[k] : run_start[k + 1]]
         own_values = values[value_start[k] : value_start[k + 1]]
-        place = Place(k, image_of(images, k), found, regions, of_regions, left_out[k])
+        place = Place(k, image_of(images, k), behind_of(images, k), found, regions, of_regions, left_out[k])
         n, r = decide(own_runs, own_values, search, noise, place, n, r)
     return FoundRegions(found[:n], regions[:r], of_regions[:r])
 

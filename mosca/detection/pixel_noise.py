@@ -20,10 +20,9 @@ from mosca.data.settings import DetectionSettings
 from mosca.detection.disc_fit.camera_statistics import CameraStatistics
 from mosca.detection.disc_fit.light_offset import AMPLITUDE_SUMS, NOISE_SUMS, StatisticsSums
 from mosca.detection.local_background import ROUNDING_DN2, LocalBackground, cell_grid, measure_background
+from mosca.detection.search import SEARCH_SIGMAS as SEARCH_SIGMAS
 from mosca.detection.settings import search_of
 
-SEARCH_SIGMAS = 4.0
-"""Pixels that are looked at lie so many standard deviations above the background: 3 in 100,000 without a target."""
 TOLD_APART = 2.0
 """Standard deviations that a gain must have."""
 GUESSED_DARK_E = 12.0
@@ -174,5 +173,5 @@ def _made_noise(
     if settings.thresholds == "paper":
         limits = np.full(like.shape, search_of(settings, round(8 + np.log2(scale))).lowest + 1, like.dtype)
     else:
-        limits = background.limits(SEARCH_SIGMAS, like.shape, like.dtype)
+        limits = background.limits(SEARCH_SIGMAS, like.shape, like.dtype, as_if_known=True)
     return gain, background, limits

@@ -11,6 +11,9 @@ import numpy as np
 from mosca.data.arrays import Array
 from mosca.numba_support.decorators import bare_step
 
+SEARCH_SIGMAS = 4.0
+"""Pixels that are looked at lie so many standard deviations above the background: 3 in 100,000 without a target."""
+
 ROW, FIRST, END, PLACE = range(4)
 """Columns of a table of runs: row, first column, end column, and index of its first pixel among the ``values``, the
 grey values of all bright pixels of an image in raster order."""

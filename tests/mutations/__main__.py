@@ -75,8 +75,8 @@ def table(outcomes: Sequence[Outcome]) -> str:
     lines = [
         "# Bugs that are noticed",
         "",
-        f"{caught} of {len(outcomes)} planted bugs are noticed. `python -m tests.mutations --table docs/mutations.md`",
-        "writes this page; `tests/mutations` holds the lists.",
+        f"{caught} of {len(outcomes)} planted bugs are noticed; `tests/mutations` holds the lists.",
+        "`python -m tests.mutations --table docs/mutations.md` writes this page.",
         "",
         "| bug | file | noticed by |",
         "|---|---|---|",

@@ -72,7 +72,7 @@ def lay_out(n: int, pixels: Array, fit: DiscFit, shape: tuple[float, float, floa
     a, b = f32(fit.amplitude), f32(fit.background)
     for i in range(n):
         image[NUMBER, i] = -ONE
-        if there[i] > ZERO:
+        if there[i] > HALF:  # less: its background is hardly known
             u, w = i0 * x[i] + i1 * y[i], i1 * x[i] + i2 * y[i]
             k = math.floor(w + HALF) * side + math.floor(u + HALF) + middle
             image[NUMBER, i] = f32(k)

@@ -38,6 +38,7 @@ from mosca.detection.disc_fit.pixels import (
     made_window,
     reach_of,
     region_sums,
+    sure_pixels,
     window_sums,
 )
 from mosca.detection.disc_fit.priors import Priors, add_learned, disc_prior, even_prior, with_profile
@@ -181,10 +182,14 @@ def refine_region(
     background = min(corner_background(image, box, region.floor), float(region.threshold))
     bright, peak, light_sums = window_sums(n, pixels, region.floor, background)
     crowded = bright != region.n_px
+    if crowded and len(behind) > 0:
+        crowded = sure_pixels(n, pixels, behind, middle, region.floor, model.dark_dn2) > region.n_px
     if crowded:
         peak, light_sums = region_sums(image, own, middle, background)
     elif len(behind) > 0:
-        take_behind(n, pixels, behind, middle, region.slope, NO_STRETCH, region.threshold, buffers.behind)
+        take_behind(
+            n, pixels, behind, middle, region.slope, NO_STRETCH, region.threshold, model.dark_dn2, buffers.behind
+        )
         peak, light_sums = uncovered_sums(n, pixels, region, background, priors, model, buffers)
     prior = disc_prior(k, priors, float(light_sums[0]))
     light = light_of(region, background, peak, light_sums, crowded, blur, model.full_dn)
@@ -266,7 +271,7 @@ def buffers_for(largest: int, blurs: Array) -> Buffers:
     return Buffers(
         side, np.empty((5, side * side + OVER), f32), windows, np.empty((4, side * side), np.uint8),
         Workspace(np.zeros((12, side * side + OVER), f32), np.empty((7, 8))), np.empty(N_TERMS),
-        np.empty((2, side * side + OVER), f32),
+        np.empty((4, side * side + OVER), f32),
     )  # fmt: skip
 
 

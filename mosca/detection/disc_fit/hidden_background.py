@@ -9,7 +9,7 @@ mean over the window: the disc's amplitude is above the background around it.
 import math
 
 from mosca.data.arrays import Array
-from mosca.detection.disc_fit.disc_image import FAST, ZERO, disc_image, even_as, f32
+from mosca.detection.disc_fit.disc_image import FAST, ONE, ZERO, disc_image, even_as, f32
 from mosca.detection.disc_fit.gauss_newton import DiscFit, DiscPrior, Model, Workspace, fit_disc
 from mosca.detection.disc_fit.light_offset import N_RIMS, RIM_SUMS
 from mosca.numba_support.decorators import bare_step
@@ -36,43 +36,51 @@ def take_behind(
     slope: tuple[float, float],
     shape: tuple[float, float, float],
     threshold: int,
+    dark_dn2: float,
     out: Array,
 ) -> None:
-    """Write to ``out`` what was subtracted at n pixels, and their grey values, which it had rounded.
+    """Write to ``out`` what was subtracted at n pixels, their grey values, which it had rounded, and its error.
 
-    And add it, less its mean, to the grey values of the region's pixels.
+    And add it, less its mean, to the grey values of the region's pixels; the others count less by its error.
 
     Parameters
     ----------
     n, pixels, shape
         The pixels (5, n or more) of a fit and the symmetric matrix by which their offsets were mapped.
     behind
-        (H, W) what was subtracted from the image, after rounding it [DN].
+        (2, H, W) what was subtracted from the image, after rounding it, and its error [DN].
     middle
         Pixel (column, row) of the image at the offset (0, 0).
     slope
         Of the background there by x and y [DN/px], which ``level_pixels`` took out.
     threshold
         The region's pixels are above it [DN].
+    dark_dn2
+        Variance of a pixel [DN^2].
     out
-        (2, n or more) float32.
+        (4, n or more) float32. The last two: whether there is a pixel, and the error's variance over ``dark_dn2``.
     """
-    x, y, there, v = pixels[0], pixels[1], pixels[3], pixels[4]
+    x, y, there, v, present = pixels[0], pixels[1], pixels[3], pixels[4], out[2]
     m0, m1, m2 = shape
     det = m0 * m2 - m1 * m1
-    count = mean = ZERO
+    mean = ZERO
     for i in range((n + 7) // 8 * 8):  # with their padding
-        out[0, i], out[1, i] = ZERO, v[i]
-        if there[i] > ZERO:
+        out[0, i], out[1, i], out[3, i] = ZERO, v[i], ZERO
+        present[i] = there[i] = ONE if i < n else ZERO
+        if i < n:
             column, row = round((m2 * x[i] - m1 * y[i]) / det), round((m0 * y[i] - m1 * x[i]) / det)
-            texture = behind[middle[1] + int(row), middle[0] + int(column)]
+            texture = behind[0, middle[1] + int(row), middle[0] + int(column)]
+            error = behind[1, middle[1] + int(row), middle[0] + int(column)]
+            out[3, i] = error * error / f32(dark_dn2)
             out[0, i] = texture + f32(slope[0] * column + slope[1] * row)
             out[1, i] += f32(math.floor(texture + f32(0.5))) - texture
-            count += there[i]
             mean += out[0, i]
-    mean /= count
+    mean /= f32(n)
     for i in range(n):
-        v[i] += (v[i] > threshold) * there[i] * (out[0, i] - mean)
+        if v[i] > threshold:
+            v[i] += out[0, i] - mean
+        else:
+            there[i] = ONE / (ONE + out[3, i])
 
 
 @bare_step(fastmath=FAST)
@@ -83,10 +91,10 @@ def uncover(
 
     ``rim``: see ``RIMS``; the others as in ``refit_before``.
     """
-    there, v, coverage = pixels[3], pixels[4], work.image[0]
+    there, v, coverage, present = pixels[3], pixels[4], work.image[0], behind[2]
     count = mean = ZERO
     for i in range(n):
-        count += there[i]
+        count += present[i]
         mean += behind[0, i]
     mean /= count
     x, y, radius, blur, level = f32(fit.x), f32(fit.y), f32(fit.radius), f32(fit.blur), f32(fit.background)
@@ -94,23 +102,24 @@ def uncover(
     if rim == 1.0:
         disc_image(n, pixels, (x, y, radius, blur), even, shape, work.image)
         for i in range(n):
-            v[i] = behind[1, i] + coverage[i] * there[i] * (behind[0, i] - mean)
+            v[i] = behind[1, i] + coverage[i] * present[i] * (behind[0, i] - mean)
+            there[i] = present[i] / (ONE + behind[3, i] * (ONE - coverage[i]) * (ONE - coverage[i]))
         return
     disc_image(n, pixels, (x, y, f32(rim) * radius, blur), even, shape, work.image)
     for i in range(n):
-        v[i] = behind[1, i] + coverage[i] * there[i] * (level + behind[0, i])
+        v[i] = behind[1, i] + coverage[i] * present[i] * (level + behind[0, i])
+        there[i] = present[i] / (ONE + behind[3, i] * (ONE - coverage[i]) * (ONE - coverage[i]))
     disc_image(n, pixels, (x, y, radius, blur), even, shape, work.image)
     for i in range(n):
-        v[i] -= coverage[i] * there[i] * (level + mean)
+        v[i] -= coverage[i] * present[i] * (level + mean)
 
 
 @bare_step(fastmath=FAST)
-def is_even(n: int, pixels: Array, behind: Array, dark_dn2: float) -> bool:
+def is_even(n: int, behind: Array, dark_dn2: float) -> bool:
     """Return whether what was subtracted at n pixels is the same but for ``EVEN_SHARE`` of their dark noise."""
-    there = pixels[3]
     count = mean = square = ZERO
     for i in range(n):
-        count += there[i]
+        count += behind[2, i]
         mean += behind[0, i]
         square += behind[0, i] * behind[0, i]
     result: bool = float(square - mean * mean / count) < EVEN_SHARE * dark_dn2 * float(count)
@@ -129,11 +138,11 @@ def refit_before(
     symmetric: bool,
     work: Workspace,
 ) -> DiscFit:
-    """Fit a disc to n pixels again, less ``behind`` (2, n or more, from ``take_behind``) where it does not hide it.
+    """Fit a disc to n pixels again, less ``behind`` (4, n or more, from ``take_behind``) where it does not hide it.
 
     The others as in ``fit_disc``. An even background leaves the fit as it is.
     """
-    if is_even(n, pixels, behind, model.dark_dn2):
+    if is_even(n, behind, model.dark_dn2):
         return fit
     for _ in range(MOST_FITS):
         uncover(n, pixels, behind, shape, fit, prior.rim, work)

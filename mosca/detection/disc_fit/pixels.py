@@ -10,6 +10,7 @@ import numpy as np
 
 from mosca.data.arrays import Array
 from mosca.detection.disc_fit.disc_image import FAST, ONE, ZERO, f32, parts_of
+from mosca.detection.search import SEARCH_SIGMAS
 from mosca.numba_support.decorators import bare_step
 from mosca.numba_support.intrinsics import array_at, copy_16
 
@@ -262,16 +263,44 @@ def span_within(
 
 
 @bare_step(fastmath=FAST)
+def is_sure(over: Any, error: Any, dark_dn2: float) -> bool:
+    """Return whether a pixel that is ``over`` the limit of noise alone [DN] is also above the background's error."""
+    result: bool = over > SEARCH_SIGMAS * (math.sqrt(dark_dn2 + error * error) - math.sqrt(dark_dn2))
+    return result
+
+
+@bare_step(fastmath=FAST)
+def sure_pixels(n: int, pixels: Array, behind: Array, middle: tuple[int, int], floor: int, dark_dn2: float) -> int:
+    """Return how many of n pixels are above ``floor``, and above what an unknown background explains."""
+    count = 0
+    for i in range(n):
+        over = pixels[V, i] - floor
+        if over > 0:
+            row, column = middle[1] + int(pixels[Y, i]), middle[0] + int(pixels[X, i])
+            count += is_sure(over, behind[1, row, column], dark_dn2)
+    return count
+
+
+@bare_step(fastmath=FAST)
 def mark_foreign(
-    image: Array, runs: Array, centre: tuple[int, int], floor: int, full: float, side: int, marks: Array
+    image: Array,
+    behind: Array,
+    runs: Array,
+    centre: tuple[int, int],
+    limits: tuple[int, float, float],
+    side: int,
+    marks: Array,
 ) -> Marked:
     """Mark in ``marks[0]`` (side * side,), centred on the pixel ``centre``, what is left out of the fit of a region.
 
-    These are saturated pixels, and pixels above ``floor`` that are not the region's own, dilated by 2 px, as far as a
-    blurred edge reaches below the floor; by 1 px where the dilation covers the region's own. Row follows row without
-    a gap, so that the dilation of a pixel in one of the two outermost columns is marked in the next row too: they are
-    not to be used. ``marks`` (4, side * side or more): the other rows are working memory.
+    These are saturated pixels, and pixels above the floor, and above what an unknown background explains, that are
+    not the region's own, dilated by 2 px, as far as a blurred edge reaches below the floor; by 1 px where the
+    dilation covers the region's own. Row follows row without a gap, so that the dilation of a pixel in one of the two
+    outermost columns is marked in the next row too: they are not to be used. ``behind``: as in ``take_behind``;
+    ``limits``: floor and saturation [DN], and the variance of a pixel [DN^2]; ``marks`` (4, side * side or more): the
+    other rows are working memory.
     """
+    floor, full, dark_dn2 = limits
     height, width = len(image), len(image[0])
     left, top = centre[0] - side // 2, centre[1] - side // 2
     n = side * side
@@ -290,6 +319,10 @@ def mark_foreign(
             value = line[np.uint64(left + first) + np.uint64(k)]
             out[at + np.uint64(k)] = value >= full
             others[at + np.uint64(k)] = (value > floor) & (own[at + np.uint64(k)] == 0)
+        for k in range(end - first if len(behind) > 0 else 0):
+            over = int(line[left + first + k]) - floor
+            if over > 0 and not is_sure(over, behind[1, top + j, left + first + k], dark_dn2):
+                others[at + np.uint64(k)] = 0
     # by 1 px to all sides, then by another
     dilate(others, wide, n, side)
     for k in range(n):

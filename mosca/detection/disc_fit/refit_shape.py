@@ -38,7 +38,7 @@ class Buffers(NamedTuple):
     terms: Array
     """(N_TERMS,): terms of the offset."""
     behind: Array
-    """(2, side^2 + OVER) float32: see ``take_behind``."""
+    """(4, side^2 + OVER) float32: see ``take_behind``."""
 
 
 @bare_step(fastmath=FAST)
@@ -65,14 +65,18 @@ def gather_mapped(
     """
     middle = ((region.left + region.right + 1) // 2, (region.top + region.bottom + 1) // 2)
     side = 2 * min(half_side(shape, around, reach), buffers.side // 2) + 1
-    marked = mark_foreign(image, own, middle, region.floor, model.full_dn, side, buffers.marks)
+    marked = mark_foreign(
+        image, behind, own, middle, (region.floor, model.full_dn, model.dark_dn2), side, buffers.marks
+    )
     n: int = gather_unmarked(image, middle, shape, around, reach, buffers.marks[0], marked, buffers.pixels)
     pad(n, buffers.pixels)
     m0, m1, m2 = shape
     det, (slope_x, slope_y) = m0 * m2 - m1 * m1, region.slope
     level_pixels(n, buffers.pixels, ((m2 * slope_x - m1 * slope_y) / det, (m0 * slope_y - m1 * slope_x) / det))
     if len(behind) > 0:
-        take_behind(n, buffers.pixels, behind, middle, region.slope, shape, region.threshold, buffers.behind)
+        take_behind(
+            n, buffers.pixels, behind, middle, region.slope, shape, region.threshold, model.dark_dn2, buffers.behind
+        )
     return n
 
 
