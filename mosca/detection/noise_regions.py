@@ -11,7 +11,6 @@ import numpy as np
 
 from mosca.data.arrays import Array
 from mosca.detection.bright_runs import BrightPixels
-from mosca.detection.disc_fit.pixels import is_sure
 from mosca.detection.images import ImageSet, behind_of, image_of
 from mosca.detection.local_background import nearest_cell, plane_at
 from mosca.detection.pixel_noise import SEARCH_SIGMAS, PixelNoise
@@ -32,6 +31,7 @@ from mosca.detection.search import (
     UNEVEN,
     FoundRegions,
     Search,
+    is_sure,
 )  # fmt: skip
 from mosca.detection.threshold_regions import blobs_of, passes_below, runs_above, survey, write_grown, write_whole
 from mosca.numba_support.decorators import bare_step, step

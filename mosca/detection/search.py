@@ -4,6 +4,7 @@ A *run* is a row of adjoining pixels above a threshold. A *region* is an accepte
 defines which regions are).
 """
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -82,3 +83,13 @@ def box_of(runs: Array, begin: int, end: int) -> tuple[tuple[Any, Any, Any, Any]
         right = max(right, runs[i, 2])
         n += runs[i, 2] - runs[i, 1]
     return (np.int64(left), np.int64(right - 1), np.int64(runs[begin, 0]), np.int64(runs[end - 1, 0])), n
+
+
+@bare_step
+def is_sure(over: Any, error: Any, dark_dn2: float) -> bool:
+    """Return whether a pixel that is ``over`` the limit of noise alone [DN] is also above the background's error.
+
+    ``error``: standard deviation of what was subtracted [DN]; ``dark_dn2``: variance of a pixel [DN^2].
+    """
+    result: bool = over > SEARCH_SIGMAS * (math.sqrt(dark_dn2 + error * error) - math.sqrt(dark_dn2))
+    return result

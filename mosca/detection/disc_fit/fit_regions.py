@@ -27,6 +27,7 @@ from mosca.detection.disc_fit.light_offset import (
     moved,
     no_sums_compiled,
 )
+from mosca.detection.disc_fit.neighbours import sure_pixels
 from mosca.detection.disc_fit.pixels import (
     OVER,
     RoundWindows,
@@ -38,7 +39,6 @@ from mosca.detection.disc_fit.pixels import (
     made_window,
     reach_of,
     region_sums,
-    sure_pixels,
     window_sums,
 )
 from mosca.detection.disc_fit.priors import Priors, add_learned, disc_prior, even_prior, with_profile

@@ -13,7 +13,8 @@ from mosca.detection.disc_fit.ellipse import stretch_of, stretched
 from mosca.detection.disc_fit.first_values import NO_STRETCH, Light, Region, is_plain, reshaped, turned
 from mosca.detection.disc_fit.gauss_newton import DiscFit, DiscPrior, Model, Workspace, fit_disc
 from mosca.detection.disc_fit.hidden_background import take_behind
-from mosca.detection.disc_fit.pixels import RoundWindows, gather_unmarked, half_side, level_pixels, mark_foreign, pad
+from mosca.detection.disc_fit.neighbours import gather_unmarked, half_side, mark_foreign
+from mosca.detection.disc_fit.pixels import RoundWindows, level_pixels, pad
 from mosca.detection.disc_fit.priors import with_profile
 from mosca.detection.disc_fit.row import misfit_by_chance
 from mosca.detection.disc_fit.smear import changed_way, smeared, still_radius, way_of
