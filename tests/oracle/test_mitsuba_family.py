@@ -75,9 +75,11 @@ def test_points_reach_their_bound_and_state_their_errors(name: str, tmp_path: Pa
 def test_targets_before_a_bright_grainy_floor_are_found_and_state_their_errors(tmp_path: Path) -> None:
     render, _ = rendered(scene := read_scene(SCENES / "bright_floor.toml"), cache_folder())
     values = write_recording(scene, render, tmp_path / "a")
-    complete, _, nees, within, _ = point_figures(tmp_path / "a", values)
+    complete, ratio, nees, within, _ = point_figures(tmp_path / "a", values)
     assert complete >= 0.995
-    assert 2.4 <= nees <= 3.8  # 3.6 and 0.93 are aimed at: slow targets before a floor that is never seen
+    # 1.1, 3.6 and 0.93 are aimed at: slow targets before a floor that is never seen
+    assert ratio <= 1.4
+    assert 2.4 <= nees <= 3.7
     assert within >= 0.9
     # the control: a run that learns the floor only while it runs misses targets of its first frame sets
     assert point_figures(tmp_path / "a", values, lookahead=0)[0] < 0.98

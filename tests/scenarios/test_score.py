@@ -46,6 +46,13 @@ def test_the_calibrations_share_is_added_to_the_measurements_covariance():
     assert sorted(set(np.round(pair(tracks(rows), truth(), SPACE).nees, 9))) == pytest.approx([1.0, 4.0])
 
 
+def test_coverage_is_of_the_ellipsoid_of_95_percent_in_space():
+    # chi-square of 3 degrees of freedom: 7.815 at 0.95; three of four errors with a sigma of 1 mm lie below
+    away = 1e-3 * np.sqrt([7.7, 7.7, 7.7, 7.9])
+    m = metrics(pair(tracks([(f, 0, away[f], 0, 0) for f in range(4)]), truth(), SPACE), SPACE)
+    assert m["coverage95"].value == pytest.approx(0.75)
+
+
 def falling(frames=6, hidden=()):
     """Truth at 100 Hz of a marker that falls: z = -g t^2 / 2; not known in the frames ``hidden``."""
     at = truth(frames, markers=((0, 0, 0),))
