@@ -230,7 +230,7 @@ def summary_table(records: Sequence[RunRecord]) -> Table:
         table.add_column(name.replace("_", " "), justify="right")
     table.add_column("s", justify="right")
     for record in records:
-        broken = not record.not_judged or any(metric.passed is False for metric in record.metrics)
+        broken = not record.not_judged or any(metric.as_it_must is False for metric in record.metrics)
         verdict = "[green]pass[/]" if record.passed else "[red]FAIL[/]" if broken else "not judged"
         cells = [_cell(record.metric(name)) for name in columns]
         table.add_row(escape(record.scenario), verdict, *cells, f"{total_seconds(record):.1f}")
@@ -247,7 +247,7 @@ def _cell(metric: Metric | None) -> str:
         sign = "<=" if metric.sense == "at_most" else ">="
         text += f" [dim]{sign} {figure(numbers[1])}[/]"
     text += f" {unit}" if unit else ""
-    return f"[red]{text}[/]" if metric.passed is False else text
+    return f"[red]{text}[/]" if metric.as_it_must is False else text
 
 
 def total_seconds(record: RunRecord) -> float:

@@ -132,6 +132,9 @@ class TruthPairs:
     """Of each pair (k,): normalised estimation error squared."""
     residual_px: Array
     n_cameras: Array
+    """Of each pair (k,): number of cameras that the sample was made of."""
+    views: Array
+    """Of each pair (k,): number of cameras that saw the marker, from the truth alone."""
     seen: Array
     """Number of seen markers of each frame (t,)."""
     missed: Array
