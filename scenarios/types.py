@@ -186,6 +186,8 @@ class MeasuredTracks:
     poses: BodyPoses | None = None
     calibration_m2: Callable[[Array], Array] | None = None
     """Covariance (n, 3, 3) [m^2] that the error of the run's own calibration adds to points (n, 3) [m]."""
+    nominal: Rig | None = None
+    """The standing cameras with the pipeline's lens model fitted to the true lenses, where these are known."""
 
 
 @dataclass(frozen=True, eq=False)
