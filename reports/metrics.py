@@ -83,11 +83,11 @@ METRICS = {
 
 position_rms (sum of squared 3D errors [m^2], samples); relative_accuracy (the same sums, samples times the
 working space squared [m^2]); other root mean squares (sum of squares, items); position_p95 (the block's own p95 times
-samples, samples); position_max (the block's largest, 1); completeness (matched, seen); rays_used (images that a point was
-made of, cameras that saw its marker); ghosts_per_frame (ghosts,
-frames); identity_switches (switches, 1 / number of blocks); nees (sum of NEES, samples); coverage95 (samples inside,
-samples); hota and efficiency (the block's own figure times samples, samples); latency_p99 and frame_rate (the block's
-own figure times frames, frames). A block without samples has weight 0."""
+samples, samples); position_max (the block's largest, 1); completeness (matched, seen); rays_used (images of which
+points were made, cameras that saw their markers); ghosts_per_frame (ghosts, frames); identity_switches (switches, 1 /
+number of blocks); nees (sum of NEES, samples); coverage95 (samples inside, samples); hota and efficiency (the block's
+own figure times samples, samples); latency_p99 and frame_rate (the block's own figure times frames, frames).
+A block without samples has weight 0."""
 
 
 def kind_of(name: str) -> MetricKind | None:

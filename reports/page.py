@@ -153,7 +153,7 @@ def badge(record: RunRecord) -> dict[str, str]:
     if record.passed:
         return {"text": "Claim holds", "sign": "✓", "tone": "good"}
     if record.expect in ("fail", "caught"):
-        return {"text": "Should have failed", "sign": "✗", "tone": "bad"}
+        return {"text": "Control broken" if record.expect == "fail" else "Not caught", "sign": "✗", "tone": "bad"}
     return {"text": "Claim broken", "sign": "✗", "tone": "bad"}
 
 

@@ -53,17 +53,17 @@ class Metric:
     sense: Literal["at_most", "at_least"] = "at_most"
     passed: bool | None = None
     """None where there is no limit."""
-    breaks: tuple[float, float] | None = None
-    """In a control: the range beyond the limit in which the value must lie."""
     blocks: MetricBlocks | None = None
     """Its sums over time, or None."""
     spread: float | None = None
     """In a baseline: the largest change of the value among runs of the same product with other processor features
     (last digits), or None where that was not measured."""
+    breaks: tuple[float, float] | None = None
+    """In a control: the range beyond the limit in which the value must lie."""
 
     @property
     def as_it_must(self) -> bool | None:
-        """Whether the value lies where it must: in the range of a control, else within its limit; None without one."""
+        """Whether the value lies in the range of a control, else within its limit; None without either."""
         return self.passed if self.breaks is None else self.breaks[0] <= self.value <= self.breaks[1]
 
 

@@ -104,8 +104,8 @@ def _metric(
 ) -> Metric:
     kind = METRICS[name]
     return Metric(
-        name, score.value, kind.unit, score.n, score.ci95, "none", limit, kind.sense, met.get(name), breaks,
-        MetricBlocks(score.sums, score.weights) if score.sums else None,
+        name, score.value, kind.unit, score.n, score.ci95, "none", limit, kind.sense, met.get(name),
+        MetricBlocks(score.sums, score.weights) if score.sums else None, breaks=breaks,
     )  # fmt: skip
 
 

@@ -128,11 +128,12 @@ def _shift_px(frames: _Frames, camera: Camera) -> Array:
     xy = project(ahead, np.array([[0.0, 0.0, 1.0], [small, 0.0, 1.0], [0.0, small, 1.0]]))
     per_rad = np.linalg.norm(xy[1:] - xy[0], axis=1)[::-1] / small  # about x the image moves along y
     shift: Array = turned * per_rad
-    return shift - shift.mean(axis=0)
+    about_mean: Array = shift - shift.mean(axis=0)
+    return about_mean
 
 
 def _motion_px(mount: Mount, time_s: Array) -> float:
-    """Return the stated rms of an image axis's motion about its mean, without white shake; a walk's is unknown (NaN)."""
+    """Return the stated rms of an image axis's motion about its mean, without white shake; NaN for a random walk."""
     if mount.wander_px > 0.0:
         return float("nan")
     drift = np.array(mount.drift_px_per_s) * time_s[:, None]

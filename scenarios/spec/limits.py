@@ -1,4 +1,4 @@
-"""``[limits]`` and ``[breaks]`` of a scenario: numbers in the metric's unit, texts with a unit, or keys that end in one.
+"""``[limits]`` and ``[breaks]`` of a scenario: numbers in the metric's unit, texts with a unit, keys that end in one.
 
 ``position_rms = 0.0005``, ``position_rms = "0.5 mm"`` and ``position_rms_mm = 0.5`` say the same. What is read is a
 number in the unit of ``reports.metrics.METRICS``; a limit that has no meaning for its metric is refused. A range of
@@ -58,15 +58,15 @@ def read_limits(given: Any) -> Any:
 
     Raises pydantic's ValidationError, whose places are the keys as they were given.
     """
-    return _read(given, _number)
+    return _read(given, _number, "limits")
 
 
 def read_breaks(given: Any) -> Any:
     """Return ``[breaks]`` as metric -> range (low, high) in the metric's unit; otherwise as ``read_limits``."""
-    return _read(given, _range)
+    return _read(given, _range, "is a range of")
 
 
-def _read(given: Any, read: Callable[[str, Any, str, str], Any]) -> Any:
+def _read(given: Any, read: Callable[[str, Any, str, str], Any], says: str) -> Any:
     if not isinstance(given, Mapping):
         return given
     found: dict[str, Any] = {}
@@ -74,7 +74,7 @@ def _read(given: Any, read: Callable[[str, Any, str, str], Any]) -> Any:
     for key, value in _flat(given):
         name, ending = _metric_and_unit(key, value)
         if name in keys:
-            _refuse(key, value, f"'{keys[name]}' is of {name} already; leave one of them out")
+            _refuse(key, value, f"'{keys[name]}' {says} {name} already; leave one of them out")
         keys[name] = key
         found[name] = read(key, value, name, ending)
     return found

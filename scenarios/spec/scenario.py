@@ -218,8 +218,8 @@ class Scenario(Table):
     limits: Limits = Field({}, description="metric = limit; " + ", ".join(METRICS))
     breaks: Breaks = Field(
         {},
-        description="of a control: metric = [low, high], the range, beyond the metric's limit, in which the fault must "
-        "put it; all other limits must hold",
+        description="of a control: metric = [low, high], the range beyond the metric's limit in which the fault "
+        "must put it; all other limits must hold",
     )
     loose_limit: Annotated[float, Field(gt=1)] = Field(
         20.0,
@@ -264,14 +264,14 @@ def _check_control(spec: Scenario) -> None:
     if spec.expect != "fail":
         if spec.breaks:
             raise ValueError(
-                f"[breaks] {', '.join(spec.breaks)} and expect = '{spec.expect}' given; it belongs to expect = 'fail': "
-                "change that, or leave [breaks] out"
+                f"[breaks] {', '.join(spec.breaks)} and expect = '{spec.expect}' given; it belongs to expect = "
+                "'fail': change that, or leave [breaks] out"
             )
         return
     if not spec.breaks:
         raise ValueError(
-            "expect = 'fail' without [breaks]; add, for each limit that must break, the range in which the fault must "
-            "put its metric: relative_accuracy = [0.0012, 0.003], for example"
+            "expect = 'fail' without [breaks]; add, for each limit that must break, the range in which the fault "
+            "must put its metric: relative_accuracy = [0.0012, 0.003], for example"
         )
     for name, (low, high) in spec.breaks.items():
         if name not in spec.limits:
@@ -280,13 +280,13 @@ def _check_control(spec: Scenario) -> None:
         if low <= limit if upper else high >= limit:
             must = f"begin above {limit:g}" if upper else f"end below {limit:g}"
             raise ValueError(
-                f"breaks.{name} = [{low:g}, {high:g}] and limits.{name} = {limit:g} given; a run that meets its limit "
-                f"could land in that range: it must {must}"
+                f"breaks.{name} = [{low:g}, {high:g}] and limits.{name} = {limit:g} given; a run that meets its "
+                f"limit could land in that range: it must {must}"
             )
     if not set(spec.limits) - set(spec.breaks):
         raise ValueError(
-            "[limits] holds only what must break; add a limit that must hold all the same and shows that targets were "
-            "measured: completeness, for example"
+            "[limits] holds only what must break; add a limit that must hold all the same and shows that targets "
+            "were measured: completeness, for example"
         )
 
 
