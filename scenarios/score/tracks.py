@@ -60,7 +60,7 @@ def pair(
         np.concatenate(parts).astype(int) if parts else np.empty(0, int)
         for parts in (rows_of_pairs, markers_of_pairs, frames_of_pairs)
     )
-    error = measured.xyz[rows] - truth.xyz[frame, marker]
+    error = measured.xyz[rows] - _true_at(truth, frame, marker, measured.time_ns[rows])
     covariance = measured.covariance[rows]
     if calibration is not None:
         covariance = covariance + calibration(measured.xyz[rows])
@@ -189,6 +189,37 @@ def _assign(measured: Array, true: Array, gate: float) -> tuple[Array, Array]:
     rows, columns = linear_sum_assignment(np.where(allowed, distance, gate * (1 + min(distance.shape))))
     good = allowed[rows, columns]
     return rows[good], columns[good]
+
+
+def _true_at(truth: Truth, frame: Array, marker: Array, time_ns: Array) -> Array:
+    """Return where markers (k,) were at ``time_ns`` (k,) (k, 3) [m]; ``frame``: the nearest true instants.
+
+    Cubic through the four true instants about it (Lagrange), as they are where one is the time itself. Straight lines
+    between the neighbours in time, or the nearest instant, where not all are known.
+    """
+    found: Array = truth.xyz[frame, marker].copy()
+    moved = np.flatnonzero(truth.time_ns[frame] != time_ns)
+    for count in (2, 4):
+        if len(moved) == 0 or len(truth.time_ns) < count:
+            break
+        after = np.searchsorted(truth.time_ns, time_ns[moved])
+        used = np.clip(after - count // 2, 0, len(truth.time_ns) - count)[:, None] + np.arange(count)
+        seconds = (truth.time_ns[used] - time_ns[moved, None]) * 1e-9
+        at = np.einsum("nk,nki->ni", _lagrange_weights(seconds), truth.xyz[used, marker[moved, None]])
+        known = np.isfinite(at).all(axis=1)
+        found[moved[known]] = at[known]
+    return found
+
+
+def _lagrange_weights(seconds: Array) -> Array:
+    """Return the weights (n, k) that give a polynomial's value at 0 from those at ``seconds`` (n, k)."""
+    columns = range(seconds.shape[1])
+    weights = np.ones_like(seconds)
+    for i in columns:
+        for j in columns:
+            if i != j:
+                weights[:, i] *= seconds[:, j] / (seconds[:, j] - seconds[:, i])
+    return weights
 
 
 def _nearest(times: Array, wanted: Array) -> Array:

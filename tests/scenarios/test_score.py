@@ -46,6 +46,35 @@ def test_the_calibrations_share_is_added_to_the_measurements_covariance():
     assert sorted(set(np.round(pair(tracks(rows), truth(), SPACE).nees, 9))) == pytest.approx([1.0, 4.0])
 
 
+def falling(frames=6, hidden=()):
+    """Truth at 100 Hz of a marker that falls: z = -g t^2 / 2; not known in the frames ``hidden``."""
+    at = truth(frames, markers=((0, 0, 0),))
+    xyz = np.array(at.xyz)
+    xyz[:, 0, 2] = -4.905 * (0.01 * np.arange(frames)) ** 2
+    xyz[list(hidden)] = np.nan
+    return replace(at, xyz=xyz)
+
+
+def test_a_wrong_time_is_an_error_of_place():
+    right = tracks([(f, 0, 0, 0, -4.905 * (0.01 * f) ** 2) for f in range(6)])
+    early = replace(right, time_ns=right.time_ns - 4_000_000)
+    assert pair(right, falling(), SPACE).distance_m.max() == 0.0
+    # at t - 4 ms the marker was g (4 ms) (t - 2 ms) higher
+    at = 0.01 * np.arange(6)
+    assert pair(early, falling(), SPACE).distance_m == pytest.approx(9.81 * 0.004 * np.abs(at - 0.002), abs=1e-12)
+
+
+def test_beside_an_unknown_instant_the_truth_is_a_straight_line():
+    right = [(f, 0, 0, 0, -4.905 * (0.01 * f) ** 2) for f in (2, 3)]
+    late = replace(tracks(right), time_ns=np.array([24_000_000, 34_000_000]))
+    found = pair(late, falling(hidden=(1, 5)), SPACE).error_m[:, 2]
+    # of the chord between two instants 10 ms apart 0.4 of the way
+    chord = [-4.905e-4 * (0.6 * f**2 + 0.4 * (f + 1) ** 2) for f in (2, 3)]
+    assert found == pytest.approx([z - c for (*_, z), c in zip(right, chord, strict=True)], abs=1e-12)
+    lost = pair(tracks([(2, 0, 0, 0, 0.0)]), falling(hidden=(1, 3)), SPACE)
+    assert lost.error_m[:, 2] == pytest.approx([4.905e-4 * 4], abs=1e-12)
+
+
 def test_errors_of_one_and_two_millimetres():
     rows = [(f, 0, 0.001, 0, 0) for f in range(4)] + [(f, 1, 1.0, 0.002, 0) for f in range(4)]
     m = metrics(pair(tracks(rows), truth(), SPACE), SPACE)

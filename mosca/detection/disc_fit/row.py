@@ -118,7 +118,8 @@ def write_row(
     odd = good and not light.saturated and misfit > chance and rough > least
     if odd:
         out[FLAGS] += PARTIAL + (MERGED if out[PULL] > LONG else 0)
-    excess = misfit if odd else misfit / (1.0 + usual * contrast_2 / variance)
+    # where a side is missing, what all targets have in common moves the centre, too
+    excess = misfit if odd or light.crowded else misfit / (1.0 + usual * contrast_2 / variance)
     return odd, excess if good and excess > chance else 1.0
 
 

@@ -1,0 +1,125 @@
+"""Run mutants and say which of them survive.
+
+    python -m tests.mutations                       all, about a minute each
+    python -m tests.mutations half_a_pixel jitter_off
+    python -m tests.mutations --table docs/mutations.md
+
+Each is written into a copy of the working tree, in which the tests that it names run until one fails. Exit code 1
+where one survives, 2 where tests fail without any mutant.
+"""
+
+import argparse
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from tests.mutations.mutant import ROOT, Mutant, read_mutants
+
+LONGEST_S = 900
+"""A mutant whose tests take longer hangs: it is noticed."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """``by``: what noticed the mutant, empty where nothing did."""
+
+    mutant: Mutant
+    by: str
+    seconds: float
+
+
+def copied_tree(target: Path) -> None:
+    """Copy all files of the working tree that git does not ignore."""
+    listed = subprocess.run(
+        ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"],
+        cwd=ROOT, capture_output=True, text=True, check=True,
+    ).stdout  # fmt: skip
+    for name in filter(None, listed.split("\0")):
+        if (ROOT / name).is_file():
+            (target / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy2(ROOT / name, target / name)
+
+
+def noticed_by(tree: Path, tests: Sequence[str], all_of_them: bool = False) -> str:
+    """Return what fails of the ``tests`` in a tree, the first one or ``all_of_them``; empty where nothing does."""
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--tier", "full", *tests]
+    run = subprocess.Popen(
+        command if all_of_them else [*command, "-x"],
+        cwd=tree, env={**os.environ, "PYTHONPATH": str(tree), "COLUMNS": "200"}, text=True,
+        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, start_new_session=True,
+    )  # fmt: skip
+    try:
+        said, _ = run.communicate(timeout=LONGEST_S)
+    except subprocess.TimeoutExpired:
+        os.killpg(run.pid, signal.SIGKILL)
+        run.communicate()
+        return f"no end within {LONGEST_S} s"
+    if run.returncode == 0:
+        return ""
+    lines = [line for line in said.splitlines() if line.startswith(("FAILED ", "ERROR "))]
+    if not lines:
+        raise RuntimeError(f"pytest ended with {run.returncode}: {said[-2000:]}")
+    return ", ".join(line.split(" - ")[0].split(" ", 1)[1] for line in lines)
+
+
+def table(outcomes: Sequence[Outcome]) -> str:
+    """Return the outcomes as a Markdown document."""
+    caught = sum(bool(one.by) for one in outcomes)
+    lines = [
+        "# Bugs that are noticed",
+        "",
+        f"{caught} of {len(outcomes)} planted bugs are noticed. `python -m tests.mutations --table docs/mutations.md`",
+        "writes this page; `tests/mutations` holds the lists.",
+        "",
+        "| bug | file | noticed by |",
+        "|---|---|---|",
+    ]
+    for one in outcomes:
+        by = f"`{one.by}`" if one.by else "**nothing**"
+        lines.append(f"| {one.mutant.name} | `{one.mutant.file}` | {by} |")
+    return "\n".join(lines) + "\n"
+
+
+def main() -> int:
+    """Run what the command line asks for; return the exit code."""
+    parser = argparse.ArgumentParser(prog="python -m tests.mutations", description=__doc__.split("\n")[0])
+    parser.add_argument("names", nargs="*", help="mutants to run (default: all)")
+    parser.add_argument("--table", type=Path, help="write the outcomes there, as Markdown")
+    given = parser.parse_args()
+    mutants = read_mutants()
+    unknown = sorted(set(given.names) - {one.name for one in mutants})
+    if unknown:
+        parser.error(f"no mutant '{unknown[0]}'; there are {', '.join(one.name for one in mutants)}")
+    wanted = [one for one in mutants if not given.names or one.name in given.names]
+    outcomes = []
+    with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
+        tree = Path(folder)
+        copied_tree(tree)
+        wrong = noticed_by(tree, sorted({test for one in wanted for test in one.tests}), all_of_them=True)
+        if wrong:
+            print(f"without any mutant these fail: {wrong}", file=sys.stderr)
+            return 2
+        for mutant in wanted:
+            begin, path = time.perf_counter(), tree / mutant.file
+            sound = path.read_text()
+            path.write_text(mutant.applied(sound))
+            outcomes.append(Outcome(mutant, noticed_by(tree, mutant.tests), time.perf_counter() - begin))
+            path.write_text(sound)
+            last = outcomes[-1]
+            print(f"{mutant.name}: {last.by or 'NOT NOTICED'} ({last.seconds:.0f} s)", flush=True)
+    if given.table is not None:
+        given.table.write_text(table(outcomes))
+    left = [one.mutant.name for one in outcomes if not one.by]
+    print(f"{len(outcomes) - len(left)} of {len(outcomes)} noticed" + (f"; not: {', '.join(left)}" if left else ""))
+    return 1 if left else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
