@@ -240,10 +240,12 @@ def summary_table(records: Sequence[RunRecord]) -> Table:
 def _cell(metric: Metric | None) -> str:
     if metric is None:
         return ""
-    values = (metric.value,) if metric.limit is None else (metric.value, metric.limit)
-    numbers, unit = shown(values, metric.unit, metric.name)
+    bounds = metric.breaks or (() if metric.limit is None else (metric.limit,))
+    numbers, unit = shown((metric.value, *bounds), metric.unit, metric.name)
     text = figure(numbers[0])
-    if metric.limit is not None:
+    if metric.breaks is not None:
+        text += f" [dim]in {figure(numbers[1])} .. {figure(numbers[2])}[/]"
+    elif metric.limit is not None:
         sign = "<=" if metric.sense == "at_most" else ">="
         text += f" [dim]{sign} {figure(numbers[1])}[/]"
     text += f" {unit}" if unit else ""
