@@ -230,7 +230,7 @@ def summary_table(records: Sequence[RunRecord]) -> Table:
         table.add_column(name.replace("_", " "), justify="right")
     table.add_column("s", justify="right")
     for record in records:
-        broken = not record.not_judged or any(metric.passed is False for metric in record.metrics)
+        broken = not record.not_judged or any(metric.as_it_must is False for metric in record.metrics)
         verdict = "[green]pass[/]" if record.passed else "[red]FAIL[/]" if broken else "not judged"
         cells = [_cell(record.metric(name)) for name in columns]
         table.add_row(escape(record.scenario), verdict, *cells, f"{total_seconds(record):.1f}")
@@ -240,14 +240,16 @@ def summary_table(records: Sequence[RunRecord]) -> Table:
 def _cell(metric: Metric | None) -> str:
     if metric is None:
         return ""
-    values = (metric.value,) if metric.limit is None else (metric.value, metric.limit)
-    numbers, unit = shown(values, metric.unit, metric.name)
+    bounds = metric.breaks or (() if metric.limit is None else (metric.limit,))
+    numbers, unit = shown((metric.value, *bounds), metric.unit, metric.name)
     text = figure(numbers[0])
-    if metric.limit is not None:
+    if metric.breaks is not None:
+        text += f" [dim]in {figure(numbers[1])} .. {figure(numbers[2])}[/]"
+    elif metric.limit is not None:
         sign = "<=" if metric.sense == "at_most" else ">="
         text += f" [dim]{sign} {figure(numbers[1])}[/]"
     text += f" {unit}" if unit else ""
-    return f"[red]{text}[/]" if metric.passed is False else text
+    return f"[red]{text}[/]" if metric.as_it_must is False else text
 
 
 def total_seconds(record: RunRecord) -> float:

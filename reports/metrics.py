@@ -46,6 +46,7 @@ METRICS = {
     "sets_complete": MetricKind("1", "at_least", "share"),
     "frames_complete": MetricKind("1", "at_least", "share"),
     "completeness": MetricKind("1", "at_least", "share"),
+    "rays_used": MetricKind("1", "at_least", "share"),
     "ghosts_per_frame": MetricKind("1", "at_most", "count"),
     "identity_switches": MetricKind("1", "at_most", "count"),
     "hota": MetricKind("1", "at_least", "share"),
@@ -82,10 +83,11 @@ METRICS = {
 
 position_rms (sum of squared 3D errors [m^2], samples); relative_accuracy (the same sums, samples times the
 working space squared [m^2]); other root mean squares (sum of squares, items); position_p95 (the block's own p95 times
-samples, samples); position_max (the block's largest, 1); completeness (matched, seen); ghosts_per_frame (ghosts,
-frames); identity_switches (switches, 1 / number of blocks); nees (sum of NEES, samples); coverage95 (samples inside,
-samples); hota and efficiency (the block's own figure times samples, samples); latency_p99 and frame_rate (the block's
-own figure times frames, frames). A block without samples has weight 0."""
+samples, samples); position_max (the block's largest, 1); completeness (matched, seen); rays_used (images of which
+points were made, cameras that saw their markers); ghosts_per_frame (ghosts, frames); identity_switches (switches, 1 /
+number of blocks); nees (sum of NEES, samples); coverage95 (samples inside, samples); hota and efficiency (the block's
+own figure times samples, samples); latency_p99 and frame_rate (the block's own figure times frames, frames).
+A block without samples has weight 0."""
 
 
 def kind_of(name: str) -> MetricKind | None:

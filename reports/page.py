@@ -153,7 +153,7 @@ def badge(record: RunRecord) -> dict[str, str]:
     if record.passed:
         return {"text": "Claim holds", "sign": "✓", "tone": "good"}
     if record.expect in ("fail", "caught"):
-        return {"text": "Should have failed", "sign": "✗", "tone": "bad"}
+        return {"text": "Control broken" if record.expect == "fail" else "Not caught", "sign": "✗", "tone": "bad"}
     return {"text": "Claim broken", "sign": "✗", "tone": "bad"}
 
 
@@ -211,15 +211,19 @@ def _metric_row(metric: Metric) -> dict[str, Any]:
     values = (metric.value, *(interval or ()), *(() if limit is None else (limit,)))
     numbers, unit = shown(values, metric.unit, metric.name)
     mark = {True: "✓ yes", False: "✗ no", None: "–"}[metric.passed]
+    if metric.breaks is not None:
+        ends, _ = shown((metric.value, *metric.breaks), metric.unit, metric.name)
+        where = f"[{figure(ends[1])}, {figure(ends[2])}]"
+        mark = f"✓ broken, in {where}" if metric.as_it_must else f"✗ outside {where}"
     return {
         "name": metric.name,
         "value": figure(numbers[0]),
         "unit": unit,
         "interval": f"{figure(numbers[1])} … {figure(numbers[2])}" if interval else "–",
         "limit": f"{_sign(metric)} {figure(numbers[-1])}" if limit is not None else "–",
-        "passed": metric.passed,
+        "passed": metric.as_it_must,
         "mark": mark,
-        "tone": {True: "good", False: "bad", None: ""}[metric.passed],
+        "tone": {True: "good", False: "bad", None: ""}[metric.as_it_must],
         "n": figure(metric.n),
         "aligned_by": metric.aligned_by,
     }
@@ -254,7 +258,7 @@ def _comparison_cell(metric: Metric | None, first: Metric | None, regressed: boo
     if first is not None and first.value:
         change = 100 * (metric.value - first.value) / abs(first.value)
         notes.append("unchanged" if change == 0 else f"{change:+.1f} %".replace("-", "−"))
-    broken = metric.passed is False
+    broken = metric.as_it_must is False
     return {
         "value": figure(value),
         "unit": unit,

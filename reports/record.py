@@ -58,6 +58,13 @@ class Metric:
     spread: float | None = None
     """In a baseline: the largest change of the value among runs of the same product with other processor features
     (last digits), or None where that was not measured."""
+    breaks: tuple[float, float] | None = None
+    """In a control: the range beyond the limit in which the value must lie."""
+
+    @property
+    def as_it_must(self) -> bool | None:
+        """Whether the value lies in the range of a control, else within its limit; None without either."""
+        return self.passed if self.breaks is None else self.breaks[0] <= self.value <= self.breaks[1]
 
 
 @dataclass(frozen=True)
@@ -71,7 +78,7 @@ class RunRecord:
     model_gap: str
     expect: str
     passed: bool
-    """Every limit met; for ``expect = "fail"``, that it failed for the stated reason."""
+    """Every limit met; for ``expect = "fail"``, that the fault shows where it must and all other limits are met."""
     verdict: str
     metrics: tuple[Metric, ...]
     premises: Mapping[str, Any] = field(default_factory=dict)
@@ -116,11 +123,12 @@ def read_record(path: Path) -> RunRecord:
 
 def _metric(fields: Mapping[str, Any]) -> Metric:
     """Return the metric of a JSON object; older records hold no blocks."""
-    ci95, blocks = fields["ci95"], fields.get("blocks")
+    ci95, blocks, breaks = fields["ci95"], fields.get("blocks"), fields.get("breaks")
     return Metric(
         **{
             **fields,
             "ci95": ci95 if ci95 is None else _pair(*ci95),
+            "breaks": breaks if breaks is None else _pair(*breaks),
             "blocks": None if blocks is None else MetricBlocks(**blocks),
         }
     )

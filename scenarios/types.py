@@ -132,6 +132,9 @@ class TruthPairs:
     """Of each pair (k,): normalised estimation error squared."""
     residual_px: Array
     n_cameras: Array
+    """Of each pair (k,): number of cameras that the sample was made of."""
+    views: Array
+    """Of each pair (k,): number of cameras that saw the marker, from the truth alone."""
     seen: Array
     """Number of seen markers of each frame (t,)."""
     missed: Array
@@ -183,6 +186,8 @@ class MeasuredTracks:
     poses: BodyPoses | None = None
     calibration_m2: Callable[[Array], Array] | None = None
     """Covariance (n, 3, 3) [m^2] that the error of the run's own calibration adds to points (n, 3) [m]."""
+    nominal: Rig | None = None
+    """The standing cameras with the pipeline's lens model fitted to the true lenses, where these are known."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -366,6 +366,14 @@ def _removed_in_the_end(path: Path | None) -> Iterator[None]:
             path.unlink(missing_ok=True)
 
 
+def _outcome(metric: Any, scale: float) -> str:
+    """Return in words whether a metric is as it must be."""
+    if metric.breaks is not None:
+        low, high = (f"{scale * end:.4g}" for end in metric.breaks)
+        return f"{'broken as it must be: in' if metric.as_it_must else 'OUTSIDE'} [{low}, {high}]"
+    return "" if metric.passed is None else ("met" if metric.passed else "BROKEN")
+
+
 def _print_metrics(record: Any) -> None:
     """Print each metric beside its limit."""
     shown = table("metric", "value", "95 %", "limit", "")
@@ -378,7 +386,7 @@ def _print_metrics(record: Any) -> None:
             f"{metric.value * scale:.4g} {unit}".strip(),
             "" if metric.ci95 is None else f"{metric.ci95[0] * scale:.4g} .. {metric.ci95[1] * scale:.4g}",
             "" if metric.limit is None else f"{sign} {metric.limit * scale:.4g} {unit}".strip(),
-            "" if metric.passed is None else ("met" if metric.passed else "BROKEN"),
+            _outcome(metric, scale),
         )
     print_table(shown)
 

@@ -141,7 +141,7 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
             calibration_m2 = None if own is None else own.covariance_m2
             names = built.known.rig.names
             measured = MeasuredTracks(
-                collected, believed, names, synchronous, continuous, bodies, poses, calibration_m2
+                collected, believed, names, synchronous, continuous, bodies, poses, calibration_m2, built.known.rig
             )
             worth = scored(spec, name, measured, truth, opened.twin, built.scene)
             collected = worth.collected

@@ -1,5 +1,6 @@
 """What must hold in a scenario for its score to mean anything."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -8,9 +9,22 @@ from mosca.data.truth import Truth
 from mosca.errors import PremiseError
 from scenarios.spec.scenario import Scenario
 
+STATED = {
+    "trigger_jitter_s": "errors.trigger_jitter_s",
+    "shake_px": "errors.body_px",
+    "motion_px": "[mount]",
+    "gap_px": "model_gap",
+}
+"""Disturbance -> the key that states it."""
 
-def premises_met(spec: Scenario, truth: Truth, name: str) -> dict[str, Any]:
-    """Return what must hold for the score to mean anything, and whether it does; PremiseError where it does not."""
+
+def premises_met(
+    spec: Scenario, truth: Truth, name: str, disturbed: Mapping[str, Mapping[str, Any]] | None = None
+) -> dict[str, Any]:
+    """Return what must hold for the score to mean anything, and whether it does; PremiseError where it does not.
+
+    ``disturbed``: the stated disturbances in the truth (``disturbances``), where they are known.
+    """
     diameter = truth.diameter_px[truth.visible >= 0.5]
     moved = np.linalg.norm(np.diff(truth.image_xy_px, axis=0), axis=-1)
     share = spec.capture.exposure_s * spec.capture.frame_rate_hz
@@ -22,6 +36,15 @@ def premises_met(spec: Scenario, truth: Truth, name: str) -> dict[str, Any]:
         "blur_px": _at_most(float(np.quantile(blur, 0.95)) if blur.size else 0.0, wanted.blur_px),
         "views": _at_least(views, wanted.views),
     }
+    for key, premise in (disturbed or {}).items():
+        found[key] = premise
+        if not premise["holds"]:
+            least, most = (premise.get(end, np.inf) for end in ("minimum", "maximum"))
+            raise PremiseError(
+                f"{name}: premise '{key}' does not hold: {premise['value']:.3g} in the truth, {least:.3g} to "
+                f"{most:.3g} by what the scenario states ({STATED[key]}); the score would not be under that "
+                "disturbance. Change the key if it is not meant; otherwise the twin has a fault: report it"
+            )
     for key, premise in found.items():
         if not premise["holds"]:
             bound = "minimum" if "minimum" in premise else "maximum"

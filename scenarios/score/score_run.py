@@ -11,6 +11,7 @@ from mosca.data.truth import Truth
 from scenarios.score.bodies import body_scores
 from scenarios.score.continuous import comparison_scores, over_synchronous, scored_apart
 from scenarios.score.cramer_rao import bound, efficiencies, needs_bound, pulses_asked
+from scenarios.score.disturbances import disturbances
 from scenarios.score.premises import premises_met
 from scenarios.score.reference import JUDGED, ReferenceTrajectories
 from scenarios.score.tracks import BLOCKS, metrics, pair
@@ -38,6 +39,9 @@ def scored(
         return Scored({}, {}, collected, None, None, not_judged(spec, NEED_NO_TRUTH))
     if isinstance(truth, ReferenceTrajectories):
         return _beside_reference(spec, measured, truth)
+    disturbed = None
+    if twin is not None and measured.nominal is not None:
+        disturbed = disturbances(truth, twin.virtual, measured.nominal, spec.model_gap)
     more: dict[str, Score] = {}
     if measured.continuous is not None:
         collected, truth, more = scored_apart(spec, collected, measured.continuous, truth, scene)
@@ -53,7 +57,7 @@ def scored(
         scores |= body_scores(measured.poses, measured.bodies, truth)
     if twin is not None and needs_bound(spec.limits):
         scores |= _efficiencies(twin, truth, measured.rig, pairs, collected)
-    return Scored(scores, premises_met(spec, truth, name), collected, truth, pairs)
+    return Scored(scores, premises_met(spec, truth, name, disturbed), collected, truth, pairs)
 
 
 def not_judged(spec: Scenario, judged: Collection[str]) -> tuple[str, ...]:

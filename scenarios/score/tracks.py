@@ -38,7 +38,8 @@ def pair(
     frames = len(truth.time_ns)
     at = _nearest(truth.time_ns, measured.time_ns)
     in_time = _in_time(truth.time_ns, measured.time_ns, at)
-    seen_mask = (truth.visible >= SEEN_SHARE).sum(axis=2) >= SEEN_CAMERAS
+    views = (truth.visible >= SEEN_SHARE).sum(axis=2)
+    seen_mask = views >= SEEN_CAMERAS
     order = np.argsort(at, kind="stable")
     starts = np.searchsorted(at[order], np.arange(frames + 1))
     rows_of_pairs, markers_of_pairs, frames_of_pairs = [], [], []
@@ -66,7 +67,7 @@ def pair(
     nees = np.einsum("ni,ni->n", error, np.linalg.solve(covariance, error[:, :, None])[:, :, 0])
     return TruthPairs(
         frame, marker, measured.track[rows], error, nees, measured.residual_px[rows], measured.n_cameras[rows],
-        seen_mask.sum(axis=1), missed, ghosts, gate, seen_mask,
+        views[frame, marker], seen_mask.sum(axis=1), missed, ghosts, gate, seen_mask,
     )  # fmt: skip
 
 
@@ -104,6 +105,9 @@ def metrics(matched: TruthPairs, working_space_m: float) -> dict[str, Score]:
         inside = matched.nees <= chi2.ppf(0.95, 3)
         result["coverage95"] = ratio_of_sums(of_pairs(inside), pairs, k)
         result["reprojection_rms"] = ratio_of_sums(of_pairs(matched.residual_px**2), pairs, k, np.sqrt)
+        if matched.views.any():
+            used = of_pairs(np.minimum(matched.n_cameras, matched.views))
+            result["rays_used"] = ratio_of_sums(used, of_pairs(matched.views), k)
     result["completeness"] = ratio_of_sums(seen - missed, seen, int(matched.seen.sum()))
     result["ghosts_per_frame"] = ratio_of_sums(of_frames(matched.ghosts), of_frames(np.ones(frames)), frames)
     result["identity_switches"] = Score(float(identity_switches(matched)), k)

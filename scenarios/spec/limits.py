@@ -1,13 +1,14 @@
-"""``[limits]`` of a scenario: numbers in the metric's unit, texts with a unit, or keys that end in a unit.
+"""``[limits]`` and ``[breaks]`` of a scenario: numbers in the metric's unit, texts with a unit, keys that end in one.
 
 ``position_rms = 0.0005``, ``position_rms = "0.5 mm"`` and ``position_rms_mm = 0.5`` say the same. What is read is a
-number in the unit of ``reports.metrics.METRICS``; a limit that has no meaning for its metric is refused.
+number in the unit of ``reports.metrics.METRICS``; a limit that has no meaning for its metric is refused. A range of
+``[breaks]`` is two of them: ``position_rms_mm = [1.6, 2.4]``.
 """
 
 import difflib
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, NoReturn
 
 from pydantic import ValidationError
@@ -57,17 +58,26 @@ def read_limits(given: Any) -> Any:
 
     Raises pydantic's ValidationError, whose places are the keys as they were given.
     """
+    return _read(given, _number, "limits")
+
+
+def read_breaks(given: Any) -> Any:
+    """Return ``[breaks]`` as metric -> range (low, high) in the metric's unit; otherwise as ``read_limits``."""
+    return _read(given, _range, "is a range of")
+
+
+def _read(given: Any, read: Callable[[str, Any, str, str], Any], says: str) -> Any:
     if not isinstance(given, Mapping):
         return given
-    limits: dict[str, float] = {}
+    found: dict[str, Any] = {}
     keys: dict[str, str] = {}
     for key, value in _flat(given):
         name, ending = _metric_and_unit(key, value)
         if name in keys:
-            _refuse(key, value, f"'{keys[name]}' limits {name} already; leave one of them out")
+            _refuse(key, value, f"'{keys[name]}' {says} {name} already; leave one of them out")
         keys[name] = key
-        limits[name] = _number(key, value, name, ending)
-    return limits
+        found[name] = read(key, value, name, ending)
+    return found
 
 
 def range_of(name: str) -> str:
@@ -91,6 +101,15 @@ def limits_schema() -> dict[str, Any]:
             if _is_ending(unit):
                 ending = _number_schema(kind, factor)
                 properties[f"{name}_{unit}"] = {**ending, "description": f"{name} in {unit}"}
+    return {"type": "object", "properties": properties, "additionalProperties": False, "default": {}}
+
+
+def breaks_schema() -> dict[str, Any]:
+    """Return the JSON schema of ``[breaks]``: as that of ``[limits]``, with a range for each number."""
+    properties = {
+        name: {"type": "array", "items": limit, "minItems": 2, "maxItems": 2}
+        for name, limit in limits_schema()["properties"].items()
+    }
     return {"type": "object", "properties": properties, "additionalProperties": False, "default": {}}
 
 
@@ -142,6 +161,16 @@ def _number(key: str, value: Any, name: str, ending: str) -> float:
         never = "; a lower limit of 0 is never broken" if limit == 0 else ""
         _refuse(key, value, f"{range_of(name)}{never}: {_example(name)}")
     return limit
+
+
+def _range(key: str, value: Any, name: str, ending: str) -> tuple[float, float]:
+    wanted = f"two numbers, the smaller one first, are wanted: {name} = [low, high]"
+    if not isinstance(value, list | tuple) or len(value) != 2:
+        _refuse(key, value, wanted)
+    low, high = (_number(key, end, name, ending) for end in value)
+    if not low < high:
+        _refuse(key, value, wanted)
+    return low, high
 
 
 def _is_ending(unit: str) -> bool:

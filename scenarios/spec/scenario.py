@@ -35,7 +35,7 @@ from scenarios.spec.cameras import (
     TimingSpec,
 )
 from scenarios.spec.continuous import ContinuousSpec
-from scenarios.spec.limits import limits_schema, read_limits
+from scenarios.spec.limits import breaks_schema, limits_schema, read_breaks, read_limits
 from scenarios.spec.scenes import GlowSpec, LampsSpec, SceneSpec
 from scenarios.spec.stages import StageTables
 
@@ -171,6 +171,8 @@ class LengthSpec(Table):
 
 Limits = Annotated[dict[str, float], BeforeValidator(read_limits), WithJsonSchema(limits_schema())]
 """Metric -> limit in the metric's unit."""
+Breaks = Annotated[dict[str, tuple[float, float]], BeforeValidator(read_breaks), WithJsonSchema(breaks_schema())]
+"""Metric -> range in the metric's unit."""
 
 
 class Scenario(Table):
@@ -185,7 +187,6 @@ class Scenario(Table):
         "pass", description="'fail' for a control, 'caught' for a calibration that must be refused or warned of"
     )
     caught_as: str | None = Field(None, description="the finding's code: " + ", ".join(CODES))
-    fails_on: tuple[str, ...] = Field((), description="metrics whose limits a control must break")
     told: tuple[str, ...] = Field((), description="phrases that the record's notes must hold: what it must notice")
     seed: int = Field(1, ge=0, description="seed of all random streams")
     model_gap: Literal["none", "measured", "stress"] = Field(
@@ -215,6 +216,11 @@ class Scenario(Table):
     )
     premises: Premises = Premises()
     limits: Limits = Field({}, description="metric = limit; " + ", ".join(METRICS))
+    breaks: Breaks = Field(
+        {},
+        description="of a control: metric = [low, high], the range beyond the metric's limit in which the fault "
+        "must put it; all other limits must hold",
+    )
     loose_limit: Annotated[float, Field(gt=1)] = Field(
         20.0,
         description="a limit that is met so many times over is told of: it may be in another unit than was meant. A "
@@ -224,9 +230,6 @@ class Scenario(Table):
 
     @model_validator(mode="after")
     def _consistent(self) -> "Scenario":
-        for name in self.fails_on:
-            if name not in METRICS:
-                raise ValueError(f"'{name}' is no metric; there are {', '.join(METRICS)}")
         if (self.expect == "caught") != (self.caught_as is not None):
             raise ValueError("expect = 'caught' and caught_as belong together: say which finding there must be")
         if self.expect == "caught":
@@ -253,12 +256,38 @@ class Scenario(Table):
             )
         if "rigidity_rms" in self.limits and not self.pipeline.bodies:
             raise ValueError("limits.rigidity_rms needs rigid bodies; set pipeline.bodies = true")
-        missing = [name for name in self.fails_on if name not in self.limits]
-        if missing:
-            raise ValueError(f"fails_on names '{missing[0]}', which has no limit in [limits]; give it one")
-        if (self.expect == "fail") != bool(self.fails_on):
-            raise ValueError("expect = 'fail' and fails_on belong together: say which limits must break")
+        _check_control(self)
         return self
+
+
+def _check_control(spec: Scenario) -> None:
+    if spec.expect != "fail":
+        if spec.breaks:
+            raise ValueError(
+                f"[breaks] {', '.join(spec.breaks)} and expect = '{spec.expect}' given; it belongs to expect = "
+                "'fail': change that, or leave [breaks] out"
+            )
+        return
+    if not spec.breaks:
+        raise ValueError(
+            "expect = 'fail' without [breaks]; add, for each limit that must break, the range in which the fault "
+            "must put its metric: relative_accuracy = [0.0012, 0.003], for example"
+        )
+    for name, (low, high) in spec.breaks.items():
+        if name not in spec.limits:
+            raise ValueError(f"breaks.{name} has no limit that it breaks; add limits.{name}")
+        upper, limit = METRICS[name].sense == "at_most", spec.limits[name]
+        if low <= limit if upper else high >= limit:
+            must = f"begin above {limit:g}" if upper else f"end below {limit:g}"
+            raise ValueError(
+                f"breaks.{name} = [{low:g}, {high:g}] and limits.{name} = {limit:g} given; a run that meets its "
+                f"limit could land in that range: it must {must}"
+            )
+    if not set(spec.limits) - set(spec.breaks):
+        raise ValueError(
+            "[limits] holds only what must break; add a limit that must hold all the same and shows that targets "
+            "were measured: completeness, for example"
+        )
 
 
 def _check_zones(spec: Scenario) -> None:

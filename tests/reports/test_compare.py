@@ -241,10 +241,13 @@ def test_the_unit_does_not_matter(pair: tuple[RunRecord, RunRecord], factor: flo
 def test_the_summary_shows_each_run_with_figures_and_limits() -> None:
     console = Console(width=140, record=True, file=open("/dev/null", "w"))  # noqa: SIM115
     with console.file:
-        console.print(summary_table([example_record(), example_record(scenario="[red]odd", passed=False)]))
+        control = Metric("position_rms", 2e-3, "m", 960, limit=3e-4, passed=False, breaks=(1.8e-3, 2.2e-3))
+        records = [example_record(), example_record(scenario="[red]odd", passed=False), run_with(control)]
+        console.print(summary_table(records))
     text = console.export_text()
     for part in ("accuracy/ring_of_six", "[red]odd", "pass", "FAIL", "0.245 <= 0.3 mm", "99.17 >= 98 %", "14.9"):
         assert part in text
+    assert "2 in 1.8 .. 2.2 mm" in text
 
 
 def elsewhere(record: RunRecord, processor: str = "skylake X86_V3") -> RunRecord:

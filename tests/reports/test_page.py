@@ -44,6 +44,15 @@ def test_each_metric_stands_beside_its_limit(page: Path) -> None:
             assert part in row, (name, part)
 
 
+@pytest.mark.parametrize(
+    ("value", "mark"), [(1.22e-4, "✓ broken, in [0.011, 0.013]"), (2e-4, "✗ outside [0.011, 0.013]")]
+)
+def test_a_control_shows_where_its_metric_had_to_land(value: float, mark: str, tmp_path: Path) -> None:
+    broken = Metric("relative_accuracy", value, "1", 960, limit=1e-4, passed=False, breaks=(1.1e-4, 1.3e-4))
+    write_page(tmp_path / "p.html", example_record(metrics=(broken,), expect="fail"), example_evidence())
+    assert mark in (tmp_path / "p.html").read_text(encoding="utf-8")
+
+
 def test_the_head_says_what_was_claimed_and_found(page: Path) -> None:
     text = " ".join("".join(checked(page).text).split())
     assert "Claimed: position rms ≤ 0.3 mm" in text
@@ -195,7 +204,8 @@ def test_evidence_that_cannot_be_is_refused() -> None:
         (True, "pass", "Claim holds"),
         (False, "pass", "Claim broken"),
         (True, "fail", "Fails as it must"),
-        (False, "fail", "Should have failed"),
+        (False, "fail", "Control broken"),
+        (False, "caught", "Not caught"),
     ],
 )
 def test_the_badge_says_the_verdict(passed: bool, expect: str, text: str, tmp_path: Path) -> None:

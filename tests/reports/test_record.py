@@ -23,6 +23,7 @@ def metrics(draw: st.DrawFn) -> Metric:
         draw(st.text(max_size=8)), draw(finite), draw(st.sampled_from(["m", "1", "px"])), draw(st.integers(0, 9)),
         draw(st.none() | st.tuples(finite, finite)), "none", draw(st.none() | finite), "at_least",
         draw(st.none() | st.booleans()), draw(st.none() | st.just(blocks)),
+        breaks=draw(st.none() | st.just((1e-4, 2e-4))),
     )  # fmt: skip
 
 

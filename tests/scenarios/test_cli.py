@@ -47,12 +47,15 @@ def test_verbosity(tmp_path):
 def test_a_broken_limit_exits_1_and_a_caught_control_0(tmp_path):
     path = scenario(tmp_path, limits="position_rms = 1e-9")
     assert mosca("run", path, cwd=tmp_path).returncode == 1
-    path = scenario(tmp_path, 'expect = "fail"\nfails_on = ["position_rms"]', limits="position_rms = 1e-9")
-    assert mosca("run", path, cwd=tmp_path).returncode == 0
-    path = scenario(tmp_path, 'expect = "fail"\nfails_on = ["position_rms"]')
+    limits = "position_rms = 1e-9\ncompleteness = 0.9\n[breaks]\nposition_rms_mm = [{}, {}]"
+    path = scenario(tmp_path, 'expect = "fail"', limits=limits.format(0.05, 5))
     done = mosca("run", path, cwd=tmp_path)
+    assert done.returncode == 0
+    assert "fails as it must: position_rms 0.000" in done.stdout
+    done = mosca("run", scenario(tmp_path, 'expect = "fail"', limits=limits.format(20, 30)), cwd=tmp_path)
     assert done.returncode == 1
-    assert "not caught" in done.stdout
+    assert "control broken: position_rms 0.000" in done.stdout
+    assert "outside [0.02, 0.03]" in done.stdout
 
 
 def test_recorded_frames_give_the_same_tracks(tmp_path):

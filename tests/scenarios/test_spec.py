@@ -61,7 +61,7 @@ def test_a_good_one_has_the_defaults_of_the_design(tmp_path):
         (GOOD + "[capture]\nexposure_s = 0.02\n", ["exposure_s", "0.01"]),
         (GOOD + "[cameras]\ncount = 1\n", ["count", "2"]),
         (GOOD + "[cameras]\nazimuth_deg = [1.0, 2.0]\n", ["azimuth_deg", "4"]),
-        (GOOD.replace('title = "x"', 'title = "x"\nexpect = "fail"'), ["fails_on"]),
+        (GOOD.replace('title = "x"', 'title = "x"\nexpect = "fail"'), ["[breaks]"]),
         (GOOD.replace('title = "x"', 'title = "x'), ["not valid TOML"]),
         (GOOD.replace("size_m = [1.0, 1.0, 1.0]", "size_m = [1.0, 1.0]"), ["size_m"]),
     ],

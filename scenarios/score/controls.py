@@ -1,0 +1,45 @@
+"""Whether a control fails as it must: its fault shows where it was derived to, and all else holds."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from reports.metrics import METRICS
+from scenarios.types import Score
+
+
+def control_verdict(
+    scores: Mapping[str, Score],
+    limits: Mapping[str, float],
+    met: Mapping[str, bool],
+    breaks: Mapping[str, tuple[float, float]],
+) -> tuple[bool, str]:
+    """Return whether a control fails as it must, and in words.
+
+    ``limits``, ``met``: of each limited metric its limit and whether that is met; ``breaks``: the ranges in which the
+    broken metrics must lie, in their units. What has no value lies nowhere.
+    """
+    wrong = []
+    found = []
+    for name, (low, high) in breaks.items():
+        value = _value(scores, name)
+        wanted = f"[{low:.4g}, {high:.4g}]"
+        if low <= value <= high:
+            found.append(f"{name} {value:.4g} in {wanted}")
+        else:
+            wrong.append(f"{_shown(name, value)} outside {wanted}")
+    for name, holds in met.items():
+        if not holds and name not in breaks:
+            side = "below" if METRICS[name].sense == "at_least" else "above"
+            wrong.append(f"{_shown(name, _value(scores, name))} {side} its limit {limits[name]:.4g}")
+    if wrong:
+        return False, f"control broken: {'; '.join(wrong)}"
+    return True, f"fails as it must: {', '.join(found)}"
+
+
+def _value(scores: Mapping[str, Score], name: str) -> float:
+    return scores[name].value if name in scores else float("nan")
+
+
+def _shown(name: str, value: float) -> str:
+    return f"{name} {value:.4g}" if np.isfinite(value) else f"{name} (not measured)"
