@@ -242,3 +242,12 @@ def test_the_gain_is_learned_from_targets_of_few_pixels(diameter):
         learned = learned.plus(detect_with_statistics([image], ["a"], statistics=learned)[1])
     dark = float(np.median(learned.backgrounds["a"].variance))
     assert gain_of(learned.sums, 0, dark)[0] == pytest.approx(gain, rel=0.5)
+
+
+def test_an_ellipse_is_known_best_along_its_minor_axis():
+    image, _, gain = frame(np.random.default_rng(3), 14.0, 0.8, 200, 50, squeeze=0.5)
+    found = detect(image, "a", settings_for(200, 50, gain))
+    variances, axes = np.linalg.eigh(np.mean(found.covariance_px2, axis=0))
+    # the image's minor axis lies along (3, 2): a longer edge stands across it
+    assert abs(axes[:, 0] @ [3, 2]) / 13**0.5 > np.cos(np.radians(5))
+    assert variances[1] > 1.5 * variances[0]

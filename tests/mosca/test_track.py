@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 from track_points import STEP_NS, follow, points
 
+from mosca.tracking.kalman import _predict_one
+from mosca.tracking.motion_models import motion
 from mosca.tracking.nearest_neighbour import NearestTracker
 from mosca.tracking.tracker import Tracker, TrackSettings
 
@@ -74,3 +76,29 @@ def test_time_cannot_run_backwards():
     tracker.predict(1.0)
     with pytest.raises(ValueError, match="in order"):
         tracker.predict(0.9)
+
+
+def test_a_predicted_filter_is_that_of_the_dense_equations():
+    rng, variance, m = np.random.default_rng(4), 3.0, motion("acceleration", 0.01, 0.05)
+    mean, root = rng.normal(size=9), rng.normal(size=(9, 9))
+    covariance = root @ root.T * 1e-4
+    step = np.kron([[1, m.pv, m.pa], [0, 1, m.va], [0, 0, m.aa]], np.eye(3))
+    noise = np.kron([[m.qpp, m.qpv, m.qpa], [m.qpv, m.qvv, m.qva], [m.qpa, m.qva, m.qaa]], np.eye(3))
+    expected = step @ mean, step @ covariance @ step.T + variance * noise
+    # noise of position alone is small beside what is known: here it is not
+    for scale in (1.0, 1e-9):
+        x, p = mean.copy(), scale * covariance
+        wanted = scale * (expected[1] - variance * noise) + variance * noise
+        _predict_one.py_func(x, p, m, variance)
+        np.testing.assert_allclose(x, expected[0], rtol=1e-12)
+        np.testing.assert_allclose(p, wanted, rtol=1e-7, atol=1e-18)
+
+
+def test_jitter_of_the_triggers_spreads_points_along_their_path():
+    # 2 m/s along x, 1 ms a camera, 4 cameras: (2 mm)^2 / 4 beside (0.2 mm)^2
+    tracker, samples = Tracker(TrackSettings()), []
+    for k in range(60):
+        tracker.predict(k * STEP_NS * 1e-9)
+        samples.append(tracker.update(points([0.02 * k, 0, 0]), k, k * STEP_NS, 1e-3))
+    last = samples[-1].covariance[0]
+    np.testing.assert_allclose(np.diag(last), [1e-6 + 4e-8, 4e-8, 4e-8], rtol=0.02, atol=1e-12)

@@ -66,3 +66,15 @@ def test_a_point_seen_once_is_nan():
     xy = images(rig, np.zeros((1, 3)))
     xy[0, 1:] = np.nan
     assert np.isnan(triangulate(rig, xy)[0]).all()
+
+
+def test_all_of_the_covariance_is_that_of_least_squares():
+    rig, sigma, step = ring(3, MOSCA), 0.15, 1e-5
+    points = np.array([[0.3, -0.2, 0.1], [-0.35, 0.3, -0.3]])
+    _, covariance, _ = triangulate(rig, images(rig, points), sigma)
+    slopes = [
+        (images(rig, points + step * axis) - images(rig, points - step * axis)) / (2 * step) for axis in np.eye(3)
+    ]
+    design = np.stack(slopes, axis=-1).reshape(len(points), -1, 3)
+    expected = sigma**2 * np.linalg.inv(np.swapaxes(design, 1, 2) @ design)
+    np.testing.assert_allclose(covariance, expected, atol=1e-6 * np.abs(expected).max())

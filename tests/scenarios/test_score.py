@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 from track_tables import measured_tracks
 
+from mosca.data.bodies import BodyPoses, RigidBody
 from mosca.data.truth import Truth
+from scenarios.score.bodies import body_scores
 from scenarios.score.tracks import hota, identity_switches, metrics, pair
 
 SPACE = 2.0
@@ -185,3 +187,19 @@ def test_interval_holds_the_spread_of_blocks():
     expected = 1e-3 / np.sqrt(2 * 800)
     assert 0.5 * expected < (high - low) / 3.92 < 2 * expected
     assert low < 1e-3 < high
+
+
+def test_a_body_that_is_turned_and_off_is_scored_so():
+    positions = np.array([[0, 0, 0], [0.3, 0, 0], [0, 0.2, 0], [0, 0, 0.1]])
+    body = RigidBody("box", ("m0", "m1", "m2", "m3"), positions)
+    there = truth(3, markers=positions + [1.0, 2.0, 3.0])
+    # 0.02 rad about z, 3 and 4 mm off
+    quaternion = np.tile([np.cos(0.01), 0, 0, np.sin(0.01)], (3, 1))
+    poses = BodyPoses(
+        np.arange(3), there.time_ns, np.full(3, "box"), quaternion, np.tile([1.003, 2.004, 3.0], (3, 1)),
+        np.tile(np.eye(6), (3, 1, 1)), np.full(3, 4), np.zeros(3), np.full(3, "measured"),
+    )  # fmt: skip
+    found = body_scores(poses, (body,), there)
+    assert found["body_angle_rms"].value == pytest.approx(0.02, rel=1e-6)
+    assert found["body_position_rms"].value == pytest.approx(5e-3, rel=1e-6)
+    assert found["body_completeness"].value == 1.0
