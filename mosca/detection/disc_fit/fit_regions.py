@@ -106,10 +106,34 @@ def write_even(
 
 
 @bare_step(fastmath=FAST)
+def is_crowded(
+    bright: int, n: int, pixels: Array, behind: Array, middle: tuple[int, int], region: Region, model: Model
+) -> bool:
+    """Return whether some of n pixels, ``bright`` of which are above the floor, show light of a neighbour."""
+    if bright == region.n_px or len(behind) == 0:
+        return bright != region.n_px
+    crowded: bool = sure_pixels(n, pixels, behind, middle, region.floor, model.dark_dn2) > region.n_px
+    return crowded
+
+
+@bare_step(fastmath=FAST)
 def uncovered_sums(
-    n: int, pixels: Array, region: Region, background: float, priors: Priors, model: Model, buffers: Buffers
+    n: int,
+    pixels: Array,
+    behind: Array,
+    middle: tuple[int, int],
+    region: Region,
+    background: float,
+    priors: Priors,
+    model: Model,
+    buffers: Buffers,
 ) -> tuple[Any, Any]:
-    """Return peak and sums of a region's light as ``window_sums``, without the negative of what the disc hides."""
+    """Return peak and sums of a region's light as ``window_sums``, without the negative of what the disc hides.
+
+    Adds what was subtracted to the pixels, as ``take_behind`` does.
+    """
+    dark, shadow = model.dark_dn2, buffers.behind
+    take_behind(n, pixels, behind, middle, region.slope, NO_STRETCH, region.threshold, dark, shadow)
     blur = priors.blurs[region.image, 2]
     _, peak, sums = window_sums(n, pixels, region.floor, background)
     light = reshaped(light_of(region, background, peak, sums, False, blur, model.full_dn), NO_STRETCH)
@@ -181,16 +205,11 @@ def refine_region(
     box = (region.left, region.right, region.top, region.bottom)
     background = min(corner_background(image, box, region.floor), float(region.threshold))
     bright, peak, light_sums = window_sums(n, pixels, region.floor, background)
-    crowded = bright != region.n_px
-    if crowded and len(behind) > 0:
-        crowded = sure_pixels(n, pixels, behind, middle, region.floor, model.dark_dn2) > region.n_px
+    crowded = is_crowded(bright, n, pixels, behind, middle, region, model)
     if crowded:
         peak, light_sums = region_sums(image, own, middle, background)
     elif len(behind) > 0:
-        take_behind(
-            n, pixels, behind, middle, region.slope, NO_STRETCH, region.threshold, model.dark_dn2, buffers.behind
-        )
-        peak, light_sums = uncovered_sums(n, pixels, region, background, priors, model, buffers)
+        peak, light_sums = uncovered_sums(n, pixels, behind, middle, region, background, priors, model, buffers)
     prior = disc_prior(k, priors, float(light_sums[0]))
     light = light_of(region, background, peak, light_sums, crowded, blur, model.full_dn)
     (m0, m1, m2), plain, (amplitude, radius) = light.shape, is_plain(light.shape), first_disc(region, light, blur)
