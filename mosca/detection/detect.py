@@ -69,7 +69,8 @@ from mosca.detection.frame_set_kernel import (
 from mosca.detection.images import ImageSet, image_set
 from mosca.detection.local_background import LocalBackground
 from mosca.detection.merged_targets.split import split_pairs
-from mosca.detection.pixel_noise import SEARCH_SIGMAS, gains_changed, measured_backgrounds, noise_of_set
+from mosca.detection.pixel_noise import gains_changed, measured_backgrounds, noise_of_set
+from mosca.detection.search import SEARCH_SIGMAS
 from mosca.detection.settings import DEFAULTS, DetectionSettings, search_of
 from mosca.detection.static_background import one_image
 from mosca.errors import InputError
@@ -191,18 +192,13 @@ def detect_with_statistics(
     names, task = tuple(cameras), _task(settings, bit_depth, _METHODS[settings.centroid])
     measured = measured_backgrounds(images, dark, names, settings, statistics, refresh)
     known = statistics.plus(CameraStatistics(names, no_sums(n), measured)) if measured else statistics
-    behind = [
-        None if background is None else np.stack([background, 0 * background]).astype(np.float32)
-        for background in dark
-    ]
+    behind = [None if background is None else _exactly_behind(background) for background in dark]
     learns = [background is None and task.by_noise for background in dark]
     for k, name in enumerate(names):
         own = known.backgrounds[name].usable if learns[k] and name in known.backgrounds else None
         if own is not None and own.behind.shape == first.shape:
-            pixels[k], behind[k] = (
-                own.subtracted_from(pixels[k], int(task.full_dn)),
-                known.backgrounds[name].behind(first.shape),
-            )
+            pixels[k] = own.subtracted_from(pixels[k], int(task.full_dn))
+            behind[k] = known.backgrounds[name].behind(first.shape)
     found, sums = _detect_alike(pixels, behind, names, settings, task, windows, known)
     for k, name in enumerate(names):
         if name in measured and learns[k] and known.backgrounds[name].textured:
@@ -221,6 +217,13 @@ def detect_with_statistics(
             for total, one in zip(sums, own_sums, strict=True):
                 total[k] = one[0]
     return found, CameraStatistics(names, sums, measured)
+
+
+def _exactly_behind(background: Array) -> Array:
+    """Return what was subtracted (H, W) and its error, none (2, H, W) float32 [DN]."""
+    behind = np.zeros((2, *background.shape), np.float32)
+    behind[0] = background
+    return behind
 
 
 def _detect_alike(

@@ -13,7 +13,7 @@ from mosca.data.arrays import Array
 from mosca.detection.bright_runs import BrightPixels
 from mosca.detection.images import ImageSet, behind_of, image_of
 from mosca.detection.local_background import nearest_cell, plane_at
-from mosca.detection.pixel_noise import SEARCH_SIGMAS, PixelNoise
+from mosca.detection.pixel_noise import PixelNoise
 from mosca.detection.region_growth import grow_regions
 from mosca.detection.search import (
     DARK,
@@ -25,6 +25,7 @@ from mosca.detection.search import (
     LARGE,
     PLACE,
     ROW,
+    SEARCH_SIGMAS,
     SLOPE_X,
     SLOPE_Y,
     SMALL,

@@ -16,6 +16,7 @@ from mosca.camera.projection import project
 from mosca.data.arrays import Array
 from mosca.data.rig import Camera, Pose, Rig
 from mosca.data.truth import NO_FRAME, Truth
+from scenarios.score.premises import between
 from twin.cameras.exposure.mount import Mount
 from twin.cameras.virtual_camera import VirtualCamera
 
@@ -67,10 +68,10 @@ def disturbances(
     found = _random("trigger_jitter_s", jitter) | _random("shake_px", shake)
     if motion:
         value, wanted = np.sqrt(np.mean(motion, axis=0))
-        found["motion_px"] = _between(float(value), wanted / MOTION_FACTOR, wanted * MOTION_FACTOR)
+        found["motion_px"] = between(float(value), wanted / MOTION_FACTOR, wanted * MOTION_FACTOR)
     off = np.concatenate(gap) if gap else np.empty(0)
     if len(off):
-        found["gap_px"] = _between(float(np.median(off)), *GAPS_PX[model_gap])
+        found["gap_px"] = between(float(np.median(off)), *GAPS_PX[model_gap])
     return found
 
 
@@ -84,12 +85,7 @@ def _random(name: str, parts: list[tuple[float, int, float]]) -> dict[str, dict[
     wanted = np.sqrt((stated**2 * freedom).sum() / dof)
     low, high = np.sqrt(chi2.ppf([FALSE_ALARM / 2, 1 - FALSE_ALARM / 2], dof) / dof)
     value = float(wanted * np.sqrt((squares / stated**2).sum() / dof))
-    return {name: _between(value, low * wanted, high * wanted)}
-
-
-def _between(value: float, minimum: float, maximum: float) -> dict[str, Any]:
-    ends = {"minimum": float(minimum)} | ({"maximum": float(maximum)} if np.isfinite(maximum) else {})
-    return {"value": value, **ends, "holds": bool(minimum <= value <= maximum)}
+    return {name: between(value, low * wanted, high * wanted)}
 
 
 def _frames_of(truth: Truth, c: int) -> _Frames:

@@ -32,9 +32,9 @@ def premises_met(
     wanted = spec.premises
     views = float((truth.visible >= 0.5).sum(axis=2).mean()) if truth.visible.size else 0.0
     found: dict[str, Any] = {
-        "marker_px": _at_least(float(np.median(diameter)) if diameter.size else 0.0, wanted.marker_px),
-        "blur_px": _at_most(float(np.quantile(blur, 0.95)) if blur.size else 0.0, wanted.blur_px),
-        "views": _at_least(views, wanted.views),
+        "marker_px": between(float(np.median(diameter)) if diameter.size else 0.0, minimum=wanted.marker_px),
+        "blur_px": between(float(np.quantile(blur, 0.95)) if blur.size else 0.0, maximum=wanted.blur_px),
+        "views": between(views, minimum=wanted.views),
     }
     for key, premise in (disturbed or {}).items():
         found[key] = premise
@@ -55,9 +55,8 @@ def premises_met(
     return found
 
 
-def _at_least(value: float, minimum: float) -> dict[str, Any]:
-    return {"value": value, "minimum": minimum, "holds": value >= minimum}
-
-
-def _at_most(value: float, maximum: float) -> dict[str, Any]:
-    return {"value": value, "maximum": maximum, "holds": value <= maximum}
+def between(value: float, minimum: float = -np.inf, maximum: float = np.inf) -> dict[str, Any]:
+    """Return a premise: its value, the ends between which it must lie, those that are finite, and whether it does."""
+    ends = {"minimum": float(minimum), "maximum": float(maximum)}
+    finite = {name: end for name, end in ends.items() if np.isfinite(end)}
+    return {"value": value, **finite, "holds": bool(minimum <= value <= maximum)}
