@@ -26,6 +26,8 @@ _DSNU_REACH = 8.0
 _REACH = 9.0
 """Where Gaussian noise ends, in its standard deviations: 1e-19 lies beyond."""
 _MOST_LEVELS = 2**16 - 1
+_ROUNDING = 1e-9
+"""More than rounding adds to a number of steps (1e-12), and nothing beside one step."""
 
 
 class LevelBank:
@@ -49,7 +51,8 @@ class LevelBank:
         highest = (4.5 + math.sqrt(20.25 + full)) ** 2 - sensor.read_noise_e**2
         ends = _scale(np.array([lowest, self.anchor_e, max(highest, self.anchor_e)]), self._floor_e)
         self.step = max(SPACING, (ends[2] - ends[0]) / (_MOST_LEVELS - 3))
-        self.anchor = math.ceil((ends[1] - ends[0]) / self.step)
+        # a whole number of steps stays one where rounding adds to it: no level comes twice
+        self.anchor = math.ceil((ends[1] - ends[0]) / self.step - _ROUNDING)
         count = self.anchor + math.ceil((ends[2] - ends[1]) / self.step) + 1
         levels = _unscale(ends[1] + (np.arange(count) - self.anchor) * self.step, self._floor_e)
         self.levels_e = np.maximum(levels, lowest)
