@@ -54,9 +54,13 @@ def peak_sigmas(false_alarms: float, n_px: int) -> float:
 
 
 def gain_of(sums: StatisticsSums, k: int, dark_dn2: float) -> tuple[float, float]:
-    """Return the gain of camera k [DN/e] and its standard deviation, from a guess and the residuals so far."""
+    """Return the gain of camera k [DN/e] and its standard deviation, from a guess and the residuals so far.
+
+    It stands for all that grows with a target's light, pixels' uneven response too: the slope of the variance at the
+    targets' brightness, which fits need. ``mosca.diagnostics.sensor.gain_estimate`` tells the photons' part.
+    """
     guess = np.sqrt(dark_dn2) / GUESSED_DARK_E
-    ss, sq, qq, rs, rq, _ = sums.tallies[k, NOISE_SUMS:AMPLITUDE_SUMS].tolist()
+    ss, sq, _, qq, _, _, rs, rq, _, _ = sums.tallies[k, NOISE_SUMS:AMPLITUDE_SUMS].tolist()
     ss, rs = ss + 1 / guess**2, rs + 1 / guess
     det = ss * qq - sq * sq
     misfit = (ss * rq - sq * rs) / det if det > 1e-12 * ss * qq else -1.0

@@ -18,20 +18,20 @@ from mosca.numba_support.decorators import bare_step, step
 
 # What an image adds to its camera's statistics: counts and sums, see mosca.detection.disc_fit.camera_statistics.
 N_TARGETS, BLUR_SUM, BLUR_WEIGHT, ROUGH_SUM, N_LIGHT, NOISE_SUMS = range(6)
-AMPLITUDE_SUMS = 11
-RIM_SUMS, N_RIMS = 18, 5
+AMPLITUDE_SUMS = 15
+RIM_SUMS, N_RIMS = 22, 5
 PROFILE_SUMS, N_PROFILE_SUMS = RIM_SUMS + N_RIMS, 19
 TRIED_SUM = PROFILE_SUMS + N_PROFILE_SUMS
 SMEARED_SUM = TRIED_SUM + 1
 LEFT_OUT = SMEARED_SUM + 1
 N_TALLIES, N_TERMS = LEFT_OUT + 5, 12
-"""From column NOISE_SUMS on: sums of the gain's least squares, see ``mosca.detection.disc_fit.residual_noise``. From
-column AMPLITUDE_SUMS on, of targets' l = ln amplitude, its variance v, and f = ln flux, with weights w:
-w, w f, w f f, w l, w f l, w l l, w v. From column RIM_SUMS on: sums of chi-square over its mean, for each of the
-ratios of ``mosca.detection.disc_fit.hidden_background.RIMS``. From column PROFILE_SUMS on: those of
-``mosca.detection.disc_fit.profile``. TRIED_SUM, SMEARED_SUM: how many round targets that no disc fits were fitted
-with other shapes, and how many of them as smeared discs. From column LEFT_OUT on: how many groups of bright pixels
-were left out, see ``mosca.detection.search.LEFT_OUT_REASONS``."""
+"""From column NOISE_SUMS on: sums of the gain's least squares, ss, sq, su, qq, qu, uu, rs, rq, ru and their number,
+see ``mosca.detection.disc_fit.residual_noise``. From column AMPLITUDE_SUMS on, of targets' l = ln amplitude, its
+variance v, and f = ln flux, with weights w: w, w f, w f f, w l, w f l, w l l, w v. From column RIM_SUMS on: sums of
+chi-square over its mean, for each of the ratios of ``mosca.detection.disc_fit.hidden_background.RIMS``. From column
+PROFILE_SUMS on: those of ``mosca.detection.disc_fit.profile``. TRIED_SUM, SMEARED_SUM: how many round targets that
+no disc fits were fitted with other shapes, and how many of them as smeared discs. From column LEFT_OUT on: how many
+groups of bright pixels were left out, see ``mosca.detection.search.LEFT_OUT_REASONS``."""
 N_OFFSET_TERMS = 9
 """Terms of the offset that are added to the fitted centre; those in R are shading."""
 

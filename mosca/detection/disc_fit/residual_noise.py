@@ -3,8 +3,10 @@
 Photon transfer (EMVA 1288, 6.6) with two points of a target's image at opposite sides of its centre in the place of
 two images: what the model leaves of a symmetric image (limbs, defocus, motion, any profile) is the same in both, and
 is not in their difference d, so that E d^2 = dark + gain s with the signal s. That less the dark variance is
-regressed on s and on q = (A e')^2, what an error of the edge adds that is not symmetric. Weights 1 / (2 var^2) are
-those of a normal variable's square, with the gain so far. Solved by ``mosca.detection.pixel_noise``.
+regressed on s, on q = (A e')^2, what an error of the edge adds that is not symmetric, and on u = s^2: pixels whose
+responses differ (PRNU) and light from one side. Weights 1 / (2 var^2) are those of a normal variable's square, with
+the gain so far. Solved by ``mosca.detection.pixel_noise``, for the variance that fits use, without u, and by
+``mosca.diagnostics.sensor``, for the gain alone, with it.
 """
 
 import math
@@ -115,11 +117,16 @@ def add_residuals(
                 lit += gain * one.signal > dark * one.dark
                 continue
             g = steep * image[3, i]
-            s, q, w = one.signal, g * g, HALF * (free / (scale * variance)) ** 2
+            s, q, u = one.signal, g * g, one.signal * one.signal / one.dark
+            w = HALF * (free / (scale * variance)) ** 2
             r = min(square, CLIP * scale * variance) - dark * one.dark
             tally[NOISE_SUMS] += w * s * s
             tally[NOISE_SUMS + 1] += w * s * q
-            tally[NOISE_SUMS + 2] += w * q * q
-            tally[NOISE_SUMS + 3] += w * s * r
-            tally[NOISE_SUMS + 4] += w * q * r
-            tally[NOISE_SUMS + 5] += ONE
+            tally[NOISE_SUMS + 2] += w * s * u
+            tally[NOISE_SUMS + 3] += w * q * q
+            tally[NOISE_SUMS + 4] += w * q * u
+            tally[NOISE_SUMS + 5] += w * u * u
+            tally[NOISE_SUMS + 6] += w * s * r
+            tally[NOISE_SUMS + 7] += w * q * r
+            tally[NOISE_SUMS + 8] += w * u * r
+            tally[NOISE_SUMS + 9] += ONE
