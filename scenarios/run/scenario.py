@@ -39,7 +39,8 @@ from scenarios.score.reference import requested_truth
 from scenarios.score.score_run import scored
 from scenarios.score.sensor import sensor_findings, stated_sensors
 from scenarios.score.without_truth import self_checks
-from scenarios.session.estimated import SessionCalibration, calibrate_in_session
+from scenarios.session.estimated import SessionCalibration, calibrate_in_session, inputs_of
+from scenarios.session.kept import kept
 from scenarios.spec.scenario import Scenario
 from scenarios.types import Collected, MeasuredTracks, RunOptions, Score, Scored, TruthSource
 from twin.cameras.virtual_camera import VirtualCamera
@@ -98,7 +99,7 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
         with _timed(timings, "build"):
             built = _built(spec, folder, options)
         own: SessionCalibration | None = None
-        if spec.calibration is not None:
+        if spec.calibration is not None and spec.calibration.target != "none":
             with _timed(timings, "calibration"):
                 own, reported = _own_calibration(spec, name, built, options)
             if spec.expect == "caught":
@@ -180,7 +181,8 @@ def _own_calibration(
     the finding.
     """
     try:
-        own = calibrate_in_session(spec, built.cameras, built.known.rig, options.workers)
+        inputs = inputs_of(spec, built.cameras, built.known.rig)
+        own = kept(inputs, lambda: calibrate_in_session(spec, built.cameras, built.known.rig, options.workers))
     except CalibrationError as refusal:
         if spec.expect != "caught":
             raise

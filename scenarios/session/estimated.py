@@ -1,6 +1,6 @@
 """The calibration session of a scenario: rendered, read and adjusted as in a lab, then held against the truth."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from scenarios.session.scenes import Session, axes_session, bar_session, target_
 from scenarios.spec.calibration import MovedCameraFault, SwappedSessionFault
 from scenarios.spec.scenario import Scenario
 from scenarios.types import Score
+from twin.cameras.exposure.mount import Mount
 from twin.cameras.optics.lens import TwinLens
 from twin.cameras.virtual_camera import VirtualCamera
 from twin.source import TwinSource
@@ -85,7 +86,7 @@ def calibrate_in_session(
     """
     wanted = spec.calibration
     assert wanted is not None
-    fixed = tuple(one for one in cameras if one.mount.body is None)
+    fixed = at_rest(cameras)
     fault = wanted.fault
     if isinstance(fault, MovedCameraFault):
         fixed = turned(fixed, fault.camera, fault.turn_px)
@@ -115,6 +116,28 @@ def calibrate_in_session(
     )
     ray_px, volume_m = against_truth(calibration.rig, fixed, center, size)
     return SessionCalibration(calibration, evidence, ray_px, volume_m)
+
+
+def inputs_of(spec: Scenario, cameras: tuple[VirtualCamera, ...], earlier: Rig) -> tuple[object, ...]:
+    """Return what decides the session's calibration: all of the scenario that ``calibrate_in_session`` reads."""
+    capture, pipeline = spec.capture.exposure_s, spec.pipeline.lens_model
+    return spec.calibration, spec.working_space, capture, pipeline, spec.seed, at_rest(cameras), earlier
+
+
+def at_rest(cameras: tuple[VirtualCamera, ...]) -> tuple[VirtualCamera, ...]:
+    """Return the cameras that stand in the room as they are in the session, before the measurement.
+
+    The same lenses, sensors and shake; no drift, warming or bump yet, no delays, an even background, and the target's
+    own light.
+    """
+    cold = {"principal_distance_ppm_per_s": 0.0, "principal_point_px_per_s": (0.0, 0.0)}
+    return tuple(
+        VirtualCamera(
+            one.camera, replace(one.optics, **cold), mount=Mount(body_px=one.mount.body_px), sensor=one.sensor
+        )
+        for one in cameras
+        if one.mount.body is None
+    )
 
 
 def against_truth(rig: Rig, cameras: tuple[VirtualCamera, ...], center: Array, size: Array) -> tuple[Array, Array]:

@@ -27,6 +27,8 @@ AXES_FRAMES, BAR_FRAMES = 40, 60
 BOARD_COLUMNS, BOARD_ROWS = 9, 6
 BOARD_SHARE, WAND_SHARE, BAR_SHARE = 0.5, 0.4, 0.3
 """Length of board, wand and bar over the working space's shortest edge."""
+FIELD_SHARE = 1.1
+"""Edges of a field over those of the working space, so that its marks enclose what is measured."""
 SPEED_SHARE = 0.3
 """Speed of a target carried by hand: shares of the working space's longest edge a second."""
 
@@ -71,7 +73,7 @@ def bar_session(spec: Scenario) -> Session[ScaleBar]:
 
 def _field(spec: Scenario, wanted: CalibrationSpec) -> Session[TestField]:
     draw = rng(spec.seed, "calibration")
-    size = np.array(wanted.size_m or spec.working_space.size_m)
+    size = np.array(wanted.size_m or FIELD_SHARE * np.array(spec.working_space.size_m))
     center = np.array(spec.working_space.center_m)
     if wanted.layout == "plate":
         laid = _plate(size, wanted.markers, wanted.relief, draw)

@@ -1,8 +1,10 @@
 """Keys of a scenario file: the calibration that its pipeline believes in.
 
-Without the table the pipeline gets the true poses and the best fit of its lens model to the true lenses: what a
-perfect calibration would give. With it the rig is estimated, as in a lab, from rendered images of a calibration
-session that the same cameras take beforehand.
+Without the table, and with ``target = "none"``, the pipeline gets the true poses and the best fit of its lens model
+to the true lenses: what a perfect calibration would give, as a diagnostic. With it the rig is estimated, as in a lab,
+from rendered images of a calibration session that the same cameras take beforehand, at rest. The defaults are a field
+of targets at ten stands in the working space; what was estimated is kept for all scenarios with the same cameras
+(``scenarios.session.kept``).
 """
 
 from typing import Annotated, Literal
@@ -11,6 +13,8 @@ from pydantic import Field, model_validator
 
 from mosca.data.files.toml import NotNegative, Positive, Table
 
+LEAST_CARRIED = 30
+"""Exposures of a board or wand below which a session is a slip: the default is that of a field at each stand."""
 FIELD_ONLY = {"markers", "layout", "relief", "stands", "shift", "tilt_deg", "world_frames"}
 
 
@@ -51,23 +55,26 @@ CalibrationFault = Annotated[
 class CalibrationSpec(Table):
     """``[calibration]``: the session from which the rig is estimated before the measurement."""
 
-    target: Literal["field", "board", "wand"] = Field(
+    target: Literal["field", "board", "wand", "none"] = Field(
         "field",
-        description="what is put before the cameras; boards and wands are followed by an L-frame for the axes",
+        description="what is put before the cameras; boards and wands are followed by an L-frame for the axes; "
+        "'none': the true rig instead, as of a perfect calibration",
     )
-    markers: int = Field(150, ge=4, le=507, description="coded targets of a field")
+    markers: int = Field(100, ge=4, le=507, description="coded targets of a field")
     layout: Literal["tower", "corner", "plate"] = Field("tower", description="how they stand")
     relief: NotNegative = Field(0.0, le=1, description="depth of a plate's targets, share of its edge")
     size_m: tuple[Positive, Positive, Positive] | None = Field(
-        None, description="edges of the field, or of the box that a target is carried in; default: the working space"
+        None,
+        description="edges of the field, or of the box that a target is carried in; default: the working space, of a "
+        "field a tenth more",
     )
     known_to: NotNegative = Field(
         1e-5, description="standard deviation of the marks' places or lengths, share of the longest edge"
     )
-    stands: int = Field(1, ge=1, le=200, description="places at which the field is put; the first is the world")
-    shift: NotNegative = Field(0.2, description="how far from the first stand, share of the field's edges")
-    tilt_deg: NotNegative = Field(15.0, le=60, description="how far it leans there at most")
-    frames: int = Field(20, ge=1, le=5000, description="exposures (of a field: at each stand)")
+    stands: int = Field(10, ge=1, le=200, description="places at which the field is put; the first is the world")
+    shift: NotNegative = Field(0.45, description="how far from the first stand, share of the field's edges")
+    tilt_deg: NotNegative = Field(25.0, le=60, description="how far it leans there at most")
+    frames: int = Field(2, ge=1, le=5000, description="exposures (of a field: at each stand)")
     world_frames: int = Field(
         0, ge=0, le=5000, description="exposures of a field at the first stand, which is the world, if more"
     )
@@ -84,6 +91,11 @@ class CalibrationSpec(Table):
         wrong = FIELD_ONLY & self.model_fields_set
         if self.target != "field" and wrong:
             raise ValueError(f"'{min(wrong)}' belongs to a field; target = '{self.target}' has none")
+        if self.target in ("board", "wand") and self.frames < LEAST_CARRIED:
+            raise ValueError(
+                f"frames = {self.frames} given; a {self.target} is carried about and seen in hundreds: at least "
+                f"{LEAST_CARRIED} are wanted"
+            )
         if self.relief and self.layout != "plate":
             raise ValueError(f"'relief' belongs to layout = 'plate'; '{self.layout}' has its own")
         if self.target == "wand" and self.exterior_only:

@@ -148,10 +148,11 @@ class CameraSupport:
         return np.asarray(0.5 - 0.5 * np.cos(np.pi * share))
 
 
+@kernel
 def pixels_per_radian(lens: Array) -> float:
     """Return how far the image moves for a small rotation of the camera, at the middle of the view [px/rad]."""
     _u, _v, ux, _uy, _uz, _vx, vy, _vz, _ok = project(lens, 0.0, 0.0, 1.0)
-    return float(np.sqrt(ux * ux + vy * vy) / np.sqrt(2.0))
+    return math.sqrt(ux * ux + vy * vy) / math.sqrt(2.0)
 
 
 def _tones(mount: Mount, name: str, seed: int) -> Array:

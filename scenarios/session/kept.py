@@ -1,0 +1,140 @@
+"""Calibrations of sessions, kept by the content of all that goes into them.
+
+Scenarios whose cameras are the same at rest share one session, and later runs find it: in ``XDG_CACHE_HOME`` or
+``~/.cache``, under ``mosca-testbench/calibrations``. A file begins with the digest of what follows; one that was cut
+short is made again. The folder may be removed at any time.
+"""
+
+import hashlib
+import logging
+import os
+import pickle
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import BaseModel
+
+from mosca.data.files.whole_file import whole_file
+from mosca.errors import InputError
+from mosca.numba_support.cache import source_stamp
+from scenarios.run.provenance import provenance
+from scenarios.session import estimated
+from scenarios.session.estimated import SessionCalibration
+
+LOG = logging.getLogger(__name__)
+MOST_KEPT = 200
+"""Calibrations that are kept, the last used ones (a megabyte each)."""
+
+
+def cache_folder() -> Path:
+    """Return the folder of the kept calibrations."""
+    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(base) / "mosca-testbench" / "calibrations"
+
+
+def kept(inputs: object, made: Callable[[], SessionCalibration], folder: Path | None = None) -> SessionCalibration:
+    """Return the calibration of these inputs, from ``folder`` or ``made`` now and kept there.
+
+    ``inputs``: all that decides it besides the code and the processor: numbers, texts, arrays, dataclasses, tables,
+    and tuples and mappings of these. A process that makes the same one is waited for. Where the folder cannot be
+    written a warning is logged.
+    """
+    folder = folder or cache_folder()
+    path = folder / f"{key_of(inputs)}.calibration"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        LOG.warning("%s: calibrations are not kept: %s", folder, error.strerror)
+        return made()
+    with _one_at_a_time(path.with_suffix(".lock")):
+        if (found := _read(path)) is not None:
+            LOG.info("calibration kept in %s", path)
+            return found
+        result = made()
+        try:
+            _write(path, result)
+            _remove_oldest(folder)
+        except (OSError, InputError) as error:
+            LOG.warning("%s: the calibration is not kept: %s", path, error)
+        return result
+
+
+def key_of(inputs: object) -> str:
+    """Return a digest of the inputs, of the code and of what else decides last digits."""
+    digest = hashlib.sha256(source_stamp(Path(estimated.__file__)).encode())
+    made_by = provenance()
+    for part in (made_by["versions"], made_by["platform"], made_by["processor"], inputs):
+        _add(digest, part)
+    return digest.hexdigest()[:32]
+
+
+def _add(digest: Any, value: object) -> None:
+    """Add a value to a digest, with its type, so that equal values give equal digests."""
+    digest.update(f"{type(value).__qualname__}(".encode())
+    if isinstance(value, np.ndarray):
+        digest.update(f"{value.dtype}{value.shape}".encode() + np.ascontiguousarray(value).tobytes())
+    elif isinstance(value, BaseModel):
+        _add(digest, value.model_dump())
+    elif is_dataclass(value):
+        _add(digest, {one.name: getattr(value, one.name) for one in fields(value)})
+    elif isinstance(value, Mapping):
+        for key in sorted(value, key=repr):
+            _add(digest, key)
+            _add(digest, value[key])
+    elif isinstance(value, tuple | list):
+        for one in value:
+            _add(digest, one)
+    elif value is None or isinstance(value, str | int | float | np.generic):
+        digest.update(repr(value).encode())
+    else:
+        raise TypeError(f"{type(value).__name__} has no digest")
+    digest.update(b")")
+
+
+def _read(path: Path) -> SessionCalibration | None:
+    """Return what is kept in a file; None where there is none, or where it is not whole."""
+    try:
+        content = path.read_bytes()
+    except OSError:
+        return None
+    head, body = content[:32], content[32:]
+    if hashlib.sha256(body).digest() != head:
+        return None
+    os.utime(path)
+    result: SessionCalibration = pickle.loads(body)
+    return result
+
+
+def _write(path: Path, result: SessionCalibration) -> None:
+    body = pickle.dumps(result)
+    with whole_file(path) as temporary:
+        temporary.write_bytes(hashlib.sha256(body).digest() + body)
+
+
+def _remove_oldest(folder: Path) -> None:
+    last_used = sorted(folder.glob("*.calibration"), key=lambda path: path.stat().st_mtime)
+    for path in last_used[:-MOST_KEPT]:
+        path.unlink(missing_ok=True)
+        path.with_suffix(".lock").unlink(missing_ok=True)
+
+
+@contextmanager
+def _one_at_a_time(path: Path) -> Iterator[None]:
+    """Hold the lock file, once no other process holds it; without flock (Windows) there is no lock."""
+    try:
+        import fcntl
+    except ImportError:
+        yield
+        return
+    try:
+        file = path.open("w")
+    except OSError:
+        yield
+        return
+    with file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        yield
