@@ -214,7 +214,8 @@ def _metric_row(metric: Metric) -> dict[str, Any]:
     if metric.breaks is not None:
         ends, _ = shown((metric.value, *metric.breaks), metric.unit, metric.name)
         where = f"[{figure(ends[1])}, {figure(ends[2])}]"
-        mark = f"✓ broken, in {where}" if metric.as_it_must else f"✗ outside {where}"
+        broken = "" if metric.passed else "broken, "
+        mark = f"✓ {broken}in {where}" if metric.as_it_must else f"✗ outside {where}"
     return {
         "name": metric.name,
         "value": figure(numbers[0]),

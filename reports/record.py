@@ -59,7 +59,7 @@ class Metric:
     """In a baseline: the largest change of the value among runs of the same product with other processor features
     (last digits), or None where that was not measured."""
     breaks: tuple[float, float] | None = None
-    """In a control: the range beyond the limit in which the value must lie."""
+    """Range in which the value must lie: of a limit with two ends, or in a control beyond its limit."""
 
     @property
     def as_it_must(self) -> bool | None:

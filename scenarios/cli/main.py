@@ -114,6 +114,13 @@ def run(
 @cli.command()
 @click.argument("paths", nargs=-1, type=FILE)
 @click.option("--tier", type=click.Choice(["quick", "full"]), default="quick", show_default=True)
+@click.option(
+    "--set",
+    "overrides",
+    multiple=True,
+    metavar="KEY=VALUE",
+    help="change a key in each, e.g. seed=2; then nothing is compared with the committed baselines  [repeatable]",
+)
 @click.option("--jobs", type=click.IntRange(1, 256), help="scenarios at a time  [default: all cores]")
 @click.option("--out", type=OUT_FOLDER, default=Path("runs/suite"), show_default=True, help="folder of run folders")
 @click.option("--junit", type=OutFile(makes_folders=True), help="write JUnit XML here")
@@ -133,6 +140,7 @@ def run(
 def suite(
     paths: tuple[Path, ...],
     tier: str,
+    overrides: tuple[str, ...],
     jobs: int | None,
     out: Path,
     junit: Path | None,
@@ -154,7 +162,9 @@ def suite(
         raise InputError("--spread goes with --update-baselines; to compare with a folder give --compare")
     if compare is not None and update_baselines:
         raise InputError("--compare and --update-baselines exclude each other; give one of them")
-    entries = catalog.entries(paths, tier)
+    if overrides and update_baselines and baselines is None:
+        raise InputError("--set and --update-baselines: baselines are those of the files as they are; leave one out")
+    entries = catalog.entries(paths, tier, overrides)
     if not entries:
         raise InputError(f"no scenario of tier '{tier}' in {', '.join(map(str, paths)) or 'the project'}")
     from reports.compare import summary_table
@@ -184,7 +194,7 @@ def suite(
     if update_baselines and not stopped:
         work.update_baselines(outcomes, baselines or work.BASELINES, replicates)
         click.echo(f"{len(outcomes)} baselines written to {baselines or work.BASELINES}; say why in CHANGELOG.md")
-    else:
+    elif compare is not None or not overrides:
         outcomes = work.compared(outcomes, compare or work.BASELINES)
     if junit is not None:
         work.write_junit(outcomes, junit)

@@ -22,6 +22,7 @@ from scenarios.score.delivery import expected_sets, expected_share, frame_losses
 from scenarios.score.limits import loose_limits
 from scenarios.score.sensor import StatedSensor
 from scenarios.score.tracks import limits_met
+from scenarios.spec.limits import end_of
 from scenarios.spec.scenario import Scenario
 from scenarios.types import Collected, Score, Scored
 
@@ -76,7 +77,7 @@ def record_of(
     )
 
 
-def _limits(spec: Scenario, worth: Scored) -> dict[str, float]:
+def _limits(spec: Scenario, worth: Scored) -> dict[str, float | tuple[float, float]]:
     """Return the scenario's limits; all frame sets, or frames, must have come but for the losses that it states."""
     if "frames_complete" in worth.scores:
         return {"frames_complete": weakest(worth.collected.frames).least} | spec.limits
@@ -100,9 +101,15 @@ def _missing(spec: Scenario, collected: Collected) -> str:
 
 
 def _metric(
-    name: str, score: Score, limit: float | None, met: Mapping[str, bool], breaks: tuple[float, float] | None
+    name: str,
+    score: Score,
+    limit: float | tuple[float, float] | None,
+    met: Mapping[str, bool],
+    breaks: tuple[float, float] | None,
 ) -> Metric:
     kind = METRICS[name]
+    if isinstance(limit, tuple):
+        breaks, limit = breaks or limit, end_of(name, limit)
     return Metric(
         name, score.value, kind.unit, score.n, score.ci95, "none", limit, kind.sense, met.get(name),
         MetricBlocks(score.sums, score.weights) if score.sums else None, breaks=breaks,

@@ -10,7 +10,7 @@ from scenarios.types import Score
 
 def control_verdict(
     scores: Mapping[str, Score],
-    limits: Mapping[str, float],
+    limits: Mapping[str, float | tuple[float, float]],
     met: Mapping[str, bool],
     breaks: Mapping[str, tuple[float, float]],
 ) -> tuple[bool, str]:
@@ -23,18 +23,24 @@ def control_verdict(
     found = []
     for name, (low, high) in breaks.items():
         value = _value(scores, name)
-        wanted = f"[{low:.4g}, {high:.4g}]"
+        wanted = _range(low, high)
         if low <= value <= high:
             found.append(f"{name} {value:.4g} in {wanted}")
         else:
             wrong.append(f"{_shown(name, value)} outside {wanted}")
     for name, holds in met.items():
         if not holds and name not in breaks:
+            limit = limits[name]
             side = "below" if METRICS[name].sense == "at_least" else "above"
-            wrong.append(f"{_shown(name, _value(scores, name))} {side} its limit {limits[name]:.4g}")
+            where = f"{side} its limit {limit:.4g}" if isinstance(limit, float) else f"outside {_range(*limit)}"
+            wrong.append(f"{_shown(name, _value(scores, name))} {where}")
     if wrong:
         return False, f"control broken: {'; '.join(wrong)}"
     return True, f"fails as it must: {', '.join(found)}"
+
+
+def _range(low: float, high: float) -> str:
+    return f"[{low:.4g}, {high:.4g}]"
 
 
 def _value(scores: Mapping[str, Score], name: str) -> float:

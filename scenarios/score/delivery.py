@@ -6,6 +6,7 @@ from typing import Any
 from mosca.continuous.association.associate import Associated
 from mosca.synchronisation import Assembly, CameraCount
 from scenarios.build.cameras import deliveries
+from scenarios.spec.limits import end_of
 from scenarios.spec.scenario import Scenario
 from scenarios.types import CameraFrames, Score
 from twin.cameras.delivery import Delivery
@@ -82,7 +83,7 @@ def camera_frames(
         own, count = timing[name], gathered.count
         expected = max(frames_of(own, pulses, capture.frame_rate_hz), int(stated.get(name, 0)), 1)
         if "frames_complete" in spec.limits:
-            least = spec.limits["frames_complete"]
+            least = end_of("frames_complete", spec.limits["frames_complete"])
         else:
             begin_s = own.offset_s if own.rate_hz is not None else 0.0
             least = expected_share({name: delivery}, expected, pulses / capture.frame_rate_hz, begin_s)

@@ -156,14 +156,17 @@ def hota(matched: TruthPairs) -> float:
 
 
 def limits_met(
-    scores: Mapping[str, Score], limits: Mapping[str, float], sense: Callable[[str], str]
+    scores: Mapping[str, Score], limits: Mapping[str, float | tuple[float, float]], sense: Callable[[str], str]
 ) -> dict[str, bool]:
     """Return for each limited metric whether its limit is met; a metric without a value does not meet it."""
     met = {}
     for name, limit in limits.items():
         score = scores.get(name)
         value = np.nan if score is None else score.value
-        met[name] = bool(value <= limit if sense(name) == "at_most" else value >= limit)
+        if isinstance(limit, tuple):
+            met[name] = bool(limit[0] <= value <= limit[1])
+        else:
+            met[name] = bool(value <= limit if sense(name) == "at_most" else value >= limit)
     return met
 
 

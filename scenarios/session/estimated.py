@@ -130,10 +130,12 @@ def at_rest(cameras: tuple[VirtualCamera, ...]) -> tuple[VirtualCamera, ...]:
     The same lenses, sensors and shake; no drift, warming or bump yet, no delays, an even background, and the target's
     own light.
     """
-    cold = {"principal_distance_ppm_per_s": 0.0, "principal_point_px_per_s": (0.0, 0.0)}
     return tuple(
         VirtualCamera(
-            one.camera, replace(one.optics, **cold), mount=Mount(body_px=one.mount.body_px), sensor=one.sensor
+            one.camera,
+            replace(one.optics, principal_distance_ppm_per_s=0.0, principal_point_px_per_s=(0.0, 0.0)),
+            mount=Mount(body_px=one.mount.body_px),
+            sensor=one.sensor,
         )
         for one in cameras
         if one.mount.body is None

@@ -76,7 +76,7 @@ class CalibrationSpec(Table):
     tilt_deg: NotNegative = Field(25.0, le=60, description="how far it leans there at most")
     frames: int = Field(2, ge=1, le=5000, description="exposures (of a field: at each stand)")
     world_frames: int = Field(
-        0, ge=0, le=5000, description="exposures of a field at the first stand, which is the world, if more"
+        10, ge=0, le=5000, description="exposures of a field at the first stand, which is the world, if more"
     )
     rate_hz: Positive = Field(
         10.0, le=2000, description="exposures a second; a target that is carried must move between them [Hz]"

@@ -19,6 +19,8 @@ class Entry:
     path: Path
     name: str
     spec: Scenario
+    overrides: tuple[str, ...] = ()
+    """``KEY=VALUE`` by which ``spec`` differs from the file."""
 
 
 def find(name: str) -> Path:
@@ -49,8 +51,11 @@ def scenario_name(path: Path) -> str:
     return path.stem
 
 
-def entries(paths: tuple[Path, ...], tier: str | None = None) -> list[Entry]:
-    """Return the scenarios of files and folders (all built-in ones where none is named), of one tier or of all."""
+def entries(paths: tuple[Path, ...], tier: str | None = None, overrides: tuple[str, ...] = ()) -> list[Entry]:
+    """Return the scenarios of files and folders (all built-in ones where none is named), of one tier or of all.
+
+    ``overrides``: as of ``load_scenario``, in each of them.
+    """
     files: list[Path] = []
     for path in paths:
         if path.is_dir():
@@ -58,7 +63,7 @@ def entries(paths: tuple[Path, ...], tier: str | None = None) -> list[Entry]:
         else:
             files.append(path)
     chosen = files if paths else built_in()
-    found = [Entry(path, scenario_name(path), load_scenario(path)) for path in chosen]
+    found = [Entry(path, scenario_name(path), load_scenario(path, overrides), overrides) for path in chosen]
     names = [e.name for e in found]
     for entry in found:
         if names.count(entry.name) > 1:

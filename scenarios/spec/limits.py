@@ -1,8 +1,8 @@
 """``[limits]`` and ``[breaks]`` of a scenario: numbers in the metric's unit, texts with a unit, keys that end in one.
 
 ``position_rms = 0.0005``, ``position_rms = "0.5 mm"`` and ``position_rms_mm = 0.5`` say the same. What is read is a
-number in the unit of ``reports.metrics.METRICS``; a limit that has no meaning for its metric is refused. A range of
-``[breaks]`` is two of them: ``position_rms_mm = [1.6, 2.4]``.
+number in the unit of ``reports.metrics.METRICS``; a limit that has no meaning for its metric is refused. Two of them
+are a range in which the value must lie, as ``nees = [2, 4]`` in ``[limits]``, and each of ``[breaks]``.
 """
 
 import difflib
@@ -54,11 +54,11 @@ _WITH_UNIT = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(\S+)
 
 
 def read_limits(given: Any) -> Any:
-    """Return ``[limits]`` as metric -> limit in the metric's unit; anything but a table is returned as it is.
+    """Return ``[limits]`` as metric -> limit, or range, in the metric's unit; what is no table is returned as it is.
 
     Raises pydantic's ValidationError, whose places are the keys as they were given.
     """
-    return _read(given, _number, "limits")
+    return _read(given, _limit, "limits")
 
 
 def read_breaks(given: Any) -> Any:
@@ -80,6 +80,13 @@ def _read(given: Any, read: Callable[[str, Any, str, str], Any], says: str) -> A
     return found
 
 
+def end_of(name: str, limit: float | tuple[float, float]) -> float:
+    """Return the limit of a metric; of a range its end towards what is bad."""
+    if isinstance(limit, tuple):
+        return limit[METRICS[name].sense == "at_most"]
+    return limit
+
+
 def range_of(name: str) -> str:
     """Return in words which limits a metric can have."""
     kind = METRICS[name]
@@ -91,6 +98,16 @@ def range_of(name: str) -> str:
 
 def limits_schema() -> dict[str, Any]:
     """Return the JSON schema of ``[limits]``: each metric in its unit, as a text, and with its unit in the key."""
+    return _table_schema({key: {"anyOf": [one, _range_schema(one)]} for key, one in _properties().items()})
+
+
+def breaks_schema() -> dict[str, Any]:
+    """Return the JSON schema of ``[breaks]``: as that of ``[limits]``, ranges alone."""
+    return _table_schema({key: _range_schema(one) for key, one in _properties().items()})
+
+
+def _properties() -> dict[str, Any]:
+    """Return the schema of a number for each key that there may be."""
     properties: dict[str, Any] = {}
     for name, kind in METRICS.items():
         texts = "|".join(re.escape(unit) for unit in UNITS[kind.quantity])
@@ -101,15 +118,14 @@ def limits_schema() -> dict[str, Any]:
             if _is_ending(unit):
                 ending = _number_schema(kind, factor)
                 properties[f"{name}_{unit}"] = {**ending, "description": f"{name} in {unit}"}
-    return {"type": "object", "properties": properties, "additionalProperties": False, "default": {}}
+    return properties
 
 
-def breaks_schema() -> dict[str, Any]:
-    """Return the JSON schema of ``[breaks]``: as that of ``[limits]``, with a range for each number."""
-    properties = {
-        name: {"type": "array", "items": limit, "minItems": 2, "maxItems": 2}
-        for name, limit in limits_schema()["properties"].items()
-    }
+def _range_schema(limit: dict[str, Any]) -> dict[str, Any]:
+    return {"type": "array", "items": limit, "minItems": 2, "maxItems": 2}
+
+
+def _table_schema(properties: dict[str, Any]) -> dict[str, Any]:
     return {"type": "object", "properties": properties, "additionalProperties": False, "default": {}}
 
 
@@ -161,6 +177,10 @@ def _number(key: str, value: Any, name: str, ending: str) -> float:
         never = "; a lower limit of 0 is never broken" if limit == 0 else ""
         _refuse(key, value, f"{range_of(name)}{never}: {_example(name)}")
     return limit
+
+
+def _limit(key: str, value: Any, name: str, ending: str) -> float | tuple[float, float]:
+    return (_range if isinstance(value, list | tuple) else _number)(key, value, name, ending)
 
 
 def _range(key: str, value: Any, name: str, ending: str) -> tuple[float, float]:

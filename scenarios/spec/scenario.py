@@ -35,7 +35,7 @@ from scenarios.spec.cameras import (
     TimingSpec,
 )
 from scenarios.spec.continuous import ContinuousSpec
-from scenarios.spec.limits import breaks_schema, limits_schema, read_breaks, read_limits
+from scenarios.spec.limits import breaks_schema, end_of, limits_schema, read_breaks, read_limits
 from scenarios.spec.scenes import GlowSpec, LampsSpec, SceneSpec
 from scenarios.spec.stages import StageTables
 
@@ -169,8 +169,10 @@ class LengthSpec(Table):
     )
 
 
-Limits = Annotated[dict[str, float], BeforeValidator(read_limits), WithJsonSchema(limits_schema())]
-"""Metric -> limit in the metric's unit."""
+Limits = Annotated[
+    dict[str, float | tuple[float, float]], BeforeValidator(read_limits), WithJsonSchema(limits_schema())
+]
+"""Metric -> limit in the metric's unit, or the range in which it must lie."""
 Breaks = Annotated[dict[str, tuple[float, float]], BeforeValidator(read_breaks), WithJsonSchema(breaks_schema())]
 """Metric -> range in the metric's unit."""
 
@@ -215,7 +217,7 @@ class Scenario(Table):
         (), description="certified lengths that are seen, for length_rms and length_max; [[length]]"
     )
     premises: Premises = Premises()
-    limits: Limits = Field({}, description="metric = limit; " + ", ".join(METRICS))
+    limits: Limits = Field({}, description="metric = limit, or [low, high]; " + ", ".join(METRICS))
     breaks: Breaks = Field(
         {},
         description="of a control: metric = [low, high], the range beyond the metric's limit in which the fault "
@@ -276,7 +278,7 @@ def _check_control(spec: Scenario) -> None:
     for name, (low, high) in spec.breaks.items():
         if name not in spec.limits:
             raise ValueError(f"breaks.{name} has no limit that it breaks; add limits.{name}")
-        upper, limit = METRICS[name].sense == "at_most", spec.limits[name]
+        upper, limit = METRICS[name].sense == "at_most", end_of(name, spec.limits[name])
         if low <= limit if upper else high >= limit:
             must = f"begin above {limit:g}" if upper else f"end below {limit:g}"
             raise ValueError(

@@ -63,7 +63,7 @@ def run_suite(entries: Sequence[Entry], out: Path, jobs: int, told: Callable[[Ou
     jobs = min(jobs, max(1, len(order)))
     with first_ctrl_c(asked.set), ProcessPoolExecutor(jobs, mp_context=context, initializer=_begin_worker) as pool:
         with _ctrl_c_held_back():
-            pending = {pool.submit(_run_one, str(e.path), e.name, str(out / e.name)) for e in order}
+            pending = {pool.submit(_run_one, str(e.path), e.name, str(out / e.name), e.overrides) for e in order}
         try:
             while pending:
                 if asked.is_set():
@@ -228,7 +228,7 @@ def complaints(outcome: Outcome) -> list[str]:
     return lines
 
 
-def _run_one(path: str, name: str, out: str) -> Outcome:
+def _run_one(path: str, name: str, out: str, overrides: tuple[str, ...] = ()) -> Outcome:
     """Run one scenario in a worker process."""
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     from scenarios.run.folder import check_out, write_run
@@ -242,7 +242,7 @@ def _run_one(path: str, name: str, out: str) -> Outcome:
     try:
         check_out(Path(out))
         with one_writer(Path(out)):
-            result = run_scenario(load_scenario(Path(path)), name, Path(path).parent)
+            result = run_scenario(load_scenario(Path(path), overrides), name, Path(path).parent)
             record = result.record
             write_run(result, Path(out))
     except MoscaError as error:
