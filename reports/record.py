@@ -94,6 +94,8 @@ class RunRecord:
     """Seconds, the only part that differs between two runs of the same seed and code."""
     provenance: Mapping[str, Any] = field(default_factory=dict)
     """Versions, platform, git, parameters."""
+    rig: str = ""
+    """Where the calibration comes from: "true", or what it was estimated from; "" in older records."""
     not_judged: tuple[str, ...] = ()
     """Metrics that the scenario limits and this source cannot give: such a run has not passed."""
 

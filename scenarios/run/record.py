@@ -67,6 +67,7 @@ def record_of(
         cameras=_cameras(collected),
         source_account=collected.account,
         timings={key: float(value) for key, value in timings.items()},
+        rig=_rig_words(spec),
         not_judged=not_judged,
         provenance={
             **provenance(),
@@ -75,6 +76,12 @@ def record_of(
             "parameters": spec.model_dump(mode="json"),
         },
     )
+
+
+def _rig_words(spec: Scenario) -> str:
+    if spec.calibration is None or spec.calibration.target == "none":
+        return "true"
+    return f"estimated from a {spec.calibration.target}"
 
 
 def _limits(spec: Scenario, worth: Scored) -> dict[str, float | tuple[float, float]]:

@@ -40,7 +40,7 @@ from scenarios.score.score_run import scored
 from scenarios.score.sensor import sensor_findings, stated_sensors
 from scenarios.score.without_truth import self_checks
 from scenarios.session.estimated import SessionCalibration, calibrate_in_session, inputs_of
-from scenarios.session.kept import kept
+from scenarios.run.kept_calibrations import kept
 from scenarios.spec.scenario import Scenario
 from scenarios.types import Collected, MeasuredTracks, RunOptions, Score, Scored, TruthSource
 from twin.cameras.virtual_camera import VirtualCamera

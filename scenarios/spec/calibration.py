@@ -4,7 +4,7 @@ Without the table, and with ``target = "none"``, the pipeline gets the true pose
 to the true lenses: what a perfect calibration would give, as a diagnostic. With it the rig is estimated, as in a lab,
 from rendered images of a calibration session that the same cameras take beforehand, at rest. The defaults are a field
 of targets at ten stands in the working space; what was estimated is kept for all scenarios with the same cameras
-(``scenarios.session.kept``).
+(``scenarios.run.kept_calibrations``).
 """
 
 from typing import Annotated, Literal

@@ -98,7 +98,11 @@ def range_of(name: str) -> str:
 
 def limits_schema() -> dict[str, Any]:
     """Return the JSON schema of ``[limits]``: each metric in its unit, as a text, and with its unit in the key."""
-    return _table_schema({key: {"anyOf": [one, _range_schema(one)]} for key, one in _properties().items()})
+    properties = {}
+    for key, one in _properties().items():
+        choices = one.get("anyOf", [{name: value for name, value in one.items() if name != "description"}])
+        properties[key] = {"anyOf": [*choices, _range_schema({"anyOf": choices})], "description": one["description"]}
+    return _table_schema(properties)
 
 
 def breaks_schema() -> dict[str, Any]:

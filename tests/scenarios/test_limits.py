@@ -36,10 +36,14 @@ from scenarios.types import Collected, Score, Scored
         ("clock_drift_ppm = 5", {"clock_drift_ppm": 5.0}),
         ("ghosts_per_frame = 0", {"ghosts_per_frame": 0.0}),
         ("completeness = 1", {"completeness": 1.0}),
+        ("nees = [2.4, 3.6]", {"nees": (2.4, 3.6)}),
+        ("position_rms_mm = [0.2, 0.5]", {"position_rms": (0.0002, 0.0005)}),
     ],
 )
 def test_units_of_limits(tmp_path, line, limits):
-    assert load_scenario(write_tiny(tmp_path, limits=line)).limits == pytest.approx(limits, rel=1e-12)
+    assert load_scenario(write_tiny(tmp_path, limits=line)).limits == {
+        name: pytest.approx(limit, rel=1e-12) for name, limit in limits.items()
+    }
 
 
 @pytest.mark.parametrize(
@@ -57,6 +61,9 @@ def test_units_of_limits(tmp_path, line, limits):
         ('position_rms = "0.5"', ["'0.5' given", "with a unit"]),
         ('position_rms_mm = "0.5 mm"', ["a number is wanted"]),
         ("position_rms = 1e-3\nposition_rms_mm = 0.5", ["'position_rms' limits position_rms already"]),
+        ("nees = [3.6, 2.4]", ["[3.6, 2.4] given", "the smaller one first"]),
+        ("nees = [2.4]", ["two numbers"]),
+        ("completeness = [0.9, 99]", ["a share above 0 to 1"]),
         ("completeness = true", ["True given", "a number is wanted"]),
         ("completeness = 0", ["0 given", "a lower limit of 0 is never broken"]),
         ("frame_rate = inf", ["inf given"]),
@@ -104,7 +111,7 @@ def test_the_schema_allows_what_is_read(tmp_path):
         assert any(re.search(pattern, value) for pattern in patterns) == good
         if good:
             read_limits({key: value})
-    assert schema["properties"]["position_rms_mm"]["maximum"] == pytest.approx(1e6)
+    assert schema["properties"]["position_rms_mm"]["anyOf"][0]["maximum"] == pytest.approx(1e6)
     assert schema["properties"]["hota"]["anyOf"][0] == {"type": "number", "exclusiveMinimum": 0, "maximum": 1.0}
 
 
@@ -136,6 +143,17 @@ def record(tmp_path, limits, loose=""):
     collected = Collected(table([]), (), -1, Assembly(), {}, {})
     worth = Scored({"position_rms": Score(2.2e-4, 100)}, {}, collected, None, None)
     return record_of(spec, "tiny", "twin", worth, {}, Calibrated(None, 0.0, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("limits", "passes"),
+    [("[0.2, 0.3]", True), ("[0.1, 0.2]", False), ("[0.23, 0.3]", False)],  # too small an error is no result either
+)
+def test_a_limit_with_two_ends(tmp_path, limits, passes):
+    made = record(tmp_path, f"position_rms_mm = {limits}")
+    assert made.passed == passes
+    assert made.metric("position_rms").as_it_must == passes
+    assert made.metric("position_rms").limit == pytest.approx(float(limits[1:-1].split(",")[1]) * 1e-3)
 
 
 def test_a_far_too_loose_limit_is_told_in_the_verdict_and_on_the_page(tmp_path):

@@ -63,7 +63,7 @@ def spec(tmp_path: Path, calibration: str, top: str = "", limits: str = "positio
 
 
 def test_a_fields_file_has_its_places_as_well_as_they_are_known(tmp_path):
-    given_spec = spec(tmp_path, "markers = 150\nknown_to = 0.001")
+    given_spec = spec(tmp_path, "markers = 150\nknown_to = 0.001\nsize_m = [1.0, 1.0, 1.0]")
     session = target_session(given_spec, given_spec.calibration)
     # the marks of the twin's field in its first pose, which is the world's
     true = session.scene.sampler().at(0.0).marker_xyz
@@ -71,7 +71,8 @@ def test_a_fields_file_has_its_places_as_well_as_they_are_known(tmp_path):
     assert session.target.sigma_m == pytest.approx(0.001)
     # 450 normal numbers of standard deviation 1 mm: their own spreads by a thirtieth
     assert np.sqrt(np.mean(off**2)) == pytest.approx(0.001, rel=0.15)
-    assert session.pulses == given_spec.calibration.frames
+    # ten stands of two exposures, and eight more of the world
+    assert session.pulses == 28
 
 
 def test_faults_of_a_fields_file(tmp_path):
@@ -99,7 +100,7 @@ def test_faults_of_boards_and_wands_files(tmp_path, fault, factor):
     for kind in ("board", "wand"):
         right, wrong = (
             target_session(one, one.calibration)
-            for one in (spec(tmp_path, f'target = "{kind}"\n{more}') for more in ("", f"fault = {fault}"))
+            for one in (spec(tmp_path, f'target = "{kind}"\nframes = 30\n{more}') for more in ("", f"fault = {fault}"))
         )
         # the thing itself is the same, only its file is not
         at = [session.scene.sampler().at(0.3).marker_xyz for session in (right, wrong)]
@@ -113,7 +114,7 @@ def test_faults_of_boards_and_wands_files(tmp_path, fault, factor):
 
 
 def test_the_l_frame_stands_where_its_file_says_and_the_bar_is_as_long(tmp_path):
-    one = spec(tmp_path, 'target = "wand"')
+    one = spec(tmp_path, 'target = "wand"\nframes = 30')
     axes = axes_session(one)
     np.testing.assert_array_equal(axes.scene.sampler().at(1.0).marker_xyz, axes.target.positions)
     # at the bottom of the working space, its stems above its floor
@@ -238,6 +239,7 @@ def with_sessions(sessions, monkeypatch):
         return sessions["" if given_spec.calibration.fault is None else WRONG_UNITS]
 
     monkeypatch.setattr(runner, "calibrate_in_session", known)
+    monkeypatch.setattr(runner, "kept", lambda inputs, made: made())
 
 
 def test_a_fault_that_is_told_of_is_caught(with_sessions, tmp_path):
@@ -299,9 +301,10 @@ def test_the_pipeline_measures_with_the_estimated_rig(with_sessions, sessions, t
     ("calibration", "says"),
     [
         ('target = "wand"\nstands = 3', "'stands' belongs to a field; target = 'wand' has none"),
+        ('target = "board"', "frames = 2 given; a board is carried about"),
         ('target = "board"\nmarkers = 9', "'markers' belongs to a field"),
         ("relief = 0.1", "'relief' belongs to layout = 'plate'; 'tower' has its own"),
-        ('target = "wand"\nexterior_only = true', "a wand finds lenses, too"),
+        ('target = "wand"\nframes = 30\nexterior_only = true', "a wand finds lenses, too"),
         ("markers = 508", "507"),
         ("tilt_deg = 70", "60"),
         ('target = "cube"', "'field', 'board'"),

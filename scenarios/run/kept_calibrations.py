@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel
 
+from mosca.data.files.bounded import read_bytes
 from mosca.data.files.whole_file import whole_file
 from mosca.errors import InputError
 from mosca.numba_support.cache import source_stamp
@@ -26,6 +27,8 @@ from scenarios.session import estimated
 from scenarios.session.estimated import SessionCalibration
 
 LOG = logging.getLogger(__name__)
+MOST_BYTES = 1 << 28
+"""Of a kept calibration that is read."""
 MOST_KEPT = 200
 """Calibrations that are kept, the last used ones (a megabyte each)."""
 
@@ -98,7 +101,7 @@ def _add(digest: Any, value: object) -> None:
 def _read(path: Path) -> SessionCalibration | None:
     """Return what is kept in a file; None where there is none, or where it is not whole."""
     try:
-        content = path.read_bytes()
+        content = read_bytes(path, MOST_BYTES)
     except OSError:
         return None
     head, body = content[:32], content[32:]
