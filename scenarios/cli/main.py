@@ -380,7 +380,8 @@ def _outcome(metric: Any, scale: float) -> str:
     """Return in words whether a metric is as it must be."""
     if metric.breaks is not None:
         low, high = (f"{scale * end:.4g}" for end in metric.breaks)
-        return f"{'broken as it must be: in' if metric.as_it_must else 'OUTSIDE'} [{low}, {high}]"
+        inside = "met: in" if metric.passed else "broken as it must be: in"
+        return f"{inside if metric.as_it_must else 'OUTSIDE'} [{low}, {high}]"
     return "" if metric.passed is None else ("met" if metric.passed else "BROKEN")
 
 

@@ -28,6 +28,7 @@ from scenarios.build.frame_sources import opened as opened_source
 from scenarios.build.scene import build_scene, pipeline_settings
 from scenarios.build.worn_rig import worn_cameras, worn_rig, worn_settings
 from scenarios.run.continuous import collect_continuous
+from scenarios.run.kept_calibrations import kept
 from scenarios.run.pipeline import collected_of, recorded
 from scenarios.run.postprocess import with_gaps_filled
 from scenarios.run.precompile import compile_side_by_side
@@ -40,7 +41,6 @@ from scenarios.score.score_run import scored
 from scenarios.score.sensor import sensor_findings, stated_sensors
 from scenarios.score.without_truth import self_checks
 from scenarios.session.estimated import SessionCalibration, calibrate_in_session, inputs_of
-from scenarios.run.kept_calibrations import kept
 from scenarios.spec.scenario import Scenario
 from scenarios.types import Collected, MeasuredTracks, RunOptions, Score, Scored, TruthSource
 from twin.cameras.virtual_camera import VirtualCamera

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from scenarios.build.cameras import calibrated, true_rig, virtual_cameras
-from scenarios.run.scenario import run_scenario
 from scenarios.run import kept_calibrations as module
-from scenarios.session.estimated import at_rest, inputs_of
 from scenarios.run.kept_calibrations import kept, key_of
+from scenarios.run.scenario import run_scenario
+from scenarios.session.estimated import at_rest, inputs_of
 from scenarios.spec.catalog import LIBRARY, built_in, scenario_name
 from scenarios.spec.scenario import load_scenario
 

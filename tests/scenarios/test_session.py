@@ -100,7 +100,9 @@ def test_faults_of_boards_and_wands_files(tmp_path, fault, factor):
     for kind in ("board", "wand"):
         right, wrong = (
             target_session(one, one.calibration)
-            for one in (spec(tmp_path, f'target = "{kind}"\nframes = 30\n{more}') for more in ("", f"fault = {fault}"))
+            for one in (
+                spec(tmp_path, f'target = "{kind}"\nframes = 30\n{more}') for more in ("", f"fault = {fault}")
+            )
         )
         # the thing itself is the same, only its file is not
         at = [session.scene.sampler().at(0.3).marker_xyz for session in (right, wrong)]
