@@ -31,7 +31,7 @@ from scenarios.run.continuous import collect_continuous
 from scenarios.run.kept_calibrations import kept
 from scenarios.run.pipeline import collected_of, recorded
 from scenarios.run.postprocess import with_gaps_filled
-from scenarios.run.precompile import compile_side_by_side
+from scenarios.run.precompile import PIPELINE, compile_side_by_side, compiling
 from scenarios.run.record import evidence_of, record_of
 from scenarios.score.bodies import rigid_bodies
 from scenarios.score.continuous import as_worn
@@ -100,7 +100,7 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
             built = _built(spec, folder, options)
         own: SessionCalibration | None = None
         if spec.calibration is not None and spec.calibration.target != "none":
-            with _timed(timings, "calibration"):
+            with _timed(timings, "calibration"), compiling(PIPELINE):
                 own, reported = _own_calibration(spec, name, built, options)
             if spec.expect == "caught":
                 return _refused(spec, name, options, built.known, timings, reported, own)

@@ -168,6 +168,22 @@ def test_blunders_are_found_and_named():
     assert done.cameras[1].lens.fx_px == pytest.approx(clean.cameras[1].lens.fx_px, abs=3 * sigma)
 
 
+def test_good_points_are_rejected_no_more_often_than_stated():
+    # four known cameras, two points: of 16 coordinates 10 are redundant, and the variance of so few is hardly known
+    cameras = ring(k1=-0.1)[:4]
+    points = np.array([[0.05, 0.02, 1.1], [-0.1, 0.08, 0.95]])
+    camera, point, xy = views(cameras, points, 0, 2.0)
+    assert len(xy) == 8
+    rng, rejected = np.random.default_rng(11), 0
+    held = tuple(CameraUnknowns(one, free=(), held=True) for one in cameras)
+    for _ in range(300):
+        see = Observations(camera, point, xy + rng.normal(0, NOISE, xy.shape), sigma_px=NOISE)
+        problem = Problem(held, see, ObjectPoints.free(2))
+        rejected += len(solve(problem, BundleSettings(blunder_significance=0.2, precision=False)).rejected) > 0
+    # Bonferroni: at most 20 % of networks lose a point, and nearly so many where tests hardly depend on each other
+    assert 0.1 < rejected / 300 < 0.25
+
+
 @pytest.mark.parametrize("loss", ["huber", "cauchy"])
 def test_robust_losses_hold_against_blunders(loss):
     rng = np.random.default_rng(5)

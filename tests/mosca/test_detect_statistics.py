@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mosca.detection.disc_fit.camera_statistics import NO_STATISTICS, CameraStatistics, joined
-from mosca.detection.disc_fit.light_offset import N_TALLIES, N_TERMS, StatisticsSums
+from mosca.detection.disc_fit.light_offset import AMPLITUDE_SUMS, N_TALLIES, N_TERMS, StatisticsSums, no_sums
+from mosca.detection.disc_fit.priors import AMPLITUDE_SIGMA_2
 from mosca.detection.scheduler import DELAY, EARLY_SETS, EARLY_UPDATES, UPDATE_PERIOD, DelayedStatistics
 
 
@@ -80,3 +81,17 @@ def test_joined_cameras_start_their_fits_as_they_do_together():
             np.testing.assert_array_equal(getattr(ours, field), getattr(theirs, field))
     assert joined({"a": NO_STATISTICS}) is NO_STATISTICS
     assert all(alike(together.by_camera()[n], apart[n]) for n in names)
+
+
+def test_amplitudes_slope_is_that_of_many_targets_and_the_guess_for_few():
+    # ln amplitude = 2 + 0.5 ln flux, known to 5 %; the guess is 0.25 with a standard deviation of as much
+    for n, spread, slope, within in ((5000, 0.5, 0.5, 0.01), (6, 0.05, 0.25, 0.2)):
+        rng = np.random.default_rng(5)
+        flux = 6.0 + spread * rng.normal(size=n)
+        log, variance = 2.0 + 0.5 * flux + 0.05 * rng.normal(size=n), np.full(n, 0.0025)
+        w = 1.0 / (variance + AMPLITUDE_SIGMA_2)
+        sums = no_sums(1)
+        for k, part in enumerate((w, w * flux, w * flux**2, w * log, w * flux * log, w * log**2, w * variance)):
+            sums.tallies[0, AMPLITUDE_SUMS + k] = part.sum()
+        found = CameraStatistics(("a",), sums).priors(("a",)).amplitudes[0]
+        assert abs(found[2] - slope) < within

@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mosca.camera.lens_models.arrays import FOLD, radial_slope, ray_row
 from mosca.camera.projection import (
     HELD,
     convert_lens,
@@ -19,6 +20,7 @@ from mosca.camera.projection import (
 from mosca.camera.projection import project_with_jacobians as projected
 from mosca.data.rig import Camera, FisheyeLens, MoscaLens, OpenCVLens, Pose, Rig
 from mosca.errors import InputError
+from mosca.numba_support.decorators import kernel
 from mosca.triangulation.triangulate import triangulate
 
 W, H = 656, 491
@@ -127,6 +129,28 @@ def test_fisheye_slopes_before_and_behind(theta, about, length):
         step = h * np.eye(3)[k]
         numeric = (lens_pixels(WIDE, v + step) - lens_pixels(WIDE, v - step))[0] / (2 * h)
         np.testing.assert_allclose(slopes[:, k], numeric, rtol=1e-5, atol=1e-4 / length)
+
+
+@kernel
+def slope_at(row, square):
+    return radial_slope(row, square)
+
+
+@pytest.mark.parametrize(
+    "lens",
+    [
+        MoscaLens(7.0, 327.5, 245.0, 0.0099, 0.0099, K1_per_mm2=-0.02),
+        OpenCVLens(700.0, 702.0, 330.0, 240.0, k1=-0.2),
+        FisheyeLens(300.0, 300.0, 330.0, 240.0, k1=-0.1),
+    ],
+    ids=lambda lens: type(lens).__name__,
+)
+def test_the_radial_slope_of_one_term(lens):
+    # r (1 + k r^2) rises with 1 + 3 k r^2, and folds where that is 0
+    row, k = ray_row(lens), getattr(lens, "k1", None) or lens.K1_per_mm2
+    for square in (0.0, 0.3, 1.0, 1.4):
+        assert slope_at(row, square) == pytest.approx(1.0 + 3.0 * k * square, rel=1e-12)
+    assert row[FOLD] == pytest.approx(-1.0 / (3.0 * k), rel=1e-9)
 
 
 def test_slopes_on_the_axis_are_a_pinholes():

@@ -3,12 +3,14 @@
     python -m tests.mutations.generate --seed 19 > tests/mutations/generated.toml
 
 Comparisons are turned round, sums and products exchanged with differences and quotients, ``and`` with ``or``, numbers
-doubled, signs and negations left out. Each room has its share and the tests that should notice it.
+doubled, signs and negations left out. Each room has its share and the tests that should notice it; tests that import
+the changed module come first.
 """
 
 import argparse
 import ast
 import random
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -122,6 +124,16 @@ def drawn(room: str, count: int, dice: random.Random) -> Iterator[tuple[str, str
         count -= 1
 
 
+def importing(name: str) -> list[str]:
+    """Return the test files of the same room that import the module in the file ``name``."""
+    module = name.removesuffix(".py").replace("/", ".")
+    package, _, member = module.rpartition(".")
+    whole, part = (re.escape(text) for text in (module, package))
+    wanted = re.compile(rf"^from (?:{whole} import|{part} import .*\b{member}\b)", re.MULTILINE)
+    files = sorted((ROOT / "tests" / name.split("/")[0]).rglob("test_*.py"))
+    return [path.relative_to(ROOT).as_posix() for path in files if wanted.search(path.read_text())]
+
+
 def main() -> None:
     """Print the list of a seed."""
     parser = argparse.ArgumentParser(prog="python -m tests.mutations.generate", description=__doc__.split("\n")[0])
@@ -132,7 +144,7 @@ def main() -> None:
         tests = [f"tests/{room.split('/')[0]}/test_{word}.py" for word in words.split()] + list(others)
         for name, old, new in drawn(room, count, dice):
             title = f"{room.replace('/', '_')}_{Path(name).stem}"
-            quoted = ", ".join(f'"{test}"' for test in tests)
+            quoted = ", ".join(f'"{test}"' for test in dict.fromkeys([*importing(name), *tests]))
             print(f"\n[{title}]\nfile = \"{name}\"\nold = '''\n{old}'''\nnew = '''\n{new}'''\ntests = [{quoted}]")
 
 

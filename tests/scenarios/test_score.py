@@ -9,6 +9,7 @@ from track_tables import measured_tracks
 from mosca.data.bodies import BodyPoses, RigidBody
 from mosca.data.truth import Truth
 from scenarios.score.bodies import body_scores
+from scenarios.score.cramer_rao import _image_errors
 from scenarios.score.tracks import hota, identity_switches, metrics, pair
 
 SPACE = 2.0
@@ -203,3 +204,9 @@ def test_a_body_that_is_turned_and_off_is_scored_so():
     assert found["body_angle_rms"].value == pytest.approx(0.02, rel=1e-6)
     assert found["body_position_rms"].value == pytest.approx(5e-3, rel=1e-6)
     assert found["body_completeness"].value == 1.0
+
+
+def test_an_image_in_which_nothing_was_found_has_no_errors():
+    for bounds, true, found in ((2, 2, 0), (0, 0, 3)):
+        least, reached = _image_errors(np.ones((bounds, 2, 2)), np.zeros((true, 2)), np.zeros((found, 2)))
+        assert len(least) == len(reached) == 0
