@@ -47,7 +47,7 @@ CARRIED = {
     "glow": {"kind", "half_deg", "at_m", "even_deg", "ring_m", "lobe_deg", "lamp_half_deg"},
 }
 """Keys that the witness renders or has a law of its own for; others of these tables are refused where they stand."""
-TABLES = ("lamps", "fault", "calibration", "continuous", "camera")
+TABLES = ("lamps", "fault", "continuous", "camera")
 """Refused as a whole."""
 MOST_LENS_PX = 0.05
 """Farthest that OpenCV's lens may be from the scenario's: what a lens model leaves of real images."""
