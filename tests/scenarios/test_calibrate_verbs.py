@@ -27,7 +27,15 @@ from twin.cameras.virtual_camera import VirtualCamera
 from twin.source import TwinSource
 
 SIZE = (480, 360)
-FIELD = {"markers": 60, "stands": 4, "frames": 3, "size_m": (1.1, 1.1, 1.1), "shift": 0.3, "world_frames": 0}
+FIELD = {
+    "markers": 60,
+    "stands": 4,
+    "frames": 3,
+    "size_m": (1.1, 1.1, 1.1),
+    "shift": 0.3,
+    "tilt_deg": 15.0,
+    "world_frames": 0,
+}
 WAND = {"target": "wand", "frames": 100, "size_m": (1.4, 1.4, 1.4)}
 
 
