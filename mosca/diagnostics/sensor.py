@@ -53,6 +53,7 @@ MOST_BLOCKS, FEWEST_BLOCKS = 64, 8
 """Blocks of frame sets that are kept, neighbours being joined beyond; from the second on their scatter counts: with
 fewer, the scatter itself is known to worse than 25 %."""
 CONFIDENCE = 0.95
+"""Of all intervals."""
 MEDIAN_LOSS = 0.5 * math.pi
 """Variance of a normal sample's median over that of its mean."""
 FILTERED_CELLS = 9
@@ -70,6 +71,7 @@ UNEVEN = 1e-4
 PRNU of 0.3 to 1.5 %. Few images do not tell u from s: with ten times as much 8 images of 35 targets give intervals
 three times as wide as the gain, with a tenth PRNU of 1 % makes it 12 % too large there."""
 PASSES = 6
+"""Solutions of the gain, each with u's prior as wide as the one before found u."""
 SAMPLED_PX = 8_192
 """Pixels of an image, about, whose bits are looked at."""
 

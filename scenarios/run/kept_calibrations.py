@@ -10,7 +10,7 @@ import logging
 import os
 import pickle
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,7 @@ from mosca.data.files.bounded import read_bytes
 from mosca.data.files.whole_file import whole_file
 from mosca.errors import InputError
 from mosca.numba_support.cache import source_stamp
-from scenarios.run.provenance import provenance
+from scenarios.run.provenance import numerics
 from scenarios.session import estimated
 from scenarios.session.estimated import SessionCalibration
 
@@ -69,9 +69,7 @@ def kept(inputs: object, made: Callable[[], SessionCalibration], folder: Path | 
 def key_of(inputs: object) -> str:
     """Return a digest of the inputs, of the code and of what else decides last digits."""
     digest = hashlib.sha256(source_stamp(Path(estimated.__file__)).encode())
-    made_by = provenance()
-    for part in (made_by["versions"], made_by["platform"], made_by["processor"], inputs):
-        _add(digest, part)
+    _add(digest, (numerics(), inputs))
     return digest.hexdigest()[:32]
 
 
@@ -107,7 +105,8 @@ def _read(path: Path) -> SessionCalibration | None:
     head, body = content[:32], content[32:]
     if hashlib.sha256(body).digest() != head:
         return None
-    os.utime(path)
+    with suppress(OSError):  # of a folder that may only be read
+        os.utime(path)
     result: SessionCalibration = pickle.loads(body)
     return result
 

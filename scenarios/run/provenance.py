@@ -13,13 +13,17 @@ from llvmlite.binding import get_host_cpu_name
 
 def provenance() -> dict[str, Any]:
     """Return what made a result: versions, platform, git commit."""
+    return {**numerics(), "git": _git()}
+
+
+def numerics() -> dict[str, Any]:
+    """Return what decides last digits besides the code: versions, platform, processor."""
     packages = ("mujoco", "numpy", "scipy", "numba", "opencv-python-headless")
     return {
         "versions": {"mosca": version("mosca-testbench"), "python": platform.python_version()}
         | {name: version(name) for name in packages},
         "platform": f"{platform.system()} {platform.machine()}",
         "processor": _processor(),
-        "git": _git(),
     }
 
 

@@ -79,9 +79,7 @@ def record_of(
 
 
 def _rig_words(spec: Scenario) -> str:
-    if spec.calibration is None or spec.calibration.target == "none":
-        return "true"
-    return f"estimated from a {spec.calibration.target}"
+    return "true" if spec.session is None else f"estimated from a {spec.session.target}"
 
 
 def _limits(spec: Scenario, worth: Scored) -> dict[str, float | tuple[float, float]]:

@@ -99,7 +99,7 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
         with _timed(timings, "build"):
             built = _built(spec, folder, options)
         own: SessionCalibration | None = None
-        if spec.calibration is not None and spec.calibration.target != "none":
+        if spec.session is not None:
             with _timed(timings, "calibration"), compiling(PIPELINE):
                 own, reported = _own_calibration(spec, name, built, options)
             if spec.expect == "caught":

@@ -120,8 +120,8 @@ def calibrate_in_session(
 
 def inputs_of(spec: Scenario, cameras: tuple[VirtualCamera, ...], earlier: Rig) -> tuple[object, ...]:
     """Return what decides the session's calibration: all of the scenario that ``calibrate_in_session`` reads."""
-    capture, pipeline = spec.capture.exposure_s, spec.pipeline.lens_model
-    return spec.calibration, spec.working_space, capture, pipeline, spec.seed, at_rest(cameras), earlier
+    exposure_s, lens_model = spec.capture.exposure_s, spec.pipeline.lens_model
+    return spec.calibration, spec.working_space, exposure_s, lens_model, spec.seed, at_rest(cameras), earlier
 
 
 def at_rest(cameras: tuple[VirtualCamera, ...]) -> tuple[VirtualCamera, ...]:

@@ -89,7 +89,7 @@ class CalibrationSpec(Table):
     @model_validator(mode="after")
     def _fits(self) -> "CalibrationSpec":
         wrong = FIELD_ONLY & self.model_fields_set
-        if self.target != "field" and wrong:
+        if self.target in ("board", "wand") and wrong:
             raise ValueError(f"'{min(wrong)}' belongs to a field; target = '{self.target}' has none")
         if self.target in ("board", "wand") and self.frames < LEAST_CARRIED:
             raise ValueError(

@@ -230,12 +230,18 @@ class Scenario(Table):
         "to a measured value of 5 times what was meant, 40 up to 2.5 times; 10 also tells of much in reserve",
     )
 
+    @property
+    def session(self) -> CalibrationSpec | None:
+        """The session from which the rig is estimated; None: the true rig."""
+        given = self.calibration
+        return None if given is None or given.target == "none" else given
+
     @model_validator(mode="after")
     def _consistent(self) -> "Scenario":
         if (self.expect == "caught") != (self.caught_as is not None):
             raise ValueError("expect = 'caught' and caught_as belong together: say which finding there must be")
         if self.expect == "caught":
-            if self.calibration is None:
+            if self.session is None:
                 raise ValueError("expect = 'caught' needs a [calibration] in which something is wrong")
             if self.caught_as not in CODES:
                 raise ValueError(f"caught_as = '{self.caught_as}' is no finding; there are {', '.join(CODES)}")

@@ -156,11 +156,7 @@ def test_quick_scenarios_measure_with_estimated_rigs():
     true = set()
     for path in built_in():
         spec = load_scenario(path)
-        if (
-            spec.tier == "quick"
-            and LIMITED & set(spec.limits)
-            and (spec.calibration is None or spec.calibration.target == "none")
-        ):
+        if spec.tier == "quick" and LIMITED & set(spec.limits) and spec.session is None:
             true.add(scenario_name(path))
             assert 'calibration]\ntarget = "none"' in path.read_text(), path
     assert true == {"lenses/fisheye_190", "controls/wrong_lens"}

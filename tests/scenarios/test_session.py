@@ -322,6 +322,15 @@ def test_wrong_words_are_told_in_one_line(tmp_path, calibration, says):
     assert "\n" not in str(error.value)
 
 
+def test_the_true_rig_takes_the_tables_other_keys_and_catches_nothing(tmp_path):
+    true = 'target = "none"\nmarkers = 9\nstands = 3'
+    assert spec(tmp_path, true).session is None
+    assert spec(tmp_path, FIELD).session is not None
+    # without a session nothing could be found wrong with one: such a run must not pass
+    with pytest.raises(InputError, match="needs a \\[calibration\\] in which something is wrong"):
+        spec(tmp_path, true, CAUGHT.format("mixed-units"), limits="")
+
+
 @pytest.mark.parametrize(
     ("top", "says"),
     [
