@@ -35,6 +35,16 @@ def test_swinging_points_take_a_prior_whose_spectrum_ends(orders, monkeypatch):
     assert (rms(done, path, INSIDE) < 0.3e-3) is (7 in orders)
 
 
+def test_axes_of_either_sign_give_the_same_curves(monkeypatch):
+    """The signs of eigenvectors are the linear algebra's choice, which differs between processors."""
+    observations = take(swinging(5, 3), ring(), STAMPS, 0.03, 5)
+    settings, eigh = replace(PLAIN, clocks="offset"), np.linalg.eigh
+    plain = estimate(observations, ring(), settings)
+    monkeypatch.setattr(np.linalg, "eigh", lambda matrix: (eigh(matrix)[0], -eigh(matrix)[1]))
+    turned = estimate(observations, ring(), settings)
+    np.testing.assert_allclose(turned.curves.at(INSIDE), plain.curves.at(INSIDE), atol=1e-9)
+
+
 def test_each_cameras_errors_are_told_by_its_residuals():
     """As where what interpolation does between exposures was taken for noise of all cameras."""
     observations = take(swinging(3), ring(), STAMPS, 0.03, 3)

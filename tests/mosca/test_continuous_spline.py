@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import BSpline
 
-from mosca.continuous.estimator.banded_normals import Band, Rows, solve_bordered
+from mosca.continuous.estimator.banded_normals import Band, Rows, leverages, solve_bordered
 from mosca.continuous.estimator.motion_prior import Smoothness, expected_accelerations, shrunk
 from mosca.continuous.model.bspline import Knots, fitted, knots_over, values
 
@@ -101,6 +101,14 @@ def test_banded_solver_equals_dense_algebra(width):
             for p in range(width // 3):
                 part = inverse[k + o, 3 * p : 3 * p + 3, k, 3 * p : 3 * p + 3]
                 np.testing.assert_allclose(blocks[o, k, p], part, atol=1e-9)
+    if width == 3:
+        by = rng.normal(size=(n, 2, 3))
+        whole_rows = np.zeros((n, 2, size))
+        for r in range(n):
+            for a in range(4):
+                whole_rows[r, :, 3 * (first[r] + a) : 3 * (first[r] + a) + 3] = weight[r, a] * by[r]
+        expected = whole_rows @ np.linalg.inv(matrix) @ np.swapaxes(whole_rows, 1, 2)
+        np.testing.assert_allclose(leverages(factor.lower, first, weight, by), expected, atol=1e-9)
     # drawn errors have the covariance: their mean square on one unknown
     drawn = factor.spread(np.asfortranarray(rng.normal(size=(size, 4000))))
     assert np.mean(drawn[size // 2] ** 2) == pytest.approx(np.diag(np.linalg.inv(matrix))[size // 2], rel=0.1)

@@ -224,6 +224,39 @@ def add_rows(band: Array, right: Array, border: Array, width: int, rows: Rows) -
 
 
 @kernel
+def leverages(lower: Array, first: Array, weights: Array, by: Array) -> Array:  # pragma: no cover
+    """Return J T^-1 J^T (n, m, m) of each point's m equations.
+
+    J of a point: ``weights`` (n, reach) of the coefficients from ``first`` (n,) on times ``by`` (n, m, width). T = L
+    L^T; ``lower`` (b, count * width) has L as LAPACK stores it. The inverse within the band follows from L alone,
+    from the end back (Takahashi, Fagan and Chin 1973). For narrow bands: ``Factor.inverse_blocks`` takes dense
+    blocks, whose calls cost more here than the sums.
+    """
+    height, size = lower.shape
+    inverse = np.zeros((height, size))
+    for j in range(size - 1, -1, -1):
+        below = min(height - 1, size - 1 - j)
+        own = 1.0 / lower[0, j]
+        for i in range(below, -1, -1):
+            total = own if i == 0 else 0.0
+            for k in range(1, below + 1):
+                total -= lower[k, j] * inverse[abs(i - k), j + min(i, k)]
+            inverse[i, j] = total * own
+    (n, reach), m, width = weights.shape, by.shape[1], by.shape[2]
+    result = np.zeros((n, m, m))
+    for r in range(n):
+        for v in range(m):
+            for j in range(reach * width):
+                covariance = 0.0
+                for i in range(reach * width):
+                    at = inverse[abs(i - j), first[r] * width + min(i, j)]
+                    covariance += weights[r, i // width] * by[r, v, i % width] * at
+                for u in range(m):
+                    result[r, v, u] += covariance * weights[r, j // width] * by[r, u, j % width]
+    return result
+
+
+@kernel
 def apply_rows(x: Array, width: int, rows: Rows) -> Array:  # pragma: no cover
     """Return J x (n,) of rows as in ``add_rows``."""
     first, weights, columns, values = rows.first, rows.weights, rows.columns, rows.values

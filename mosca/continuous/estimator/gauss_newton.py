@@ -112,9 +112,11 @@ def draws(solved: Solved, places: StateLayout, number: int, rng: np.random.Gener
     """Return of each group curves drawn from the posterior, (number, count, width)."""
     shared = np.zeros((places.shared, number))
     if places.shared:
-        # the root by eigenvalues: of unknowns that are held, rounding may leave a variance just below zero
+        # the root by eigenvalues: of unknowns that are held, rounding may leave a variance just below zero. The
+        # symmetric one: signs of the axes are rounding's choice, and would make other draws on another processor
         sizes, axes = np.linalg.eigh(solved.covariance)
-        shared = axes @ (np.sqrt(np.maximum(sizes, 0.0))[:, None] * rng.normal(size=(places.shared, number)))
+        random = rng.normal(size=(places.shared, number))
+        shared = axes @ (np.sqrt(np.maximum(sizes, 0.0))[:, None] * (axes.T @ random))
     drawn = []
     for g, (factor, carried) in enumerate(zip(solved.factors, solved.carried, strict=True)):
         error = factor.spread(np.asfortranarray(rng.normal(size=(factor.count * factor.width, number))))

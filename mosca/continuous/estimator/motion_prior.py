@@ -16,10 +16,10 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from scipy.linalg import LinAlgError, cho_solve_banded, cholesky_banded, solve_continuous_lyapunov
+from scipy.linalg import LinAlgError, blas, cho_solve_banded, cholesky_banded, solve_continuous_lyapunov
 from scipy.optimize import minimize_scalar
 
-from mosca.continuous.estimator.banded_normals import Band, Factor, Rows
+from mosca.continuous.estimator.banded_normals import Band, Rows, leverages
 from mosca.continuous.model.bspline import Knots, combined
 from mosca.data.arrays import Array
 
@@ -113,8 +113,8 @@ def one_point(
     """Return the maximum-likelihood coefficients (count, 3) of one point from its equations, the prior's log
     strength, how many times larger than stated the image errors are, and ``left_out`` of it.
 
-    ``noise_free``: image errors may be
-    larger than stated, since clocks or poses are not known yet; they are then as large as is likeliest.
+    ``noise_free``: image errors may be larger than stated, since clocks or poses are not known yet; they are then as
+    large as is likeliest.
     """
     band = Band(knots.count, knots.degree + 1, 3, 0)
     band.add(rows)
@@ -128,22 +128,15 @@ def one_point(
     rank = 3 * smooth.rank(knots)
     freedom = max(len(rows.rest) - 3 * (knots.count - smooth.rank(knots)), 1)
 
-    def squares(x: Array, log_strength: float) -> float:
-        # not total - x right: that is of first order in the rounding errors of x
+    def solved(log_strength: float) -> tuple[float, float, Array, Array]:
         whole = data + np.exp(log_strength) * prior
-        product = whole[0] * x
-        for k in range(1, len(whole)):
-            product[k:] += whole[k, :-k] * x[:-k]
-            product[:-k] += whole[k, :-k] * x[k:]
-        return total - 2.0 * float(x @ right) + float(x @ product)
-
-    def solved(log_strength: float) -> tuple[float, Array]:
-        lower = cholesky_banded(data + np.exp(log_strength) * prior, lower=True, check_finite=False)
+        lower = cholesky_banded(whole, lower=True, check_finite=False)
         x = cho_solve_banded((lower, True), right, check_finite=False)
-        misfit = max(squares(x, log_strength), 1e-9 * total)
-        if noise_free:
-            misfit = freedom * np.log(misfit)
-        return misfit + 2 * np.log(lower[0]).sum() - rank * log_strength, x
+        # not total - x right: that is of first order in the rounding errors of x
+        of_x = blas.dsbmv(len(whole) - 1, 1.0, whole, x, lower=1)
+        misfit = max(total - 2.0 * float(x @ right) + float(x @ of_x), 1e-9 * total)
+        likelihood = freedom * np.log(misfit) if noise_free else misfit
+        return likelihood + 2 * np.log(lower[0]).sum() - rank * log_strength, misfit, x, lower
 
     def cost(log_strength: float) -> float:
         try:
@@ -160,10 +153,9 @@ def one_point(
         bounds = (near - 4, near + 4)
         found: Any = minimize_scalar(cost, bounds=bounds, method="bounded", options={"xatol": 0.1})
         best = float(found.x) if found.fun < REFUSED else float(near)
-        x = solved(best)[1]
-        noise = float(np.sqrt(max(squares(x, best), LEAST_FREE) / freedom)) if noise_free else 1.0
-        lower = cholesky_banded(data + np.exp(best) * prior, lower=True, check_finite=False)
-        predicted = left_out(rows, Factor(lower, knots.count, knots.degree + 1, 3), x, noise)
+        _, misfit, x, lower = solved(best)
+        noise = float(np.sqrt(max(misfit, LEAST_FREE) / freedom)) if noise_free else 1.0
+        predicted = left_out(rows, lower, x, noise)
         # the strength was in units of the errors that there are
         results.append((predicted, best - 2 * float(np.log(noise)), noise, x.reshape(-1, 3)))
     if not results:
@@ -172,25 +164,18 @@ def one_point(
     return x, strength, noise, predicted
 
 
-def left_out(rows: Rows, factor: Factor, x: Array, noise: float) -> float:
+def left_out(rows: Rows, lower: Array, x: Array, noise: float) -> float:
     """Return -2 log of the density of each image point predicted from all others, added up.
 
-    ``rows``: two a point; ``x`` (count * 3,): the coefficients that fit all, with their ``factor``; ``noise``: on the
-    stated errors. Unlike the marginal likelihood it does not depend on how little is known of the polynomials on
-    which a prior is flat, of which priors of high orders have more (Gelfand, Dey and Chang 1992; Rasmussen and
-    Williams 2006, eq. 5.10-5.12).
+    ``rows``: two a point; ``x`` (count * 3,): the coefficients that fit all, with their equations' banded Cholesky
+    factor ``lower``; ``noise``: on the stated errors. Unlike the marginal likelihood it does not
+    depend on how little is known of the polynomials on which a prior is flat, of which priors of high orders have
+    more (Gelfand, Dey and Chang 1992; Rasmussen and Williams 2006, eq. 5.10-5.12).
     """
     rest = (rows.rest - rows.applied(x, 3)).reshape(-1, 2)
-    blocks = factor.inverse_blocks(1)[:, :, 0]
     by = rows.values[:, :3].reshape(-1, 2, 3)
-    first, weights = rows.first[::2], rows.weights[::2]
-    place = np.zeros((len(first), 3, 3))
-    for a in range(weights.shape[1]):
-        for b in range(a + 1):
-            part = (weights[:, a] * weights[:, b])[:, None, None] * blocks[a - b, first + b]
-            place += part if a == b else part + np.swapaxes(part, 1, 2)
-    free = np.eye(2) - by @ place @ np.swapaxes(by, 1, 2)
-    sizes, axes = np.linalg.eigh(free)
+    leverage = leverages(lower, rows.first[::2], rows.weights[::2], by)
+    sizes, axes = np.linalg.eigh(np.eye(2) - leverage)
     sizes = np.maximum(sizes, LEAST_FREE)
     along = np.einsum("nji,nj->ni", axes, rest)
     return float((along**2 / (noise**2 * sizes) - np.log(sizes / noise**2)).sum())

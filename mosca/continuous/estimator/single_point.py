@@ -80,34 +80,46 @@ def _likeliest(
     Where knots are not free, orders that their degree has are compared.
     """
     some = points[np.unique(np.linspace(0, len(points) - 1, JUDGES).astype(int))]
-    finest = choice.finest
 
-    def tried(order: int, times: float, corner: float = 0.0) -> tuple[float, TrajectoryState, LinearisedImages]:
-        knots = finest
-        if choice.free_knots:
-            knots = knots_over(finest.start_s, finest.end_s, times * finest.step_s, max(DEGREE, order))
-        if knots.pieces <= order:
-            return np.inf, state, seen
+    def tried(order: int, knots: Knots, corner: float = 0.0) -> tuple[float, TrajectoryState, LinearisedImages]:
         xyz = np.zeros((knots.count, *state.xyz.shape[1:]))
         new = replace(state, smooth=Smoothness(order, corner), knots=knots, xyz=xyz)
         rows = _on_knots(image, seen, new)
         return _each_point(image, rows, new, weight, some, noise_free)[3], new, rows
 
-    orders = [order for order in ORDERS if choice.free_knots or order <= finest.degree]
-    at = [tried(order, 1.0) for order in orders]
-    first = int(np.argmin([one[0] for one in at]))
-    best = at[first]
-    for k in range(first, len(orders)) if choice.free_knots else ():
-        own, times = at[k], 1.0
-        # from the highest that these knots hold: far below the motion's own spectrum a corner changes nothing
-        corner, before = np.pi / finest.step_s / COARSER, np.inf
-        while choice.corners and orders[k] >= CORNERED and (other := tried(orders[k], times, corner))[0] < before:
-            own, before = min(own, other, key=lambda one: one[0]), other[0]
-            corner /= COARSER
-        while (other := tried(orders[k], times * COARSER, own[1].smooth.corner))[0] < own[0]:
-            own, times = other, times * COARSER
-        best = min(best, own, key=lambda one: one[0])
+    best = np.inf, state, seen
+    for order in ORDERS:
+        # all of them: rounding spoils the predictions of high orders on near knots, which then decide nothing
+        candidates = [tried(order, knots) for knots in _ladder(choice, order)]
+        if not candidates:
+            continue
+        own = min(candidates, key=_score)
+        if choice.corners and order >= CORNERED and np.isfinite(own[0]):
+            # from the highest that these knots hold: far below the motion's own spectrum a corner changes nothing
+            corner, before = np.pi / own[1].knots.step_s, np.inf
+            while (other := tried(order, own[1].knots, corner))[0] < before:
+                own, before = min(own, other, key=_score), other[0]
+                corner /= COARSER
+        best = min(best, own, key=_score)
     return best[1], best[2]
+
+
+def _score(candidate: tuple[float, TrajectoryState, LinearisedImages]) -> float:
+    return candidate[0]
+
+
+def _ladder(choice: Choice, order: int) -> list[Knots]:
+    """Return the knots that may be had with a prior of ``order``, nearest first, each ``COARSER`` than the one before
+    it.
+    """
+    finest = choice.finest
+    if not choice.free_knots:
+        return [finest] if order <= finest.degree else []
+    ladder, step_s = [], finest.step_s
+    while (knots := knots_over(finest.start_s, finest.end_s, step_s, max(DEGREE, order))).pieces > order:
+        ladder.append(knots)
+        step_s *= COARSER
+    return ladder
 
 
 def _on_knots(image: ImagePoints, seen: LinearisedImages, state: TrajectoryState) -> LinearisedImages:
