@@ -240,10 +240,10 @@ def summary_table(records: Sequence[RunRecord]) -> Table:
 def _cell(metric: Metric | None) -> str:
     if metric is None:
         return ""
-    bounds = metric.breaks or (() if metric.limit is None else (metric.limit,))
+    bounds = metric.within or (() if metric.limit is None else (metric.limit,))
     numbers, unit = shown((metric.value, *bounds), metric.unit, metric.name)
     text = figure(numbers[0])
-    if metric.breaks is not None:
+    if metric.within is not None:
         text += f" [dim]in {figure(numbers[1])} .. {figure(numbers[2])}[/]"
     elif metric.limit is not None:
         sign = "<=" if metric.sense == "at_most" else ">="

@@ -211,8 +211,8 @@ def _metric_row(metric: Metric) -> dict[str, Any]:
     values = (metric.value, *(interval or ()), *(() if limit is None else (limit,)))
     numbers, unit = shown(values, metric.unit, metric.name)
     mark = {True: "✓ yes", False: "✗ no", None: "–"}[metric.passed]
-    if metric.breaks is not None:
-        ends, _ = shown((metric.value, *metric.breaks), metric.unit, metric.name)
+    if metric.within is not None:
+        ends, _ = shown((metric.value, *metric.within), metric.unit, metric.name)
         where = f"[{figure(ends[1])}, {figure(ends[2])}]"
         broken = "" if metric.passed else "broken, "
         mark = f"✓ {broken}in {where}" if metric.as_it_must else f"✗ outside {where}"
@@ -274,8 +274,11 @@ def _sign(metric: Metric) -> str:
 
 
 def _bound(metric: Metric) -> str:
-    """Return the limit in the unit that the value is shown in: ≤ 0.3 mm."""
+    """Return the limit in the unit that the value is shown in: ≤ 0.3 mm; of one with two ends, 1.5 to 6."""
     assert metric.limit is not None
+    if metric.within is not None and metric.limit in metric.within:  # not a control's range, which is beyond it
+        ends, unit = shown((metric.value, *metric.within), metric.unit, metric.name)
+        return f"{figure(ends[1])} to {figure(ends[2])} {unit}".rstrip()
     numbers, unit = shown((metric.value, metric.limit), metric.unit, metric.name)
     return f"{_sign(metric)} {figure(numbers[1])} {unit}".rstrip()
 

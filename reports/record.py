@@ -58,13 +58,13 @@ class Metric:
     spread: float | None = None
     """In a baseline: the largest change of the value among runs of the same product with other processor features
     (last digits), or None where that was not measured."""
-    breaks: tuple[float, float] | None = None
+    within: tuple[float, float] | None = None
     """Range in which the value must lie: of a limit with two ends, or in a control beyond its limit."""
 
     @property
     def as_it_must(self) -> bool | None:
         """Whether the value lies in the range of a control, else within its limit; None without either."""
-        return self.passed if self.breaks is None else self.breaks[0] <= self.value <= self.breaks[1]
+        return self.passed if self.within is None else self.within[0] <= self.value <= self.within[1]
 
 
 @dataclass(frozen=True)
@@ -124,13 +124,15 @@ def read_record(path: Path) -> RunRecord:
 
 
 def _metric(fields: Mapping[str, Any]) -> Metric:
-    """Return the metric of a JSON object; older records hold no blocks."""
-    ci95, blocks, breaks = fields["ci95"], fields.get("blocks"), fields.get("breaks")
+    """Return the metric of a JSON object; older records hold no blocks, and ``within`` as ``breaks``."""
+    fields = dict(fields)
+    before = fields.pop("breaks", None)
+    ci95, blocks, within = fields["ci95"], fields.get("blocks"), fields.get("within", before)
     return Metric(
         **{
             **fields,
             "ci95": ci95 if ci95 is None else _pair(*ci95),
-            "breaks": breaks if breaks is None else _pair(*breaks),
+            "within": within if within is None else _pair(*within),
             "blocks": None if blocks is None else MetricBlocks(**blocks),
         }
     )

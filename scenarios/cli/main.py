@@ -378,8 +378,8 @@ def _removed_in_the_end(path: Path | None) -> Iterator[None]:
 
 def _outcome(metric: Any, scale: float) -> str:
     """Return in words whether a metric is as it must be."""
-    if metric.breaks is not None:
-        low, high = (f"{scale * end:.4g}" for end in metric.breaks)
+    if metric.within is not None:
+        low, high = (f"{scale * end:.4g}" for end in metric.within)
         inside = "met: in" if metric.passed else "broken as it must be: in"
         return f"{inside if metric.as_it_must else 'OUTSIDE'} [{low}, {high}]"
     return "" if metric.passed is None else ("met" if metric.passed else "BROKEN")

@@ -110,14 +110,14 @@ def _metric(
     score: Score,
     limit: float | tuple[float, float] | None,
     met: Mapping[str, bool],
-    breaks: tuple[float, float] | None,
+    within: tuple[float, float] | None,
 ) -> Metric:
     kind = METRICS[name]
     if isinstance(limit, tuple):
-        breaks, limit = breaks or limit, end_of(name, limit)
+        within, limit = within or limit, end_of(name, limit)
     return Metric(
         name, score.value, kind.unit, score.n, score.ci95, "none", limit, kind.sense, met.get(name),
-        MetricBlocks(score.sums, score.weights) if score.sums else None, breaks=breaks,
+        MetricBlocks(score.sums, score.weights) if score.sums else None, within=within,
     )  # fmt: skip
 
 

@@ -241,7 +241,7 @@ def test_the_unit_does_not_matter(pair: tuple[RunRecord, RunRecord], factor: flo
 def test_the_summary_shows_each_run_with_figures_and_limits() -> None:
     console = Console(width=140, record=True, file=open("/dev/null", "w"))  # noqa: SIM115
     with console.file:
-        control = Metric("position_rms", 2e-3, "m", 960, limit=3e-4, passed=False, breaks=(1.8e-3, 2.2e-3))
+        control = Metric("position_rms", 2e-3, "m", 960, limit=3e-4, passed=False, within=(1.8e-3, 2.2e-3))
         records = [example_record(), example_record(scenario="[red]odd", passed=False), run_with(control)]
         console.print(summary_table(records))
     text = console.export_text()

@@ -48,9 +48,15 @@ def test_each_metric_stands_beside_its_limit(page: Path) -> None:
     ("value", "mark"), [(1.22e-4, "✓ broken, in [0.011, 0.013]"), (2e-4, "✗ outside [0.011, 0.013]")]
 )
 def test_a_control_shows_where_its_metric_had_to_land(value: float, mark: str, tmp_path: Path) -> None:
-    broken = Metric("relative_accuracy", value, "1", 960, limit=1e-4, passed=False, breaks=(1.1e-4, 1.3e-4))
+    broken = Metric("relative_accuracy", value, "1", 960, limit=1e-4, passed=False, within=(1.1e-4, 1.3e-4))
     write_page(tmp_path / "p.html", example_record(metrics=(broken,), expect="fail"), example_evidence())
     assert mark in (tmp_path / "p.html").read_text(encoding="utf-8")
+
+
+def test_the_head_says_both_ends_of_a_limit(tmp_path: Path) -> None:
+    both = Metric("nees", 2.9, "1", 960, limit=6.0, passed=True, within=(1.5, 6.0))
+    write_page(tmp_path / "p.html", example_record(metrics=(both,)), example_evidence())
+    assert "Claimed: nees 1.5 to 6" in " ".join("".join(checked(tmp_path / "p.html").text).split())
 
 
 def test_the_head_says_what_was_claimed_and_found(page: Path) -> None:

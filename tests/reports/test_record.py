@@ -23,7 +23,7 @@ def metrics(draw: st.DrawFn) -> Metric:
         draw(st.text(max_size=8)), draw(finite), draw(st.sampled_from(["m", "1", "px"])), draw(st.integers(0, 9)),
         draw(st.none() | st.tuples(finite, finite)), "none", draw(st.none() | finite), "at_least",
         draw(st.none() | st.booleans()), draw(st.none() | st.just(blocks)),
-        breaks=draw(st.none() | st.just((1e-4, 2e-4))),
+        within=draw(st.none() | st.just((1e-4, 2e-4))),
     )  # fmt: skip
 
 
@@ -51,8 +51,10 @@ def test_a_record_from_before_blocks_is_read(tmp_path: Path) -> None:
     document = json.loads(path.read_text())
     for metric in document["metrics"]:
         del metric["blocks"]
+        metric["breaks"] = metric.pop("within") or [1.0, 2.0]
     path.write_text(json.dumps(document))
-    assert read_record(path).metric("position_rms").blocks is None  # type: ignore[union-attr]
+    metric = read_record(path).metric("position_rms")
+    assert metric is not None and metric.blocks is None and metric.within == (1.0, 2.0)
 
 
 def test_blocks_that_cannot_be_are_refused() -> None:
