@@ -54,7 +54,9 @@ def test_a_record_from_before_blocks_is_read(tmp_path: Path) -> None:
         metric["breaks"] = metric.pop("within") or [1.0, 2.0]
     path.write_text(json.dumps(document))
     metric = read_record(path).metric("position_rms")
-    assert metric is not None and metric.blocks is None and metric.within == (1.0, 2.0)
+    assert metric is not None
+    assert metric.blocks is None
+    assert metric.within == (1.0, 2.0)
 
 
 def test_blocks_that_cannot_be_are_refused() -> None:
