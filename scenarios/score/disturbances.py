@@ -29,6 +29,9 @@ MOTION_FACTOR = 2.0
 GAPS_PX = {"none": (0.0, 0.01), "measured": (0.01, np.inf), "stress": (0.05, np.inf)}
 """Median distance of true images from the pipeline's lens model that each ``model_gap`` must and may have: half the
 least rms that is stated of it, since targets fill a part of the image alone."""
+FEWEST_PLACES = 20
+"""Targets times cameras from which the gap is judged: with a median of fewer places it may be less than half by
+chance (one lamp before four cameras: one seed of five; of 20 independent places one in 300)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +73,7 @@ def disturbances(
         value, wanted = np.sqrt(np.mean(motion, axis=0))
         found["motion_px"] = between(float(value), wanted / MOTION_FACTOR, wanted * MOTION_FACTOR)
     off = np.concatenate(gap) if gap else np.empty(0)
-    if len(off):
+    if len(off) and len(gap) * len(truth.names) >= FEWEST_PLACES:
         found["gap_px"] = between(float(np.median(off)), *GAPS_PX[model_gap])
     return found
 

@@ -63,3 +63,10 @@ def test_what_is_stated_is_found(tmp_path):
     assert found["trigger_jitter_s"]["value"] == pytest.approx(4e-5, rel=0.2)
     assert found["shake_px"]["value"] == pytest.approx(0.1, rel=0.14)
     assert found["gap_px"]["value"] > 0.05
+
+
+def test_one_target_does_not_tell_the_lens_gap(tmp_path):
+    """It stands where the gap happens to be small, or not."""
+    path = write_tiny(tmp_path)
+    assert "gap_px" in run(path).record.premises
+    assert "gap_px" not in run(path, "scene.markers=1", "premises.views=1.0").record.premises
