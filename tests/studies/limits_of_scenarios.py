@@ -14,6 +14,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from mosca.data.files.whole_file import write_text
+from mosca.errors import InputError
 from reports.record import RunRecord, read_record
 from reports.units import figure, shown
 from scenarios.spec.catalog import find
@@ -85,30 +87,38 @@ def limited_errors(
     return found
 
 
-def main() -> None:
-    """Print the table, or write it."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n", maxsplit=1)[0])
-    parser.add_argument("folders", nargs="+", type=Path)
-    parser.add_argument("--table", type=Path, help="write the table into this file")
-    given = parser.parse_args()
-    seeds = []
-    for folder in given.folders:
-        found = sorted(folder.glob("*/*/record.json")) or sorted(folder.glob("*/*.json"))
-        files = [file for file in found if not file.parent.name.startswith(".")]  # of runs that were stopped
-        if not files:
-            sys.exit(f"{folder}: no records; give a folder of 'mosca suite --out', or one of baselines")
-        seeds.append([read_record(file) for file in files])
-    errors = limited_errors(seeds, lambda name: load_scenario(find(name)).limits)
+def _records(folder: Path) -> list[RunRecord]:
+    found = sorted(folder.glob("*/*/record.json")) or sorted(folder.glob("*/*.json"))
+    files = [file for file in found if not file.parent.name.startswith(".")]  # of runs that were stopped
+    if not files:
+        raise InputError(f"{folder}: no records; give a folder of 'mosca suite --out', or one of baselines")
+    return [read_record(file) for file in files]
+
+
+def _show(errors: Sequence[LimitedError], file: Path | None) -> None:
     lines = [
         "| scenario | seeds | error | stated | factor | limit | limit / largest |",
         "|---|---|---|---|---|---|---|",
         *(one.row() for one in errors),
     ]
     text = "\n".join(lines) + "\n"
-    if given.table:
-        given.table.write_text(HEAD + text, encoding="utf-8")
-    else:
+    if file is None:
         print(text, end="")
+    else:
+        write_text(file, HEAD + text)
+
+
+def main() -> None:
+    """Print the table, or write it."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n", maxsplit=1)[0])
+    parser.add_argument("folders", nargs="+", type=Path)
+    parser.add_argument("--table", type=Path, help="write the table into this file")
+    given = parser.parse_args()
+    try:
+        errors = limited_errors([_records(one) for one in given.folders], lambda n: load_scenario(find(n)).limits)
+        _show(errors, given.table)
+    except InputError as error:
+        parser.error(str(error))
     loose = [f"{o.scenario}: {o.name} is limited to {o.limit / max(o.values):.2f} times" for o in errors if o.loose]
     sys.exit("\n".join(loose) or 0)
 

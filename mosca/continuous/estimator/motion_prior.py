@@ -168,9 +168,9 @@ def left_out(rows: Rows, lower: Array, x: Array, noise: float) -> float:
     """Return -2 log of the density of each image point predicted from all others, added up.
 
     ``rows``: two a point; ``x`` (count * 3,): the coefficients that fit all, with their equations' banded Cholesky
-    factor ``lower``; ``noise``: on the stated errors. Unlike the marginal likelihood it does not
-    depend on how little is known of the polynomials on which a prior is flat, of which priors of high orders have
-    more (Gelfand, Dey and Chang 1992; Rasmussen and Williams 2006, eq. 5.10-5.12).
+    factor ``lower``; ``noise``: on the stated errors. Unlike the marginal likelihood it does not depend on how little
+    is known of the polynomials on which a prior is flat, of which priors of high orders have more (Gelfand, Dey and
+    Chang 1992; Rasmussen and Williams 2006, eq. 5.10-5.12).
     """
     rest = (rows.rest - rows.applied(x, 3)).reshape(-1, 2)
     by = rows.values[:, :3].reshape(-1, 2, 3)
