@@ -64,8 +64,10 @@ def measure_dots(
     noise: GreyValueNoise,
     full_dn: float,
     turned: bool = False,
-) -> tuple[Array, Array]:
-    """Return centres (n, 2) [px] and covariances (n, 2, 2) [px^2] of ``dots``; NaN for one that has none.
+) -> tuple[Array, Array, Array]:
+    """Return centres (n, 2) [px], covariances (n, 2, 2) [px^2] and frames (n, FRAME) of ``dots``.
+
+    NaN for a centre that was not found; its frame is the one it was looked for with.
 
     ``image`` (H, W) shows them white; ``turned``: it is ``full_dn``, the grey value of saturated pixels, less what
     was taken, and its brightest pixels are those of the plate. ``noise``: of the image as it was taken.
@@ -77,15 +79,16 @@ def measure_dots(
     found, normal, squares = np.empty((n, UNKNOWNS)), np.empty((n, UNKNOWNS, UNKNOWNS)), np.empty((n, 2))
     light = np.column_stack([plate, contrast, dark])
     fit_ellipses(image, dots.frames, light, gain, target.ring_inner, full_dn, turned, found, normal, squares)
-    xy, covariance = np.full((n, 2), np.nan), np.full((n, 2, 2), np.nan)
+    xy, covariance, frames = np.full((n, 2), np.nan), np.full((n, 2, 2), np.nan), dots.frames.copy()
     good = np.flatnonzero(np.isfinite(squares).all(axis=1))
     if not len(good):
-        return xy, covariance
+        return xy, covariance, frames
     scale = np.sqrt(np.diagonal(normal[good], axis1=1, axis2=2))
     free = np.linalg.inv(normal[good] / scale[:, :, None] / scale[:, None, :])[:, :LEVELS, :LEVELS]
     free = free / scale[:, :LEVELS, None] / scale[:, None, :LEVELS] * _scales(*squares[good].T)[:, None, None]
     xy[good], covariance[good] = _with_likely_slopes(found[good, :LEVELS], free, contrast[good])
-    return xy, covariance
+    frames[good, AXX], frames[good, AXY], frames[good, AYY] = found[good, SHAPE : SHAPE + 3].T
+    return xy, covariance, frames
 
 
 def _scales(squares: Array, pixels: Array) -> Array:

@@ -284,11 +284,15 @@ def wholeness(ray, trust, rays):
 
 @inlined_step
 def too_large(ray, camera, point, data):
-    """Whether an image shows two targets grown together."""
-    rules = data.rules[0]
-    if int(data.rays[ray, FLAGS]) & MERGED:
+    """Whether an image shows two targets grown together.
+
+    That no disc fits an image beside another is little evidence of it: where targets' size is known, its area tells.
+    """
+    rules, flags = data.rules[0], int(data.rays[ray, FLAGS])
+    known = rules.judge > 0.0 and rules.typical_m > 0.0
+    if flags & MERGED and not (known and flags & UNREFINED):
         return True
-    if not rules.judge > 0.0 or rules.typical_m <= 0.0:
+    if not known:
         return False
     return image_size(ray, camera, point, data) ** 2 > TOO_LARGE * rules.typical_m**2
 

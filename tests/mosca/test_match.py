@@ -267,6 +267,26 @@ def test_a_merged_image_serves_two_targets_that_tracks_expect():
     assert sorted(merged.n_cameras) == [3, 3]
 
 
+@pytest.mark.parametrize(
+    ("flags", "area", "served"),
+    [(UNREFINED | MERGED, 1.1, 1), (UNREFINED | MERGED, 1.6, 2), (PARTIAL | MERGED, 1.1, 2), (0, 1.1, 1)],
+)
+def test_where_the_size_is_known_an_image_that_no_disc_fits_serves_two_targets_only_if_it_is_too_large(
+    flags, area, served
+):
+    rig, rng = rig_of(3), np.random.default_rng(10)
+    a = np.array([0.1, 0.0, 0.2])
+    c0 = rig.cameras[0].world_from_camera.translation
+    truth3d = np.array([a, a + 0.1 * (a - c0) / np.linalg.norm(a - c0)])
+    found, _ = detected(rig, truth3d, rng, sigma=0.02)
+    found["c0"] = chosen(found["c0"], [0])
+    found["c0"] = replace(found["c0"], diameter_px=found["c0"].diameter_px * np.sqrt(area))
+    settings, expected = MatchSettings(camera_sigma_px=0.0), expected_at(truth3d, 1e-5**0.5)
+    table = make_ray_table(rig, flagged(found, flags), settings.camera_sigma_px)
+    points = match(table, expected, settings, EVERYWHERE, typical_diameter_m=0.014)
+    assert sorted(points.n_cameras) == [1 + served, 3]
+
+
 def test_clutter_of_many_cameras_makes_no_ghosts():
     rng = np.random.default_rng(11)
     rig, truth3d = rig_of(16), rng.uniform(-0.5, 0.5, (60, 3))

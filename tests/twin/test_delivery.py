@@ -67,13 +67,6 @@ def test_without_troubles_all_comes_as_it_was() -> None:
 def test_the_assembly_counts_what_was_injected(delivery: Delivery, counted: str, fate: str) -> None:
     pulses = 600
     injected = fates(delivery, pulses)[fate]
-    if fate == "reordered":
-        # two in a row wait for the same frame and come in order; what counts is each that one has overtaken
-        injected = sum(
-            fate_of(delivery, SEED, "b", k, 0.0) == "reordered"
-            and any(fate_of(delivery, SEED, "b", n, 0.0) != "reordered" for n in range(k + 1, pulses))
-            for k in range(pulses)
-        )
     sets, counts = assembled(delivered(pulses, b=delivery))
     count = counts.cameras["b"]
     assert getattr(count, counted) == injected
@@ -132,6 +125,19 @@ def test_a_dead_camera_comes_back() -> None:
     assert [f.index for f in frames if f.camera == "b"] == [*range(20), *range(50, 100)]
     frames = delivered(100, b=Delivery(dies_s=0.2))
     assert [f.index for f in frames if f.camera == "b"] == [*range(20)]
+
+
+@pytest.mark.parametrize("share", [0.1, 0.3, 0.5])
+def test_a_reordered_frame_is_overtaken_by_one_and_no_more(share: float) -> None:
+    came = np.array([f.index for f in delivered(2000, b=Delivery(reordered_share=share)) if f.camera == "b"])
+    assert sorted(came) == list(range(2000))
+    assert np.abs(came - np.arange(2000)).max() == 1
+    assert np.mean(came > np.arange(2000)) == pytest.approx(share, rel=0.1)
+
+
+def test_more_frames_cannot_be_reordered_than_overtake_them() -> None:
+    with pytest.raises(InputError, match=r"0\.5 at most"):
+        Delivery(reordered_share=0.6)
 
 
 def test_a_late_frame_waits_for_so_many_of_the_rig() -> None:

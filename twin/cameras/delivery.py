@@ -37,7 +37,7 @@ class Delivery:
     late_frames: int = 50
     """How late."""
     reordered_share: float = 0.0
-    """Come after the camera's next frame."""
+    """Come after the camera's next frame, which then does not: up to half of all."""
     doubled_share: float = 0.0
     """Come twice."""
     dies_s: float | None = None
@@ -49,6 +49,11 @@ class Delivery:
         for name in SHARES:
             if not 0.0 <= getattr(self, name) <= 1.0:
                 raise InputError(f"delivery: {name} = {getattr(self, name)} given; a share from 0 to 1 is wanted")
+        if self.reordered_share > 0.5:
+            raise InputError(
+                f"delivery: reordered_share = {self.reordered_share} given; 0.5 at most is possible, since the frame "
+                "that overtakes another comes in time"
+            )
         for name in ("burst_frames", "late_frames"):
             if getattr(self, name) < 1:
                 raise InputError(f"delivery: {name} = {getattr(self, name)} given; 1 or more is wanted")
@@ -85,7 +90,7 @@ def fate_of(delivery: Delivery, seed: int, name: str, number: int, opened_s: flo
         return "corrupt"
     if _meets(delivery.late_share, seed, name, "late", number):
         return "late"
-    if _meets(delivery.reordered_share, seed, name, "reordered", number):
+    if _is_reordered(delivery.reordered_share, seed, name, number):
         return "reordered"
     return "doubled" if _meets(delivery.doubled_share, seed, name, "doubled", number) else "good"
 
@@ -120,6 +125,14 @@ def deliver(taken: Iterable[Taken], deliveries: Mapping[str, Delivery], seed: in
         yield from frames
     for _due, frame in late:
         yield frame
+
+
+def _is_reordered(share: float, seed: int, name: str, number: int) -> bool:
+    """Return whether a frame comes after the camera's next one, which then does not: every second one of a run."""
+    drawn, run = share / (1.0 - share), 0
+    while number >= run and _meets(drawn, seed, name, "reordered", number - run):
+        run += 1
+    return run % 2 == 1
 
 
 def _meets(share: float, seed: int, name: str, trouble: str, number: int) -> bool:
