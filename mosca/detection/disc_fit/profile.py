@@ -220,10 +220,14 @@ def weights_of_older(kept: Array, added: Array) -> Array:
 
     A target's equations hold for values near those of its fit: those of fits with another profile count less.
     """
-    many, more = np.maximum(kept[:, COUNT], 1.0), np.maximum(added[:, COUNT], 1.0)
-    away = (kept[:, VALUES:] / many[:, None] - added[:, VALUES:] / more[:, None]) / SPREADS[1:]
-    weights = np.minimum(1.0, REMEMBERED / many) / (1.0 + (away**2).sum(axis=1))
-    return np.where((kept[:, COUNT] > 0) & (added[:, COUNT] > 0), weights, 1.0)
+    weights = np.ones(len(kept))
+    for k, (old, new) in enumerate(zip(kept.tolist(), added.tolist(), strict=True)):
+        if old[COUNT] > 0 and new[COUNT] > 0:
+            many, more = max(old[COUNT], 1.0), max(new[COUNT], 1.0)
+            values = zip(old[VALUES:], new[VALUES:], SPREADS[1:], strict=True)
+            away = [(before / many - now / more) / spread for before, now, spread in values]
+            weights[k] = min(1.0, REMEMBERED / many) / (1.0 + sum(part * part for part in away))
+    return weights
 
 
 def solve_profiles(sums: Array, blurs: Array) -> tuple[Array, Array]:
