@@ -69,12 +69,12 @@ def lay_out(n: int, pixels: Array, fit: DiscFit, shape: tuple[float, float, floa
         return Grid(0, 0, weights)
     for k in range(side * side):
         image[THERE, k] = ZERO
-    a, b = f32(fit.amplitude), f32(fit.background)
+    a, b, to_edge = f32(fit.amplitude), f32(fit.background), f32(half) + HALF
     for i in range(n):
         image[NUMBER, i] = -ONE
         if there[i] > HALF:  # less: its background is hardly known
             u, w = i0 * x[i] + i1 * y[i], i1 * x[i] + i2 * y[i]
-            k = math.floor(w + HALF) * side + math.floor(u + HALF) + middle
+            k = int(w + to_edge) * side + int(u + to_edge)
             image[NUMBER, i] = f32(k)
             image[RESIDUAL, k], image[SIGNAL, k], image[THERE, k] = v[i] - b - a * share[i], a * share[i], ONE
     return grid

@@ -19,9 +19,10 @@ from mosca.detection.disc_fit.light_offset import NOISE_SUMS
 from mosca.detection.disc_fit.solve_step import factor_all
 from mosca.numba_support.decorators import bare_step
 
-PART, PREDICTED, COUNTS, SLOPES = 9, 10, 11, (0, 0, 3, 4, 1, 2)
+GRID, PREDICTED, PART, SLOPES = 9, 10, 11, (0, 0, 3, 4, 1, 2)
 """Rows of a fit's image: for one part of the fit's errors on the grid of pixels; for the variance of each pixel's
-difference, and whether it has one; with its slopes by amplitude, -, radius, blur, x and y."""
+difference, negative where it has none; for that part pixel by pixel; with its slopes by amplitude, -, radius, blur, x
+and y."""
 
 CLIP = f32(16.0)
 """Squared differences count up to so many times their expectation, (4 sigma)^2, or the target's mean where more."""
@@ -42,14 +43,12 @@ def predict_variances(n: int, amplitude: float, grid: Grid, work: Workspace) -> 
     From the fit's factor.
     """
     image, factor = work.image, work.equations
-    total, part, number, counts = image[PREDICTED], image[PART], image[NUMBER], image[COUNTS]
+    total, part, number, on_grid = image[PREDICTED], image[PART], image[NUMBER], image[GRID]
     for i in range(n):
-        total[i] = ZERO
-        counts[i] = ONE if has_opposite(int(number[i]), grid, image) else ZERO
+        total[i] = ZERO if has_opposite(int(number[i]), grid, image) else -ONE
     for k in range(6):
         for i in range(n):
-            if number[i] >= ZERO:
-                part[int(number[i])] = ZERO
+            part[i] = ZERO
         # row k of the inverse factor, kept above its diagonal
         for q in range(k + 1):
             rest = 1.0 if q == k else 0.0
@@ -61,11 +60,13 @@ def predict_variances(n: int, amplitude: float, grid: Grid, work: Workspace) -> 
             c = f32(own * factor[q, 7] * (amplitude if q > 1 else 1.0))
             row = image[SLOPES[q]]
             for i in range(n):
-                if number[i] >= ZERO:
-                    part[int(number[i])] += c if q == 1 else c * row[i]
+                part[i] += c if q == 1 else c * row[i]
         for i in range(n):
-            if counts[i] > ZERO:
-                total[i] += less_opposite(int(number[i]), part, grid) ** 2
+            if number[i] >= ZERO:
+                on_grid[int(number[i])] = part[i]
+        for i in range(n):
+            if total[i] >= ZERO:
+                total[i] += less_opposite(int(number[i]), on_grid, grid) ** 2
 
 
 @bare_step(fastmath=FAST)
