@@ -288,7 +288,7 @@ def buffers_for(largest: int, blurs: Array) -> Buffers:
         np.empty(room, f32), np.empty((largest + 1, side), np.int32), np.empty((largest + 1, 2), np.int64)
     )
     return Buffers(
-        side, np.empty((5, side * side + OVER), f32), windows, np.empty((4, side * side), np.uint8),
+        side, np.empty((5, side * side + OVER), f32), windows, np.empty((4, side * side), np.uint8), np.full(2, -1),
         Workspace(np.zeros((12, side * side + OVER), f32), np.empty((7, 8))), np.empty(N_TERMS),
         np.empty((4, side * side + OVER), f32),
     )  # fmt: skip

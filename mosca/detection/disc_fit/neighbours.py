@@ -4,7 +4,6 @@ Compiled into the kernel in ``mosca.detection.disc_fit.fit_regions``.
 """
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
@@ -15,16 +14,6 @@ from mosca.detection.search import is_sure
 from mosca.numba_support.decorators import bare_step
 
 
-class Marked(NamedTuple):
-    """Square of pixels of which some are left out of a fit, see ``mark_foreign``."""
-
-    side: int
-    left: int
-    """First column in the image [px]."""
-    top: int
-    """First row in the image [px]."""
-
-
 @bare_step(fastmath=FAST)
 def gather_unmarked(
     image: Array,
@@ -33,17 +22,17 @@ def gather_unmarked(
     around: tuple[float, float],
     reach: float,
     out: Array,
-    marked: Marked,
+    side: int,
     pixels: Array,
 ) -> int:
     """Copy the pixels that are not marked in ``out`` and lie within ``reach`` of a target; return how many.
 
     Pixel offsets from ``centre`` are mapped by the symmetric matrix ``shape`` (xx, xy, yy), in which the target is
-    round, and ``around`` is its middle there. ``out`` (side * side,) and ``marked``: see ``mark_foreign``.
+    round, and ``around`` is its middle there. ``out`` (side * side,): see ``mark_foreign``.
     """
     x, y, sharper, v = pixels[X], pixels[Y], pixels[SHARPER], pixels[V]
     height, width = image.shape
-    side, left, top = marked.side, marked.left, marked.top
+    left, top = centre[0] - side // 2, centre[1] - side // 2
     n = 0
     first_row, end_row = rows_within(shape, around, reach)
     for j in range(max(centre[1] + first_row, 0, top), min(centre[1] + end_row, height, top + side)):
@@ -117,7 +106,7 @@ def mark_foreign(
     limits: tuple[int, float, float],
     side: int,
     marks: Array,
-) -> Marked:
+) -> None:
     """Mark in ``marks[0]`` (side * side,), centred on the pixel ``centre``, what is left out of the fit of a region.
 
     These are saturated pixels, and pixels above the floor, and above what an unknown background explains, that are
@@ -157,7 +146,6 @@ def mark_foreign(
     dilate(wide, others, n, side)
     for k in range(n):
         out[k] |= others[k] & (own[k] ^ 1)
-    return Marked(side, left, top)
 
 
 @bare_step(fastmath=FAST)

@@ -35,6 +35,8 @@ class Buffers(NamedTuple):
     windows: RoundWindows
     marks: Array
     """(4, side^2) uint8."""
+    marked: Array
+    """(2,) int64: first run of the region that ``marks`` were made for, negative before, and their square's edge."""
     fit: Workspace
     terms: Array
     """(N_TERMS,): terms of the offset."""
@@ -65,11 +67,13 @@ def gather_mapped(
     ``own``: its runs; ``behind``: what was subtracted from the image; the others as in ``gather_unmarked``.
     """
     middle = ((region.left + region.right + 1) // 2, (region.top + region.bottom + 1) // 2)
-    side = 2 * min(half_side(shape, around, reach), buffers.side // 2) + 1
-    marked = mark_foreign(
-        image, behind, own, middle, (region.floor, model.full_dn, model.dark_dn2), side, buffers.marks
-    )
-    n: int = gather_unmarked(image, middle, shape, around, reach, buffers.marks[0], marked, buffers.pixels)
+    side, known = 2 * min(half_side(shape, around, reach), buffers.side // 2) + 1, buffers.marked
+    if known[0] != region.first_run or known[1] < side:
+        known[0], known[1] = region.first_run, side
+        limits = (region.floor, model.full_dn, model.dark_dn2)
+        mark_foreign(image, behind, own, middle, limits, side, buffers.marks)
+    marks, pixels = buffers.marks[0], buffers.pixels
+    n: int = gather_unmarked(image, middle, shape, around, reach, marks, int(known[1]), pixels)
     pad(n, buffers.pixels)
     m0, m1, m2 = shape
     det, (slope_x, slope_y) = m0 * m2 - m1 * m1, region.slope
