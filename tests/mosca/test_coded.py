@@ -358,7 +358,7 @@ def test_the_ellipse_is_that_of_the_dot(tilt_deg):
 def test_small_dots_are_as_large_as_they_were_painted(dot_px, blur, limit):
     """By contours at half of the contrast they came out 0.13 px smaller, and 0.3 px at twice that blur."""
     found = find_coded(picture(views(14, dot_px, z=2000.0), noise=0.5, blur=blur), "left")
-    assert len(found) > 50
+    assert len(found) > 20
     assert np.median(2 * found.semi_axes_px[:, 0]) == pytest.approx(dot_px, abs=limit)
 
 
