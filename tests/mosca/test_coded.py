@@ -354,7 +354,9 @@ def test_the_ellipse_is_that_of_the_dot(tilt_deg):
 # ---------------------------------------------------------------- hidden parts
 
 
-@pytest.mark.parametrize(("dot_px", "blur", "limit"), [(4.6, 0.3, 0.02), (6, 0.3, 0.02), (8, 0.3, 0.02), (8, 0.6, 0.1)])
+@pytest.mark.parametrize(
+    ("dot_px", "blur", "limit"), [(4.6, 0.3, 0.02), (6, 0.3, 0.02), (8, 0.3, 0.02), (8, 0.6, 0.1)]
+)
 def test_small_dots_are_as_large_as_they_were_painted(dot_px, blur, limit):
     """By contours at half of the contrast they came out 0.13 px smaller, and 0.3 px at twice that blur."""
     found = find_coded(picture(views(14, dot_px, z=2000.0), noise=0.5, blur=blur), "left")
