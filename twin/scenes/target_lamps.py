@@ -8,13 +8,14 @@ import numpy as np
 from mosca.data.arrays import Array
 from mosca.data.lamp_codes import LAMP_NUMBERS, lamp_bits, m_sequence
 from mosca.errors import InputError
-from twin.scenes.emission import Blink, Glow
+from twin.scenes.emission import ALL_SIDES_DEG, Blink, Glow
 from twin.scenes.scene import Scene
 from twin.scenes.target_motion import carried_body, carried_by_hand, carried_scene, room_around
 from twin.scenes.target_plate import add_ball_at
 from twin.scenes.world import Box, new_stage, positive
 
 LAMP = Glow("lamp", half_deg=60.0)
+ALL_ROUND = Glow("lamp", half_deg=ALL_SIDES_DEG)
 LIGHT_MARKER = "light"
 LEAD = 0.25
 """A bit begins this share of a frame's period before the pulse: exposures up to the rest lie within one bit."""
@@ -74,10 +75,10 @@ def build_light_marker(
     order: int = 8,
     diameter_m: float | None = None,
     speed_mps: float = 0.3,
-    glow: Glow = LAMP,
+    glow: Glow = ALL_ROUND,
     floor: bool = True,
 ) -> Scene:
-    """Return one lamp, "light", that is waved through the working space and blinks the time.
+    """Return one lamp, "light", that shines to all sides, is waved through the working space and blinks the time.
 
     It shows the maximum length sequence of ``order`` (2^order - 1 bits of ``bit_s``; by default 10 s), from
     session time -0.1 s on: ``order`` bits read in a row identify the instant, whatever clock a camera has.
