@@ -292,9 +292,7 @@ def too_large(ray, camera, point, data):
     known = rules.judge > 0.0 and rules.typical_m > 0.0
     if flags & MERGED and not (known and flags & UNREFINED):
         return True
-    if not known:
-        return False
-    return image_size(ray, camera, point, data) ** 2 > TOO_LARGE * rules.typical_m**2
+    return known and image_size(ray, camera, point, data) ** 2 > TOO_LARGE * rules.typical_m**2
 
 
 @inlined_step

@@ -135,7 +135,9 @@ class DeliverySpec(Table):
     corrupt_share: Share = Field(0.0, description="frames without a usable image")
     late_share: Share = Field(0.0, description="frames that come late")
     late_frames: int = Field(50, ge=1, description="by how many frames of the rig")
-    reordered_share: float = Field(0.0, ge=0, le=0.5, description="frames that come after the camera's next one")
+    reordered_share: float = Field(
+        0.0, ge=0, le=0.5, description="frames that come after the camera's next one, which then does not"
+    )
     doubled_share: Share = Field(0.0, description="frames that come twice")
     dies_s: NotNegative | None = Field(None, description="when the camera dies [s]")
     returns_s: NotNegative | None = Field(None, description="when it is back [s]")

@@ -351,9 +351,6 @@ def test_the_ellipse_is_that_of_the_dot(tilt_deg):
         assert np.abs(np.rad2deg(off)).max() < 2.0
 
 
-# ---------------------------------------------------------------- hidden parts
-
-
 @pytest.mark.parametrize(
     ("dot_px", "blur", "limit"), [(4.6, 0.3, 0.02), (6, 0.3, 0.02), (8, 0.3, 0.02), (8, 0.6, 0.1)]
 )
@@ -362,6 +359,9 @@ def test_small_dots_are_as_large_as_they_were_painted(dot_px, blur, limit):
     found = find_coded(picture(views(14, dot_px, z=2000.0), noise=0.5, blur=blur), "left")
     assert len(found) > 20
     assert np.median(2 * found.semi_axes_px[:, 0]) == pytest.approx(dot_px, abs=limit)
+
+
+# ---------------------------------------------------------------- hidden parts
 
 
 def counted_misreadings(bit: bool, length: int) -> int:

@@ -72,8 +72,8 @@ def gather_mapped(
         known[0], known[1] = region.first_run, side
         limits = (region.floor, model.full_dn, model.dark_dn2)
         mark_foreign(image, behind, own, middle, limits, side, buffers.marks)
-    marks, pixels = buffers.marks[0], buffers.pixels
-    n: int = gather_unmarked(image, middle, shape, around, reach, marks, int(known[1]), pixels)
+    marks = buffers.marks[0]
+    n: int = gather_unmarked(image, middle, shape, around, reach, marks, int(known[1]), buffers.pixels)
     pad(n, buffers.pixels)
     m0, m1, m2 = shape
     det, (slope_x, slope_y) = m0 * m2 - m1 * m1, region.slope
