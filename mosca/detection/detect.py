@@ -72,7 +72,7 @@ from mosca.detection.merged_targets.split import split_pairs
 from mosca.detection.pixel_noise import gains_changed, measured_backgrounds, noise_of_set
 from mosca.detection.search import SEARCH_SIGMAS
 from mosca.detection.settings import DEFAULTS, DetectionSettings, search_of
-from mosca.detection.static_background import one_image
+from mosca.detection.static_background import one_image, subtract_rounded
 from mosca.errors import InputError
 
 __all__ = [
@@ -184,20 +184,20 @@ def detect_with_statistics(
             found += part
             added = added.plus(new)
         return found, added
-    dark = [None] * n if backgrounds is None else backgrounds
-    pixels = [
-        _foreground(image, camera, bit_depth, background)
-        for image, camera, background in zip(images, cameras, dark, strict=True)
-    ]
     names, task = tuple(cameras), _task(settings, bit_depth, _METHODS[settings.centroid])
+    given = [None] * n if backgrounds is None else backgrounds
+    for image, camera, own in zip(images, cameras, given, strict=True):
+        _check(image, camera, bit_depth, own)
+    dark = [None if own is None else _taken_off(own, task.by_noise) for own in given]
+    pixels = [_foreground(image, off, task) for image, off in zip(images, dark, strict=True)]
     measured = measured_backgrounds(images, dark, names, settings, statistics, refresh)
     known = statistics.plus(CameraStatistics(names, no_sums(n), measured)) if measured else statistics
     behind = [None if background is None else _exactly_behind(background) for background in dark]
     learns = [background is None and task.by_noise for background in dark]
     for k, name in enumerate(names):
-        own = known.backgrounds[name].usable if learns[k] and name in known.backgrounds else None
-        if own is not None and own.behind.shape == first.shape:
-            pixels[k] = own.subtracted_from(pixels[k], int(task.full_dn))
+        static = known.backgrounds[name].usable if learns[k] and name in known.backgrounds else None
+        if static is not None and static.behind.shape == first.shape:
+            pixels[k] = static.subtracted_from(pixels[k], int(task.full_dn))
             behind[k] = known.backgrounds[name].behind(first.shape)
     found, sums = _detect_alike(pixels, behind, names, settings, task, windows, known)
     for k, name in enumerate(names):
@@ -219,11 +219,9 @@ def detect_with_statistics(
     return found, CameraStatistics(names, sums, measured)
 
 
-def _exactly_behind(background: Array) -> Array:
+def _exactly_behind(off: Array) -> Array:
     """Return what was subtracted (H, W) and its error, none (2, H, W) float32 [DN]."""
-    behind = np.zeros((2, *background.shape), np.float32)
-    behind[0] = background
-    return behind
+    return np.stack([off, np.zeros_like(off)])
 
 
 def _detect_alike(
@@ -264,8 +262,9 @@ def target_regions(image: Array, settings: DetectionSettings = DEFAULTS, bit_dep
 
     Targets that touch the image's border are still in it.
     """
-    pixels = _foreground(image, "image", bit_depth, None)
+    _check(image, "image", bit_depth, None)
     names, task = ("image",), _task(settings, bit_depth, REGIONS_ONLY)
+    pixels = _foreground(image, None, task)
     statistics = CameraStatistics(
         names, no_sums(1), measured_backgrounds([pixels], [None], names, settings, NO_STATISTICS)
     )
@@ -280,8 +279,8 @@ def target_regions(image: Array, settings: DetectionSettings = DEFAULTS, bit_dep
     return labels
 
 
-def _foreground(image: Array, camera: str, bit_depth: int, background: Array | None) -> Array:
-    """Return the image less its background, after checking that image, background and bit depth fit."""
+def _check(image: Array, camera: str, bit_depth: int, background: Array | None) -> None:
+    """Raise InputError unless image, background and bit depth fit."""
     if image.ndim != 2 or image.dtype not in (np.uint8, np.uint16) or 0 in image.shape:
         raise InputError(
             f"detection: camera '{camera}': image {image.shape} of {image.dtype} given; (H, W) of uint8 or "
@@ -293,13 +292,31 @@ def _foreground(image: Array, camera: str, bit_depth: int, background: Array | N
             f"8 to {8 * image.dtype.itemsize} is allowed"
         )
     if background is None:
-        return image if image.flags.c_contiguous else np.ascontiguousarray(image)
+        return
     if background.shape != image.shape or background.dtype != image.dtype:
         raise InputError(
             f"detection: camera '{camera}': background {background.shape} of {background.dtype} given for an "
             f"image {image.shape} of {image.dtype}; make it from this camera's frames with mean_background"
         )
-    return np.ascontiguousarray(cv2.subtract(image, background))
+
+
+def _taken_off(background: Array, by_noise: bool) -> Array:
+    """Return what is subtracted (H, W) float32 of a given background: all of it where thresholds are grey values.
+
+    Otherwise what differs from its median: values below zero would be lost, and with them half of the noise.
+    """
+    return np.asarray(background - (np.floor(np.median(background)) if by_noise else 0.0), np.float32)
+
+
+def _foreground(image: Array, off: Array | None, task: Task) -> Array:
+    """Return the image (H, W) less what is taken ``off``, of its type, from 0 on."""
+    if off is None:
+        return image if image.flags.c_contiguous else np.ascontiguousarray(image)
+    if not task.by_noise:
+        return np.ascontiguousarray(cv2.subtract(image, off.astype(image.dtype)))
+    out = np.empty_like(image)
+    subtract_rounded(image, off, int(task.full_dn), out)
+    return out
 
 
 def _boxes(windows: Sequence[Array | None] | None, images: ImageSet) -> SearchBoxes:

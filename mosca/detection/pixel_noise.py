@@ -82,14 +82,14 @@ def measured_backgrounds(
 ) -> dict[str, LocalBackground]:
     """Return the backgrounds that these images show, by camera: those not known yet and those to ``refresh``.
 
-    ``subtracted``: what is taken off an image (H, W) first. Values below zero count here, or half of the
+    ``subtracted``: what is taken off an image (H, W) first [DN]. Values below zero count here, or half of the
     noise is lost.
     """
     if settings.thresholds == "paper" and settings.read_noise_dn is not None:
         return {}
     return {
         name: measure_background(
-            np.ascontiguousarray(image) if background is None else image.astype(np.int32) - background,
+            np.ascontiguousarray(image) if background is None else np.rint(image - background).astype(np.int32),
             settings.maximum_size_px,
             None if background is not None else known.backgrounds.get(name),
         )

@@ -108,7 +108,7 @@ class Neighbours(NamedTuple):
     slot: Array
     """(n, k) slot of the neighbour, -1 where none."""
     serial: Array
-    """(n, k) the owner of that slot."""
+    """(n, k) the owner of that slot, where there is one."""
     distance: Array
     """(n, k) mean [m]."""
     variance: Array
@@ -141,7 +141,7 @@ def new_neighbours(slots: int) -> Neighbours:
     """Return a distance model without any neighbours."""
     each = (slots, NEIGHBOURS)
     return Neighbours(
-        slot=np.full(each, -1, np.int64), serial=np.full(each, -1, np.int64), distance=np.zeros(each),
+        slot=np.full(each, -1, np.int64), serial=np.zeros(each, np.int64), distance=np.zeros(each),
         variance=np.zeros(each), observed_s=np.zeros(each), xyz_last_seen=np.zeros((*each, 3)),
         valid=np.zeros(each, np.bool_), own_xyz_last_seen=np.zeros((slots, 3)), rotation=np.zeros((slots, 3, 3)),
     )  # fmt: skip

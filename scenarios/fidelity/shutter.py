@@ -10,7 +10,7 @@ import numpy as np
 from mosca.data.arrays import Array
 from reports.fidelity import Check, Row
 from scenarios.fidelity.measure import about, centroids_apart, pixels_apart, rms
-from scenarios.fidelity.twin_adapter import ALWAYS, Target, seen_by_twin, turn_to, window_of
+from scenarios.fidelity.twin_adapter import ALWAYS, EVEN, Target, seen_by_twin, turn_to, window_of
 from scenarios.fidelity.views import small_camera
 from twin.cameras.render.render import VisibleTargets
 from witness.image import contour_image, exposed, row_windows
@@ -38,6 +38,7 @@ class Case:
     light_s: Span = ALWAYS
     lit_s: Span = ALWAYS
     nodes: int = 3
+    sigma_px: float = SIGMA
 
 
 CASES = {
@@ -104,7 +105,7 @@ def rendered(case: Case) -> tuple[Array, VisibleTargets]:
     window = window_of(case.length_s, case.row_time_s, SIZE[1], case.light_s, case.nodes)
     rotation = turn_to(normal)
     target = Target(at, radius, lambda t: rotation, case.tilt is not None, lit_s=case.lit_s)
-    return seen_by_twin(LENS, SIZE, [target], window=window)
+    return seen_by_twin(LENS, SIZE, [target], replace(EVEN, psf_sigma_px=case.sigma_px), window=window)
 
 
 @lru_cache(maxsize=64)
@@ -114,7 +115,7 @@ def expected(case: Case, instants: int = INSTANTS) -> Array:
 
     def image_at(t: float) -> Array:
         outline = ball_outline(at(t), radius, 600) if case.tilt is None else disc_outline(at(t), normal, radius, 600)
-        return contour_image(WITNESS.project(outline), SIGMA, *SIZE)
+        return contour_image(WITNESS.project(outline), case.sigma_px, *SIZE)
 
     opens, closes = row_windows(SIZE[1], case.length_s, case.row_time_s, case.light_s, case.lit_s)
     image: Array = exposed(image_at, opens, closes, instants) / case.length_s

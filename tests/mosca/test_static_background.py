@@ -113,6 +113,32 @@ def test_a_given_background_is_hidden_by_the_discs_too():
     assert np.median(error**2 / variance) / 0.455 == pytest.approx(1.0, abs=0.45)
 
 
+def test_balls_with_a_dark_limb_hide_more_floor_than_they_light():
+    # the light of a tape falls off evenly over the last 17 % of the radius; the floor ends at a sharp edge
+    rng, blur = np.random.default_rng(3), 0.15
+    floor = grainy_floor(np.random.default_rng(3), 14.0)
+    hidden = fine_image(DIAMETER, blur, across=SIDE)
+    radii = 0.83 + 0.17 * (np.arange(8) + 0.5) / 8
+    light = sum(fine_image(DIAMETER * float(radius), blur, across=SIDE) for radius in radii) / 8
+    _, places = take(floor)
+    images = []
+    for at in places:
+        image = floor.copy()
+        for x, y in at:
+            column, row = int(x) - SIDE // 2, int(y) - SIDE // 2
+            fine = np.rint((np.array([x, y]) % 1) * FINE).astype(int)
+            there = image[row : row + SIDE, column : column + SIDE]
+            there *= 1 - pixels(hidden, *fine).clip(0, 1)
+            there += 120.0 * pixels(light, *fine).clip(0)
+        images.append(sensed(rng, image))
+    share, others, error, variance = compared(detected(images, 0, np.rint(floor).astype(np.uint8))[4:], places[4:])
+    assert share == 1.0
+    assert others == 0
+    # with the limb's softness at the edge of what it hides: 0.035 px and 7
+    assert np.sqrt(np.median(error**2) / 0.455) < 0.017
+    assert 0.7 < np.mean(error**2 / variance) < 1.6
+
+
 def test_a_live_run_learns_a_textured_background_while_it_runs():
     images, places = take(grainy_floor(np.random.default_rng(5), 14.0), seed=1)
     found = detected(images, 0)

@@ -18,16 +18,16 @@ from tests.mutations.mutant import ROOT
 
 SPACE = "scenarios/library/spaces/space_1m.toml"
 SHARES = {
-    "mosca/detection": (6, "refine detect detection_noise static_background profile", (SPACE,)),
+    "mosca/detection": (6, "refine refine_pair detect detection_noise static_background profile", (SPACE,)),
     "mosca/correspondence": (3, "match match_agreement flat_targets", (SPACE,)),
     "mosca/tracking": (3, "track track_limbs", (SPACE,)),
     "mosca/camera": (3, "lens_models camera eccentricity_ball flat_targets", ()),
-    "mosca/calibration/bundle": (3, "bundle bundle_jacobian bundle_statistics systematic_errors", ()),
+    "mosca/calibration/bundle": (3, "bundle bundle_jacobian bundle_statistics systematic_errors intervals", ()),
     "mosca/rigid_bodies": (2, "bodies rigid", ()),
     "twin/cameras": (
         5,
         "source lens lighting mount sensor sensor_noise shutter stray context",
-        ("tests/oracle/test_render_witness.py", SPACE),
+        ("tests/oracle/test_render_witness.py", "tests/oracle/test_shutter_witness.py", SPACE),
     ),
     "scenarios/score": (3, "score self_checks run_scenario", (SPACE,)),
     "hardware": (

@@ -49,6 +49,7 @@ CASES = {
     "global, 20 px streak": Case(6.0, (17e3, -10e3)),
     "global, speeding up": Case(6.0, (8e3, -5e3), (12e6, 16e6)),
     "global, turning back": Case(6.0, (1e3, -1e3), (60e6, -40e6)),
+    "global, sharp lens": Case(8.0, (6e3, -4e3), sigma_px=0.15),
     "global, strobe": Case(8.0, (18e3, 4e3), light_s=(2e-4, 5e-4)),
     "global, lamp": Case(8.0, (18e3, 4e3), lit_s=(6e-4, 7.5e-4)),
     "rolling, 3 px ball": Case(3.0, (6e3, -4e3), row_time_s=ROW_TIME_S),

@@ -63,6 +63,15 @@ def test_the_last_level_is_saturated_and_the_first_is_dark():
     assert level_bank(Sensor(dsnu_e=5.0), 200.0).levels_e[0] == -40.0
 
 
+def test_the_law_of_a_level_does_not_depend_on_those_made_before():
+    # levels below 0 shift the edges of the counts; those above share what is computed for each edge
+    sensor = Sensor(dsnu_e=5.0, read_noise_e=8.0)
+    one, other = LevelBank(sensor, 200.0), LevelBank(sensor, 200.0)
+    lowest = int(np.searchsorted(one.levels_e, 0.0, side="right"))
+    one.make(np.arange(lowest))
+    np.testing.assert_array_equal(one.law(lowest)[1], other.law(lowest)[1])
+
+
 def test_gradient_and_blob_by_hand():
     sensor = Sensor(background_e=100.0)
     look = Backdrop(gradient=(0.4, -0.2), blob_e=50.0, blob_xy=(0.25, 0.5), blob_radius=0.1)

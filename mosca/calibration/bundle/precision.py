@@ -211,7 +211,7 @@ def carry_down(blocks: EliminatedBlocks, mixed: Array, inverse: Array, index: Ar
         b, count = runs[r], runs[r + 1] - runs[r]
         n, first = dim[b], slot_first[b]
         slots = slot_first[b + 1] - first
-        rows, wide = count * n, slots * width
+        wide = slots * width
         if slots == 0:
             continue
         own = _block_by_block(mixed, at_w[b], n, count, wide)
@@ -220,7 +220,7 @@ def carry_down(blocks: EliminatedBlocks, mixed: Array, inverse: Array, index: Ar
             row = index[slot_group[first + i // width], i % width]
             for k in range(z.shape[1]):
                 gathered[i, k] = z[row, k]
-        _times_inverse(inverse, at_v[b], n, count, np.dot(own, gathered), out[at_g[b] : at_g[b] + rows])
+        _times_inverse(inverse, at_v[b], n, count, np.dot(own, gathered), out[at_g[b] :])
     return out
 
 

@@ -7,10 +7,11 @@ mean over the window: the disc's amplitude is above the background around it.
 """
 
 import math
+from typing import Any
 
 from mosca.data.arrays import Array
 from mosca.detection.disc_fit.disc_image import FAST, ONE, ZERO, disc_image, even_as, f32
-from mosca.detection.disc_fit.gauss_newton import DiscFit, DiscPrior, Model, Workspace, fit_disc
+from mosca.detection.disc_fit.gauss_newton import LEAST_BLUR, DiscFit, DiscPrior, Model, Workspace, fit_disc
 from mosca.detection.disc_fit.light_offset import N_RIMS, RIM_SUMS
 from mosca.numba_support.decorators import bare_step
 
@@ -84,6 +85,17 @@ def take_behind(
 
 
 @bare_step(fastmath=FAST)
+def hiding_blur(fit: DiscFit, rim: float) -> Any:
+    """Return the blur [px] of the edge within which a target hides its background, which no limb makes softer.
+
+    Its light falls off evenly between the radius of its light less and plus what it hides beyond, whose variance is a
+    third of the square of that; the rest of the fitted blur is that of lens and pixel.
+    """
+    falls_off = (rim - 1.0) * fit.radius
+    return f32(math.sqrt(max(fit.blur * fit.blur - falls_off * falls_off / 3.0, LEAST_BLUR * LEAST_BLUR)))
+
+
+@bare_step(fastmath=FAST)
 def uncover(
     n: int, pixels: Array, behind: Array, shape: tuple[float, float, float], fit: DiscFit, rim: float, work: Workspace
 ) -> None:
@@ -105,7 +117,7 @@ def uncover(
             v[i] = behind[1, i] + coverage[i] * present[i] * (behind[0, i] - mean)
             there[i] = present[i] / (ONE + behind[3, i] * (ONE - coverage[i]) * (ONE - coverage[i]))
         return
-    disc_image(n, pixels, (x, y, f32(rim) * radius, blur), even, shape, work.image)
+    disc_image(n, pixels, (x, y, f32(rim) * radius, hiding_blur(fit, rim)), even, shape, work.image)
     for i in range(n):
         v[i] = behind[1, i] + coverage[i] * present[i] * (level + behind[0, i])
         there[i] = present[i] / (ONE + behind[3, i] * (ONE - coverage[i]) * (ONE - coverage[i]))

@@ -183,11 +183,7 @@ def better_than_one(pair: FittedPair, pixels: Array, task: FitTask) -> bool:
             # as much light on as long a way: its ends are dimmer than its middle
             one[2], one[3], one[5] = 1.5 * dx, 1.5 * dy, 1.4 * bright
         else:
-            longer = 1.0 + half / radius
-            # the ellipse's matrix has the eigenvalues 1 -+ e along and across
-            e = (longer - 1.0) / (longer + 1.0)
-            one[2], one[3] = -e * (dx * dx - dy * dy) / (half * half), -e * 2.0 * dx * dy / (half * half)
-            one[4] = radius * 2.0 * longer / (longer + 1.0)
+            one[2], one[3], one[4] = 0.0, 0.0, radius + half
         enough = chi2 + DECISIVE * misfit
         if fit(kind, one, pixels, n, task, enough)[0] < enough:
             return False
