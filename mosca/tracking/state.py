@@ -83,7 +83,7 @@ class Bank(NamedTuple):
     born_s: Array
     """(n,) time of the first."""
     reacquired_s: Array
-    """(n,) when last measured again after a pause, -1 for never."""
+    """(n,) when last measured again after a pause, -1 for never; set when a slot is taken."""
     lost_s: Array
     """(n,) last measurement before that pause."""
     weight: Array
@@ -131,7 +131,7 @@ def new_bank(slots: int) -> Bank:
     return Bank(
         counters=np.zeros(4, np.int64), state=np.zeros(n, np.int64), serial=none, identity=none.copy(),
         missed=np.zeros(n, np.int64), reliable=np.zeros(n, np.bool_), seen_s=np.zeros(n), born_s=np.zeros(n),
-        reacquired_s=np.full(n, -1.0), lost_s=np.zeros(n), weight=np.zeros(n), variance=np.zeros(n),
+        reacquired_s=np.zeros(n), lost_s=np.zeros(n), weight=np.zeros(n), variance=np.zeros(n),
         mean=np.zeros((n, 9)), covariance=np.zeros((n, 9, 9)), predicted=np.zeros((n, 3)),
         predicted_covariance=np.zeros((n, 3, 3)), source=np.zeros(n, np.int64),
     )  # fmt: skip

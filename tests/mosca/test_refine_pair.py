@@ -4,7 +4,10 @@ import numpy as np
 import pytest
 
 from mosca.data.detections import MERGED, UNREFINED
+from mosca.detection.centroid import DIAMETER, X, Y
 from mosca.detection.detect import NO_STATISTICS, DetectionSettings, detect, detect_with_statistics
+from mosca.detection.disc_fit.row import N_COLUMNS
+from mosca.detection.merged_targets.split import TOUCHING_PX, touching
 
 FINE, SIDE, BLUR = 8, 30, 0.6
 GAIN, READ, LEVEL, DARK = 0.0128, 0.13, 4.0, 2.0
@@ -108,6 +111,19 @@ def test_two_discs_reach_their_joint_bound(diameter, most, learned):
     assert np.sqrt(np.mean(squared) / np.mean(least)) < most
     # chi-square of 2 degrees of freedom: 20 of them have a mean of 2 +- 0.45
     assert 0.7 < np.mean(stated) < 3.2
+
+
+def test_pairs_that_touch_are_all_pairs_with_a_small_gap():
+    rng = np.random.default_rng(9)
+    table = np.zeros((60, N_COLUMNS))
+    (table[:, X], table[:, Y]), table[:, DIAMETER] = rng.uniform(0, 120, (2, 60)), rng.uniform(2, 12, 60)
+    table = table[np.argsort(table[:, Y] - table[:, DIAMETER] / 2)]  # as they are found, row by row
+    i, j = np.triu_indices(60, 1)
+    gap = np.hypot(*(table[i] - table[j])[:, [X, Y]].T) - (table[i, DIAMETER] + table[j, DIAMETER]) / 2
+    near = np.column_stack([i, j])[gap < TOUCHING_PX]
+    assert len(near) > 20
+    both = touching(np.concatenate([table, table]), np.repeat(np.array([0, 1], np.int32), 60))
+    assert {tuple(pair) for pair in both.tolist()} == {(p, q) for n in (0, 60) for p, q in (near + n).tolist()}
 
 
 @pytest.mark.parametrize("how", ["moved", "ellipse"])
