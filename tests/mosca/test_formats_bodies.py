@@ -165,7 +165,7 @@ def test_a_definition_that_cannot_be_read_back_is_not_written(tmp_path: Path) ->
 
 @settings(max_examples=100, deadline=None)
 @given(place=st.floats(0, 1), length=st.integers(0, 20), data=st.binary(max_size=10))
-def test_any_edit_is_read_or_an_input_error(
+def test_any_edit_is_read_and_written_again_or_an_input_error(
     tmp_path_factory: pytest.TempPathFactory, place: float, length: int, data: bytes
 ) -> None:
     at = int(place * len(BODIES))
@@ -175,7 +175,12 @@ def test_any_edit_is_read_or_an_input_error(
         result = read_bodies(path)
     except InputError:
         return
-    assert len(result) >= 0
+    # what was read is written and read again as it is
+    write_bodies(result, path.with_name("again.toml"))
+    again = read_bodies(path.with_name("again.toml"))
+    for one, other in zip(again, result, strict=True):
+        assert (one.name, one.markers, one.sigma_m) == (other.name, other.markers, other.sigma_m)
+        np.testing.assert_array_equal(one.positions, other.positions)
 
 
 @settings(max_examples=60, deadline=None)
