@@ -72,7 +72,7 @@ from mosca.detection.merged_targets.split import split_pairs
 from mosca.detection.pixel_noise import gains_changed, measured_backgrounds, noise_of_set
 from mosca.detection.search import SEARCH_SIGMAS
 from mosca.detection.settings import DEFAULTS, DetectionSettings, search_of
-from mosca.detection.static_background import one_image, subtract_rounded
+from mosca.detection.static_background import one_image, subtracted
 from mosca.errors import InputError
 
 __all__ = [
@@ -188,16 +188,16 @@ def detect_with_statistics(
     given = [None] * n if backgrounds is None else backgrounds
     for image, camera, own in zip(images, cameras, given, strict=True):
         _check(image, camera, bit_depth, own)
-    dark = [None if own is None else _taken_off(own, task.by_noise) for own in given]
+    behind = [None if own is None else _exactly_behind(own, task.by_noise) for own in given]
+    dark = [None if own is None else own[0] for own in behind]
     pixels = [_foreground(image, off, task) for image, off in zip(images, dark, strict=True)]
     measured = measured_backgrounds(images, dark, names, settings, statistics, refresh)
     known = statistics.plus(CameraStatistics(names, no_sums(n), measured)) if measured else statistics
-    behind = [None if background is None else _exactly_behind(background) for background in dark]
     learns = [background is None and task.by_noise for background in dark]
     for k, name in enumerate(names):
         static = known.backgrounds[name].usable if learns[k] and name in known.backgrounds else None
         if static is not None and static.behind.shape == first.shape:
-            pixels[k] = static.subtracted_from(pixels[k], int(task.full_dn))
+            pixels[k] = subtracted(pixels[k], static.behind, int(task.full_dn))
             behind[k] = known.backgrounds[name].behind(first.shape)
     found, sums = _detect_alike(pixels, behind, names, settings, task, windows, known)
     for k, name in enumerate(names):
@@ -219,9 +219,17 @@ def detect_with_statistics(
     return found, CameraStatistics(names, sums, measured)
 
 
-def _exactly_behind(off: Array) -> Array:
-    """Return what was subtracted (H, W) and its error, none (2, H, W) float32 [DN]."""
-    return np.stack([off, np.zeros_like(off)])
+def _exactly_behind(background: Array, by_noise: bool) -> Array:
+    """Return what is subtracted of a given background (H, W) and its error, none (2, H, W) float32 [DN].
+
+    All of it where thresholds are grey values. Otherwise what differs from about its median: values below zero would
+    be lost, and with them half of the noise.
+    """
+    behind = np.zeros((2, *background.shape), np.float32)
+    behind[0] = background
+    if by_noise:
+        behind[0] -= np.floor(np.median(background[::8, ::8]))
+    return behind
 
 
 def _detect_alike(
@@ -300,24 +308,13 @@ def _check(image: Array, camera: str, bit_depth: int, background: Array | None) 
         )
 
 
-def _taken_off(background: Array, by_noise: bool) -> Array:
-    """Return what is subtracted (H, W) float32 of a given background: all of it where thresholds are grey values.
-
-    Otherwise what differs from about its median: values below zero would be lost, and with them half of the noise.
-    """
-    level = np.floor(np.median(background[::8, ::8])) if by_noise else 0.0
-    return np.asarray(background - level, np.float32)
-
-
 def _foreground(image: Array, off: Array | None, task: Task) -> Array:
     """Return the image (H, W) less what is taken ``off``, of its type, from 0 on."""
     if off is None:
         return image if image.flags.c_contiguous else np.ascontiguousarray(image)
     if not task.by_noise:
         return np.ascontiguousarray(cv2.subtract(image, off.astype(image.dtype)))
-    out = np.empty_like(image)
-    subtract_rounded(image, off, int(task.full_dn), out)
-    return out
+    return subtracted(image, off, int(task.full_dn))
 
 
 def _boxes(windows: Sequence[Array | None] | None, images: ImageSet) -> SearchBoxes:

@@ -92,12 +92,6 @@ class StaticBackground:
         vote(texture, votes, other.texture, other.votes, cv2.resize(cells, (width, height)))
         return StaticBackground(texture, votes, self.images + 1)
 
-    def subtracted_from(self, image: Array, full_dn: int) -> Array:
-        """Return an image (H, W) less the texture, of its type; pixels saturated at ``full_dn`` stay so."""
-        out = np.empty_like(image)
-        subtract_rounded(image, self.behind, full_dn, out)
-        return out
-
 
 def filled(texture: Array, known: Array) -> Array:
     """Return a texture (H, W), where it is not ``known`` the mean of known pixels around; 0 far from any."""
@@ -160,6 +154,13 @@ def vote(texture: Array, votes: Array, seen: Array, counted: Array, spread: Arra
                 votes[y, x] = min(votes[y, x] + 1, MOST_VOTES)
             else:
                 votes[y, x] -= 1
+
+
+def subtracted(image: Array, behind: Array, full_dn: int) -> Array:
+    """Return an image (H, W) less what is ``behind`` [DN], of its type; pixels saturated at ``full_dn`` stay so."""
+    out = np.empty_like(image)
+    subtract_rounded(image, behind, full_dn, out)
+    return out
 
 
 @kernel

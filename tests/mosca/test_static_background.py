@@ -28,21 +28,25 @@ def sensed(rng, light):
     return np.clip(np.rint(values), 0, 255).astype(np.uint8)
 
 
-def take(floor, seed=0, brightness=110.0, step=(0.83, 0.46)):
-    """Images of discs that move by ``step`` [px] from set to set and hide a floor, and their places (sets, n, 2)."""
+def take(floor, seed=0, brightness=110.0, step=(0.83, 0.46), light=DISC, hidden=DISC):
+    """Images of targets that move by ``step`` [px] from set to set and hide a floor, and their places (sets, n, 2).
+
+    ``light``, ``hidden``: fine images of what they light and of what they hide, at most 1.
+    """
     rng = np.random.default_rng(seed)
     start = np.stack(np.meshgrid(np.arange(30, W - 60, 40), np.arange(30, H - 50, 40)), -1).reshape(-1, 2)
     places = start + np.arange(SETS)[:, None, None] * step + rng.uniform(-0.5, 0.5, (1, *start.shape))
     images = []
     for at in places:
-        light = floor.copy()
+        image = floor.copy()
         for x, y in at:
             column, row = int(x) - SIDE // 2, int(y) - SIDE // 2
             fine = np.rint((np.array([x, y]) % 1) * FINE).astype(int)
-            there = light[row : row + SIDE, column : column + SIDE]
-            # what the disc covers of a pixel hides the floor
-            there += pixels(DISC, *fine).clip(0, 1) * (brightness - there)
-        images.append(sensed(rng, light))
+            there = image[row : row + SIDE, column : column + SIDE]
+            # what the target covers of a pixel hides the floor
+            there *= 1 - pixels(hidden, *fine).clip(0, 1)
+            there += brightness * pixels(light, *fine).clip(0, 1)
+        images.append(sensed(rng, image))
     return images, np.floor(places) + np.rint(places % 1 * FINE) / FINE
 
 
@@ -115,22 +119,10 @@ def test_a_given_background_is_hidden_by_the_discs_too():
 
 def test_balls_with_a_dark_limb_hide_more_floor_than_they_light():
     # the light of a tape falls off evenly over the last 17 % of the radius; the floor ends at a sharp edge
-    rng, blur = np.random.default_rng(3), 0.15
-    floor = grainy_floor(np.random.default_rng(3), 14.0)
-    hidden = fine_image(DIAMETER, blur, across=SIDE)
-    radii = 0.83 + 0.17 * (np.arange(8) + 0.5) / 8
+    blur, radii = 0.15, 0.83 + 0.17 * (np.arange(8) + 0.5) / 8
     light = sum(fine_image(DIAMETER * float(radius), blur, across=SIDE) for radius in radii) / 8
-    _, places = take(floor)
-    images = []
-    for at in places:
-        image = floor.copy()
-        for x, y in at:
-            column, row = int(x) - SIDE // 2, int(y) - SIDE // 2
-            fine = np.rint((np.array([x, y]) % 1) * FINE).astype(int)
-            there = image[row : row + SIDE, column : column + SIDE]
-            there *= 1 - pixels(hidden, *fine).clip(0, 1)
-            there += 120.0 * pixels(light, *fine).clip(0)
-        images.append(sensed(rng, image))
+    floor = grainy_floor(np.random.default_rng(3), 14.0)
+    images, places = take(floor, brightness=120.0, light=light, hidden=fine_image(DIAMETER, blur, across=SIDE))
     share, others, error, variance = compared(detected(images, 0, np.rint(floor).astype(np.uint8))[4:], places[4:])
     assert share == 1.0
     assert others == 0

@@ -183,6 +183,7 @@ def better_than_one(pair: FittedPair, pixels: Array, task: FitTask) -> bool:
             # as much light on as long a way: its ends are dimmer than its middle
             one[2], one[3], one[5] = 1.5 * dx, 1.5 * dy, 1.4 * bright
         else:
+            # a round one as wide as both are long
             one[2], one[3], one[4] = 0.0, 0.0, radius + half
         enough = chi2 + DECISIVE * misfit
         if fit(kind, one, pixels, n, task, enough)[0] < enough:
