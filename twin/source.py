@@ -162,7 +162,7 @@ class TwinSource:
 
     def truth(self) -> Truth:
         """Return the true state at the pulses read so far."""
-        return truth_of(list(self._latest), self._sessions, self.scene.marker_names)
+        return truth_of(list(self._latest), self._sessions, self.scene)
 
     def expected(self, pulse: int) -> tuple[Expected, ...]:
         """Return what each camera's frame at ``pulse`` holds on average, and how it changes when its image moves.

@@ -5,8 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from mosca.data.arrays import Array
-from mosca.data.truth import NO_FRAME, FramesTruth, Truth
+from mosca.data.truth import NO_FRAME, FramesTruth, JointTruth, Truth
 from twin.cameras.camera_session import CameraSession, TrueExposure
+from twin.scenes.scene import Scene
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,8 +26,9 @@ class PulseLog:
         return min(self.exposures[camera], key=lambda frame: abs(frame.exposure.middle_s - self.time_s), default=None)
 
 
-def truth_of(logs: list[PulseLog], sessions: tuple[CameraSession, ...], names: tuple[str, ...]) -> Truth:
-    """Return the truth of the pulses logged; ``names`` (m) of the markers."""
+def truth_of(logs: list[PulseLog], sessions: tuple[CameraSession, ...], scene: Scene) -> Truth:
+    """Return the truth of the pulses logged."""
+    names = scene.marker_names
     t, m, c = len(logs), len(names), len(sessions)
     visible, xy, diameter = np.zeros((t, m, c)), np.full((t, m, c, 2), np.nan), np.full((t, m, c), np.nan)
     middle = np.full((t, c), NO_FRAME, dtype=np.int64)
@@ -52,7 +54,20 @@ def truth_of(logs: list[PulseLog], sessions: tuple[CameraSession, ...], names: t
         camera_rotation=rotation,
         camera_position=position,
         frames=_frames(logs, sessions, m),
+        joints=joints_at(scene, np.array([log.time_s for log in logs])),
     )
+
+
+def joints_at(scene: Scene, time_s: Array) -> JointTruth | None:
+    """Return the joints of the scene's person at instants (t,), session clock; None where there is no person."""
+    if scene.joints is None:
+        return None
+    sampler, bodies = scene.sampler(), scene.model.nbody
+    xyz, rotation = np.empty((len(time_s), bodies, 3)), np.empty((len(time_s), bodies, 3, 3))
+    for k, time in enumerate(time_s):
+        sampler.at(float(time))
+        xyz[k], rotation[k] = sampler.data.xpos, sampler.data.xmat.reshape(-1, 3, 3)
+    return scene.joints.truth(xyz, rotation)
 
 
 def _frames(logs: list[PulseLog], sessions: tuple[CameraSession, ...], m: int) -> FramesTruth | None:

@@ -14,6 +14,10 @@ NO_FRAME = int(np.iinfo(np.int64).min)
 """Mid-exposure entered for a camera that took no frame from a pulse until the next [ns]."""
 FRAMES = "frames."
 """How the names of the frames' table begin in the file."""
+JOINTS = "joints."
+"""How the names of the joints' arrays begin in the file."""
+TABLES = ("frames", "joints")
+"""Fields of Truth that are no arrays themselves."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +51,50 @@ class FramesTruth:
 
 
 @dataclass(frozen=True, eq=False)
+class JointTruth:
+    """True centres and rotations of a person's j joints at the t pulses of a Truth.
+
+    The axes of each segment are attached to its bone and follow from landmarks in the rest pose, so that estimators
+    that know nothing of the model can be held against them (after Wu et al. 2002 and 2005: x forward, y up, z to the
+    right in the anatomical position). Landmarks are the centres of the markers of that name where they were placed,
+    not moved by the skin; hip, knee, ... are the joints' centres; ``mid`` is the middle of points, ``x`` the
+    cross product; what is not across another axis already is made so.
+
+    - pelvis: z LASI -> RASI; x mid(LPSI, RPSI) -> mid(LASI, RASI); y = z x x. Its centre: mid(left hip, right hip).
+    - thorax: y mid(STRN, T10) -> mid(CLAV, C7); z across the plane of CLAV, C7 and mid(STRN, T10); x = y x z.
+    - head: x mid(LBHD, RBHD) -> mid(LFHD, RFHD); z mid(LFHD, LBHD) -> mid(RFHD, RBHD); y = z x x.
+    - thigh: y knee -> hip; z the knee's axis of flexion; x = y x z. Shank: y ankle -> knee; z and x likewise.
+    - foot: x HEE -> TOE; z along TOE -> MT5 (left: MT5 -> TOE); y = z x x.
+    - upper arm: y elbow -> shoulder; z the elbow's axis of flexion; x = y x z.
+    - forearm: y wrist -> elbow; z along WRB -> WRA (left: WRA -> WRB), on the bone that carries them, so that the
+      elbow's rotation includes pronation; x = y x z.
+    - hand: y mid(FIN, PNK) -> wrist; z along PNK -> FIN (left: FIN -> PNK); x = y x z.
+
+    An axis of flexion is that of the hinge where the joint is one, else the direction that is most nearly common to
+    both bones during the motion (Ehrig et al. 2007). It points to the right in the anatomical position: knees flex
+    about -z, elbows about +z.
+
+    Rotations: pelvis world_from_pelvis, lumbar pelvis_from_thorax, neck thorax_from_head, hip pelvis_from_thigh, knee
+    thigh_from_shank, ankle shank_from_foot, shoulder thorax_from_upper arm, elbow upper arm_from_forearm, wrist
+    forearm_from_hand.
+    """
+
+    names: tuple[str, ...]
+    """Of the j joints, among ``mosca.data.joint_motion.JOINTS``."""
+    centre: Array
+    """(t, j, 3) in the world [m]; NaN where a joint has no single one (lumbar, neck)."""
+    rotation: Array
+    """(t, j, 4) unit quaternion wxyz, w >= 0, of proximal_from_distal; NaN where a landmark or an axis is missing."""
+
+    def __post_init__(self) -> None:
+        t, j = len(np.asarray(self.centre)), len(self.names)
+        object.__setattr__(self, "names", tuple(self.names))
+        set_read_only(self, centre=(t, j, 3), rotation=(t, j, 4))
+        if len(set(self.names)) < j:
+            raise ValueError(f"joints: {len(set(self.names))} names for {j} joints; each has one of its own")
+
+
+@dataclass(frozen=True, eq=False)
 class Truth:
     """Ground truth at each pulse.
 
@@ -77,6 +125,8 @@ class Truth:
     """(t, c, 3) of it [m]."""
     frames: FramesTruth | None = None
     """All frames of free-running cameras; None where all are triggered."""
+    joints: JointTruth | None = None
+    """The joints at the pulses; None where the scene is no person, and in older files."""
 
     def __post_init__(self) -> None:
         t, m, c = len(np.asarray(self.time_ns)), len(self.names), len(self.cameras)
@@ -88,19 +138,25 @@ class Truth:
             set_read_only(self, camera_rotation=(t, c, 3, 3))
         if self.camera_position is not None:
             set_read_only(self, camera_position=(t, c, 3))
+        if self.joints is not None and len(self.joints.centre) != t:
+            raise ValueError(f"joints: {len(self.joints.centre)} instants given for {t} pulses")
 
 
 def write_truth(truth: Truth, path: Path) -> None:
-    """Write all fields under their names (numpy .npz, no pickles); those of ``frames`` as ``frames.NAME``."""
-    fields = {name: getattr(truth, name) for name in Truth.__dataclass_fields__ if name != "frames"}
-    if truth.frames is not None:
-        fields |= {FRAMES + name: getattr(truth.frames, name) for name in FramesTruth.__dataclass_fields__}
+    """Write all fields under their names (numpy .npz, no pickles); those of ``frames`` as ``frames.NAME``.
+
+    Those of ``joints`` as ``joints.NAME``.
+    """
+    fields = {name: getattr(truth, name) for name in Truth.__dataclass_fields__ if name not in TABLES}
+    for prefix, table in ((FRAMES, truth.frames), (JOINTS, truth.joints)):
+        if table is not None:
+            fields |= {prefix + name: getattr(table, name) for name in table.__dataclass_fields__}
     arrays = {name: np.asarray(value) for name, value in fields.items() if value is not None}
     write_npz_file(path, arrays)
 
 
 def read_truth(path: Path) -> Truth:
-    """Read what ``write_truth`` wrote, now or before cameras' poses and frames were kept.
+    """Read what ``write_truth`` wrote, now or before cameras' poses, frames and joints were kept.
 
     Raises InputError for a file that is missing or holds something else.
     """
@@ -113,10 +169,13 @@ def _truth_of(fields: Mapping[str, Array]) -> Truth:
     values: dict[str, Any] = {
         name: fields[name]
         for name in Truth.__dataclass_fields__
-        if name != "frames" and (name in fields or name not in later)
+        if name not in TABLES and (name in fields or name not in later)
     }
     if FRAMES + "camera" in fields:
         values["frames"] = FramesTruth(**{name: fields[FRAMES + name] for name in FramesTruth.__dataclass_fields__})
+    if JOINTS + "names" in fields:
+        names = tuple(str(n) for n in fields[JOINTS + "names"])
+        values["joints"] = JointTruth(names, fields[JOINTS + "centre"], fields[JOINTS + "rotation"])
     values["names"] = tuple(str(n) for n in values["names"])
     values["cameras"] = tuple(str(n) for n in values["cameras"])
     return Truth(**values)

@@ -8,7 +8,7 @@ from mosca.data.files.toml import NotNegative, Positive, Table, Vector
 
 
 class ActorScene(Table):
-    """A person with markers on the skin, who walks, boxes, dances or jumps, or is moved by a motion file."""
+    """A person with markers on the skin, who walks, boxes, dances, jumps or bends, or is moved by a motion file."""
 
     kind: Literal["actor"]
     motion: str | None = Field(None, description="AMC or BVH file; default: the built-in action")
@@ -18,21 +18,40 @@ class ActorScene(Table):
     motion_rate_hz: Positive | None = Field(None, description="frame rate of the motion file, where it lies")
     heading_deg: float = Field(0.0, description="turn of the motion file about the vertical [deg]")
     keep_in_box: bool = Field(True, description="whether a motion that leaves the working space is an error")
-    action: Literal["walk", "boxing", "dance", "jump"] = Field(
+    action: Literal["walk", "boxing", "dance", "jump", "range_of_motion"] = Field(
         "walk",
         description="what the person does without a motion file; all but 'walk' are loops drawn by the seed, "
-        "over the middle of a working space of 2.5 m",
+        "over the middle of a working space of 2.5 m; 'range_of_motion' (24 s) moves every joint in turn, for "
+        "calibrating a skeleton",
     )
     gait: Literal["circle", "in_place", "back_and_forth"] = Field("circle", description="path of action 'walk'")
+    gait_detail: Literal["planar", "full"] = Field(
+        "planar",
+        description="whether the walker's hips and knees bend in the planes of the legs alone, or the pelvis sinks "
+        "and hips adduct and rotate as in people",
+    )
     speed_mps: Positive = Field(1.0, description="speed of action 'walk' [m/s]")
     markers: int = Field(50, ge=30, le=60, description="markers on the skin")
+    marker_set: Literal["default", "anatomical"] = Field(
+        "default",
+        description="where they are; 'anatomical': 53, with one on both sides of each knee, ankle and elbow",
+    )
+    skin: Literal["off", "moderate", "strong"] = Field(
+        "off", description="how far the markers slide on the bones (soft tissue; docs/people.md has millimetres)"
+    )
     marker_diameter_m: Positive = Field(0.016, description="diameter of the ball markers [m]")
+
+    @model_validator(mode="after")
+    def _has_one_set(self) -> "ActorScene":
+        if self.marker_set != "default" and "markers" in self.model_fields_set:
+            raise ValueError(f"markers is of the default set; '{self.marker_set}' has its own: leave markers out")
+        return self
 
     @model_validator(mode="after")
     def _says_one_motion(self) -> "ActorScene":
         if self.motion is not None and "action" in self.model_fields_set:
             raise ValueError(f"action = '{self.action}' and motion = '{self.motion}' given; leave one of them out")
-        for key in ("gait", "speed_mps"):
+        for key in ("gait", "gait_detail", "speed_mps"):
             if self.action != "walk" and key in self.model_fields_set:
                 raise ValueError(f"{key} is of action = 'walk'; '{self.action}' has its own: leave {key} out")
         return self

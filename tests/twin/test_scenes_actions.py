@@ -262,10 +262,11 @@ def test_people_of_other_statures(action: str) -> None:
 def test_errors() -> None:
     with pytest.raises(InputError, match=r"action = 'dance': the person moves through .* the box is 1\.5 x 1\.5"):
         _actor("dance", box_size_m=np.array([1.5, 1.5, 2.5]))
-    with pytest.raises(InputError, match="allowed: walk, boxing, dance, jump"):
+    with pytest.raises(InputError, match="allowed: walk, boxing, dance, jump, range_of_motion"):
         _actor("swim")
     for more, said in (
         ({"gait": "circle"}, "gait is of action = 'walk'"),
+        ({"gait_detail": "full"}, "gait_detail is of action = 'walk'"),
         ({"speed_mps": 1.0}, "speed_mps is of action = 'walk'"),
         ({"motion": "take.bvh"}, "leave one of them out"),
     ):

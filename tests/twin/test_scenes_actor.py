@@ -7,7 +7,9 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
+from mosca.data.arrays import Array
 from mosca.data.motion.asf import read_asf_amc
 from mosca.data.motion.bvh import read_bvh
 from mosca.data.motion.motion import Motion, forward_kinematics
@@ -17,6 +19,7 @@ from twin.scenes.actor_markers import MARKER_SITES
 from twin.scenes.gait import GAIT_PATHS, GaitPath
 from twin.scenes.scene import MARKER_GROUP, Scene
 from twin.scenes.world import SEAT_M
+from twin.truth_log import joints_at
 
 DATA = Path(os.environ.get("MOSCA_DATA", Path(__file__).parents[3] / "shared" / "data")) / "cmu_mocap"
 CENTER, SIZE = np.array([0.0, 0.0, 1.25]), np.array([2.5, 2.5, 2.5])
@@ -139,6 +142,56 @@ def test_a_walker_stays_in_its_box_and_on_the_floor(path: GaitPath, speed: float
     # The lower foot stays within 2 cm of the floor (1.3 cm measured at 1 m/s) and never goes through it.
     assert min(lowest) > -1e-6
     assert max(lowest) < 0.03
+
+
+def _angles_deg(scene: Scene, joint: str, times: Array) -> Array:
+    joints = joints_at(scene, times)
+    assert joints is not None
+    wxyz = joints.rotation[:, joints.names.index(joint)]
+    return np.asarray(np.rad2deg(Rotation.from_quat(wxyz, scalar_first=True).as_euler("ZXY")))
+
+
+def test_a_walker_in_full_detail_moves_hips_and_pelvis_as_people_do() -> None:
+    """Kadaba et al. 1990 in degrees: adduction in stance 3 to 8, abduction in swing 3 to 8, rotation ranges over 8 to
+    18, obliquity 6 to 12; knees bend twice a stride. The planar walker's hips stay within 2.
+    """
+    times = np.arange(0.0, 1 / 0.85, 0.005)  # a stride at 1 m/s
+    full = _walker(gait="in_place", gait_detail="full")
+    for side, mirror in (("l", 1.0), ("r", -1.0)):
+        hip, knee = _angles_deg(full, f"{side}_hip", times), _angles_deg(full, f"{side}_knee", times)
+        adduction = -mirror * hip[:, 1]
+        assert 3.0 < adduction.max() < 8.0
+        assert 3.0 < -adduction.min() < 8.0
+        behind = np.diff(hip[:, 0], append=hip[0, 0]) < 0  # the thigh goes back: stance
+        assert adduction[behind].mean() > 1.5
+        assert adduction[~behind].mean() < -2.0
+        assert 8.0 < np.ptp(hip[:, 2]) < 18.0
+        bend = -knee[:, 0]
+        peaks = (bend > np.roll(bend, 1)) & (bend >= np.roll(bend, -1))
+        assert peaks.sum() == 2
+        assert 10.0 < bend[peaks].min() < 25.0
+        assert np.abs(_angles_deg(_walker(gait="in_place"), f"{side}_hip", times)[:, 1]).max() < 2.0
+    sampler, across = full.sampler(), []
+    for t in times:
+        sampler.at(float(t))
+        hips = sampler.data.body("lfemur").xpos - sampler.data.body("rfemur").xpos
+        across.append(np.rad2deg(np.arcsin(hips[2] / np.linalg.norm(hips))))
+    assert 6.0 < np.ptp(across) < 12.0
+
+
+@pytest.mark.parametrize("path", GAIT_PATHS)
+def test_a_walker_in_full_detail_stays_in_its_box_and_on_the_floor(path: GaitPath) -> None:
+    scene = _walker(gait=path, gait_detail="full", duration_s=6.0)
+    sampler, model = scene.sampler(), scene.model
+    floor, lowest = model.geom("floor").id, []
+    solid = [g for g in range(model.ngeom) if model.geom_group[g] != MARKER_GROUP and g != floor]
+    for t in np.linspace(-0.1, 6.1, 90):
+        assert (np.abs(sampler.at(t).marker_xyz - CENTER) < SIZE / 2).all()
+        lowest.append(min(mujoco.mj_geomDistance(model, sampler.data, floor, g, 1.0, None) for g in solid))
+    assert min(lowest) > -1e-6
+    assert max(lowest) < 0.03
+    with pytest.raises(InputError, match="gait_detail = 'fine' given; allowed: planar, full"):
+        _walker(gait_detail="fine")
 
 
 def test_a_walker_walks_at_the_speed_asked_for() -> None:

@@ -1,4 +1,4 @@
-"""Actions of a person without a recording, besides walking: boxing, dancing, jumping, as endless loops.
+"""Actions of a person without a recording, besides walking: boxing, dancing, jumping, ..., as endless loops.
 
 Each action is a loop of postures at 200 Hz, drawn once (order, positions, timing, handedness), converted to joint
 rotations and played as a periodic C2 spline. Limbs hide markers as they do in recorded people: hands
@@ -20,14 +20,16 @@ from twin.scenes.boxing import boxing
 from twin.scenes.dancing import dance
 from twin.scenes.jumping import jumps
 from twin.scenes.posture import STATURE_M, Balance, Performer
+from twin.scenes.range_of_motion import range_of_motion
 from twin.scenes.world import Box
 
-ActionName = Literal["walk", "boxing", "dance", "jump"]
-ACTIONS: tuple[ActionName, ...] = ("walk", "boxing", "dance", "jump")
+ActionName = Literal["walk", "boxing", "dance", "jump", "range_of_motion"]
+ACTIONS: tuple[ActionName, ...] = ("walk", "boxing", "dance", "jump", "range_of_motion")
 _PERFORMED: dict[ActionName, Callable[[Performer, np.random.Generator], Motion]] = {
     "boxing": boxing,
     "dance": dance,
     "jump": jumps,
+    "range_of_motion": range_of_motion,
 }
 _CLEARANCE_M = 0.002  # of standing soles above the floor
 _SKIN_M = 0.07  # skin and markers beyond the joints

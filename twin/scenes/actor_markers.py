@@ -1,19 +1,22 @@
-"""The actor's marker set: positions of up to 60 markers on the body, by priority.
+"""The actor's marker sets: positions of up to 60 markers on the body, by priority.
 
 Names are those of the usual full-body sets (Vicon Plug-in Gait) where they exist. Each marker is seated
 by a ray from inside its body part: it leaves the part's own shapes at the skin.
 """
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
 from mosca.data.arrays import Array
 from mosca.errors import InputError
 from twin.scenes.anatomy import FORWARD, LEFT, UP, Anatomy
-from twin.scenes.world import Shape, outermost
+from twin.scenes.world import Shape, ball_centre, outermost
 
 FEWEST, MOST = 30, 60
+MarkerSet = Literal["default", "anatomical"]
+MARKER_SETS: tuple[MarkerSet, ...] = ("default", "anatomical")
 
 
 @dataclass(frozen=True)
@@ -45,6 +48,10 @@ class Seat:
     normal: Array
     """(3,) unit vector."""
 
+    def centre(self, diameter_m: float) -> Array:
+        """Return the centre (3,) of a ball of ``diameter_m`` on its base here [m]."""
+        return ball_centre(self.surface, self.normal, diameter_m)
+
 
 def _both(name: str, part: str, start: str, end: str, along: float, toward: tuple[float, float, float],
           shift: tuple[float, float, float] = (0.0, 0.0, 0.0), across: bool = True) -> list[MarkerSite]:  # fmt: skip
@@ -72,6 +79,7 @@ def _trunk(name: str, part: str, along: float, toward: tuple[float, float, float
 
 
 _FRONT, _BACK, _OUT, _UP = (0.0, 1.0, 0.0), (0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)
+_IN = (-1.0, 0.0, 0.0)
 _HEAD = ("head", "head_center", "head_center", 0.0)
 _PELVIS = ("pelvis", "hips", "neck", 0.0)
 _PELVIC = (0.0, 0.0, 0.09)  # from the hips up to the middle of the pelvis' shape
@@ -116,11 +124,27 @@ MARKER_SITES: tuple[MarkerSite, ...] = (
 )
 
 
-def seats(anatomy: Anatomy, shapes: dict[str, list[Shape]], markers: int) -> list[Seat]:
-    """Return the positions of the first ``markers`` of the set; InputError outside 30..60."""
+_LEFT_OUT = ("LWT", "RWT", "RBAK")
+ANATOMICAL_SITES: tuple[MarkerSite, ...] = (
+    *(site for site in MARKER_SITES[:50] if site.name not in _LEFT_OUT),
+    *_both("KNM", "thigh", "thigh", "shank", 0.96, _IN),
+    *_both("ANM", "shank", "shank", "foot", 0.97, _IN),
+    *_both("ELM", "upper_arm", "upper_arm", "forearm", 0.96, (0.0, 0.6, -0.8)),
+)
+"""The default 50 less three, and one opposite to each KNE, ANK and ELB: knees, ankles and elbows have two each."""
+
+
+def seats(anatomy: Anatomy, shapes: dict[str, list[Shape]], markers: int, marker_set: MarkerSet) -> list[Seat]:
+    """Return the positions of the first ``markers`` of the default set, or of the 53 of the anatomical one.
+
+    Raises InputError outside 30..60 and for a set that is not known.
+    """
+    if marker_set not in MARKER_SETS:
+        raise InputError(f"marker_set = {marker_set!r} given; allowed: {', '.join(MARKER_SETS)}")
     if not FEWEST <= markers <= MOST:
         raise InputError(f"markers = {markers} given; {FEWEST} to {MOST} fit on an actor")
-    return [_seat(site, anatomy, shapes) for site in MARKER_SITES[:markers]]
+    sites = MARKER_SITES[:markers] if marker_set == "default" else ANATOMICAL_SITES
+    return [_seat(site, anatomy, shapes) for site in sites]
 
 
 def _seat(site: MarkerSite, anatomy: Anatomy, shapes: dict[str, list[Shape]]) -> Seat:

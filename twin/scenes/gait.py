@@ -26,6 +26,9 @@ from twin.scenes.anatomy import FOOT_RADIUS_M
 
 GaitPath = Literal["in_place", "circle", "back_and_forth"]
 GAIT_PATHS: tuple[GaitPath, ...] = ("in_place", "circle", "back_and_forth")
+GaitDetail = Literal["planar", "full"]
+GAIT_DETAILS: tuple[GaitDetail, ...] = ("planar", "full")
+"""Whether hips and knees move in the planes of the legs alone, or also as in people (``_pose``)."""
 _TURN_S = 2.0
 _RAMP_S = 0.8
 _SKIN_M = 0.06  # skin and markers beyond the joints
@@ -117,7 +120,13 @@ class Gait:
 
 
 def walk(
-    skeleton: Skeleton, path: GaitPath, center: Array, half_box: Array, speed_mps: float, rng: np.random.Generator
+    skeleton: Skeleton,
+    path: GaitPath,
+    center: Array,
+    half_box: Array,
+    speed_mps: float,
+    rng: np.random.Generator,
+    detail: GaitDetail = "planar",
 ) -> Gait:
     """Return a walk about ``center`` (2,) whose limbs and markers stay within ``half_box`` (2,) [m] of it.
 
@@ -129,7 +138,7 @@ def walk(
     # Cadence rises with speed (0.9 strides/s at 1.2 m/s); the swing of the hips makes the stride.
     stride_hz = 0.55 + 0.3 * speed_mps
     share = 0.15 if path == "in_place" else speed_mps / (4 * stride_hz * leg)
-    stride, reach = _stride(skeleton, float(np.arcsin(min(share, 0.55))))
+    stride, reach = _stride(skeleton, float(np.arcsin(min(share, 0.55))), detail == "full")
     room = half_box - reach
     least = 0.0 if path == "in_place" else _SHORTEST_PATH_M
     if room.min() < (least if path == "circle" else 0.0) or room.max() < least:
@@ -148,8 +157,13 @@ def walk(
     return Gait(path, center, extent, speed_mps, stride_hz, phase, heading, stride)
 
 
-def _pose(skeleton: Skeleton, phases: Array, swing: float) -> Array:
-    """Return joint rotations (n, j, 4) of the walker at stride ``phases`` (n,) [rad], heading not applied."""
+def _pose(skeleton: Skeleton, phases: Array, swing: float, full: bool) -> Array:
+    """Return joint rotations (n, j, 4) of the walker at stride ``phases`` (n,) [rad], heading not applied.
+
+    ``full``: as in people (Kadaba et al. 1990, J. Orthop. Res. 8, 383) the pelvis sinks by 5 degrees on the side of
+    the leg that swings, so that hips adduct in stance and abduct in swing; thighs do not turn with the pelvis and
+    turn by 3 degrees of their own; knees give way by 13 degrees under the weight.
+    """
     rotations = np.zeros((len(phases), len(skeleton.names), 4))
     rotations[..., 0] = 1.0
 
@@ -158,7 +172,8 @@ def _pose(skeleton: Skeleton, phases: Array, swing: float) -> Array:
         rotations[:, skeleton.index(joint)] = quaternions_from_euler(stacked, order)
 
     sway = np.sin(phases)
-    turn("root", "ZXY", 0.07 * np.cos(phases), 0.04, 0.03 * sway)
+    sunk = 0.085 * sway if full else np.zeros_like(sway)
+    turn("root", "ZXY", 0.07 * np.cos(phases), 0.04, -sunk if full else 0.03 * sway)
     turn("upperback", "ZXY", -0.08 * np.cos(phases), -0.01, -0.03 * sway)
     turn("thorax", "ZXY", -0.09 * np.cos(phases), 0.02 * np.cos(2 * phases), -0.02 * sway)
     turn("lowerneck", "ZX", 0.06 * np.cos(phases), -0.03)
@@ -167,8 +182,15 @@ def _pose(skeleton: Skeleton, phases: Array, swing: float) -> Array:
         # Facing -y, a limb that hangs down swings forward by a negative rotation about x.
         hip = swing * np.cos(own) + 0.06
         knee = 0.12 + (0.45 + swing) * ((1 - np.sin(own)) / 2) ** 2
+        if full:
+            given_way = 0.22 * ((1 + np.cos(own - 0.9)) / 2) ** 6
+            knee = 0.12 + (0.45 + swing) * ((1 - np.sin(own)) / 2) ** 3 + given_way
         ankle = knee - hip + 0.05 * np.sin(own)
-        turn(f"{side}femur", "XY", -hip, -0.02 * mirror)
+        if full:
+            turned = -0.07 * np.cos(phases) + 0.05 * mirror * np.sin(own)
+            turn(f"{side}femur", "XYZ", -hip, sunk - 0.02 * mirror, turned)
+        else:
+            turn(f"{side}femur", "XY", -hip, -0.02 * mirror)
         turn(f"{side}tibia", "X", knee)
         turn(f"{side}foot", "X", -0.7 * ankle)
         arm = -1.1 * swing * np.cos(own) + 0.03
@@ -178,10 +200,10 @@ def _pose(skeleton: Skeleton, phases: Array, swing: float) -> Array:
     return rotations
 
 
-def _stride(skeleton: Skeleton, swing: float) -> tuple[CubicSpline, float]:
+def _stride(skeleton: Skeleton, swing: float, full: bool) -> tuple[CubicSpline, float]:
     """Return root height and joint rotations over the stride's phase, and how far skin reaches [m]."""
     phases = np.linspace(0, 2 * np.pi, 257)
-    rotations = _pose(skeleton, phases, swing)
+    rotations = _pose(skeleton, phases, swing, full)
     rotations[-1] = rotations[0]
     poses = Motion(skeleton, 1.0, np.zeros((len(phases), 3)), rotations)
     positions, world_from_joint = forward_kinematics(poses)

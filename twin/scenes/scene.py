@@ -15,6 +15,7 @@ import numpy as np
 from mosca.data.arrays import Array, read_only
 from twin.scenes.emission import Glow
 from twin.scenes.figure import Figure
+from twin.scenes.joint_frames import JointFrames
 
 MARKER_GROUP = 4
 """Geom group of markers. Spheres are ball markers; cylinders are flat round targets facing their +z; thin boxes
@@ -67,6 +68,8 @@ class Scene:
     """Marker -> what is printed on its +z face. A marker without one shines as a whole; a box must have one."""
     glows: Mapping[str, Glow] = field(default_factory=dict)
     """Marker -> its light (default: ``Glow()``)."""
+    joints: JointFrames | None = None
+    """A person's joints; None where the subject is none."""
 
     def __post_init__(self) -> None:
         for name in ("bodies", "figures", "glows"):

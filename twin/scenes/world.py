@@ -173,8 +173,13 @@ def add_shape(
 
 def add_ball_marker(body: mujoco.MjsBody, name: str, surface: Array, normal: Array, diameter: float) -> None:
     """Add a ball of ``diameter`` [m] on the skin: on its base, off ``surface`` (3,) along ``normal`` (3,)."""
-    center = np.asarray(surface) + (diameter / 2 + SEAT_M) * np.asarray(normal)
+    center = ball_centre(surface, normal, diameter)
     add_marker(body, name, mujoco.mjtGeom.mjGEOM_SPHERE, [diameter / 2, 0, 0], center, np.eye(3))
+
+
+def ball_centre(surface: Array, normal: Array, diameter: float) -> Array:
+    """Return the centre (3,) [m] of a ball of ``diameter`` on its base at ``surface`` (3,), off along ``normal``."""
+    return np.asarray(surface) + (diameter / 2 + SEAT_M) * np.asarray(normal)
 
 
 def add_flat_target(body: mujoco.MjsBody, name: str, surface: Array, normal: Array, diameter: float) -> None:
