@@ -9,7 +9,8 @@ import numpy as np
 from mosca.data.arrays import Array, set_read_only
 from mosca.data.files.npz import from_npz, whole_numbers, write_npz_file
 
-STATUSES = ("measured", "filled", "predicted")
+STATUSES = ("measured", "filled", "predicted", "edited")
+"""Where a position comes from; "edited": moved by hand. Only "measured" ones count as seen by cameras."""
 
 
 @dataclass(frozen=True, eq=False)

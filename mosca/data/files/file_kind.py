@@ -9,8 +9,13 @@ KINDS = {
     "target": ("a target file", "a target file goes to mosca calibrate --target and has a key 'kind'"),
     "bodies": ("a bodies file", 'a bodies file goes to mosca bodies find and has kind = "bodies"'),
     "marker-model": ("a marker model", 'a marker model goes to --model or --labels and has kind = "marker-model"'),
+    "marker-template": (
+        "a marker template",
+        'a marker template goes to mosca labels auto --set and has kind = "marker-template"',
+    ),
     "lamps": ("a lamp file", "a lamp file goes to --worn and has bit_s, known and [[lamp]]"),
     "program": ("a program", "a program goes to capture --program and has [[target]], [[event]] and [[program]]"),
+    "edits": ("a file of edits", "a file of edits goes to mosca edit and has [[edit]] tables"),
     "settings": ("a settings file", "a settings file goes to --settings and has [detection], [match] or [track]"),
 }
 """What a file is, and where it goes and how it is known."""
@@ -22,10 +27,11 @@ def file_kind(document: Mapping[str, Any]) -> str:
     if keys & {"scene", "working_space"}:
         return "scenario"
     if isinstance(kind, str):
-        return kind if kind in ("bodies", "marker-model") else "target"
+        return kind if kind in ("bodies", "marker-model", "marker-template") else "target"
     for name, marks in (
         ("lamps", {"bit_s", "lamp"}),
         ("program", {"program", "target", "event"}),
+        ("edits", {"edit"}),
         ("rig", {"camera"} if _has_rig_cameras(document) else set()),
         ("settings", {"detection", "match", "track", "background", "volume", "assembly"}),
     ):

@@ -135,6 +135,24 @@ def quaternions_from_euler(angles: Array, order: str) -> Array:
     return total
 
 
+def angles_from_matrices(matrices: Array, order: str) -> Array:
+    """Return the angles (..., 3) [rad] with M = R_i(a) R_j(b) R_k(c) of rotations (..., 3, 3), ``order`` "ijk".
+
+    The last angle is taken from what the first leaves of M, so that the three together give M back to rounding even
+    where the middle one is +-90 deg and the others are open (Paul 1981, section 3.5).
+    """
+    i, j, k = ("XYZ".index(letter) for letter in order)
+    sign = 1.0 if (j - i) % 3 == 1 else -1.0
+    m = np.asarray(matrices)
+    first = np.arctan2(-sign * m[..., j, k], m[..., k, k])
+    sine, cosine = sign * np.sin(first), np.cos(first)
+    middle = np.arctan2(sign * m[..., i, k], cosine * m[..., k, k] - sine * m[..., j, k])
+    last = np.arctan2(
+        sign * (cosine * m[..., j, i] + sine * m[..., k, i]), cosine * m[..., j, j] + sine * m[..., k, j]
+    )
+    return np.stack([first, middle, last], axis=-1)
+
+
 def multiply_quaternions(p: Array, q: Array) -> Array:
     """Return the Hamilton products p q (..., 4) wxyz: the rotation q followed by p in fixed axes."""
     pw, px, py, pz = np.moveaxis(np.asarray(p), -1, 0)

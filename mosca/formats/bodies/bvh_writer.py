@@ -11,7 +11,14 @@ import numpy as np
 
 from mosca.data.arrays import Array
 from mosca.data.files.whole_file import whole_file
-from mosca.data.motion.motion import END_SUFFIX, WORLD_FROM_Y_UP, Motion, Skeleton, matrices_from_quaternions
+from mosca.data.motion.motion import (
+    END_SUFFIX,
+    WORLD_FROM_Y_UP,
+    Motion,
+    Skeleton,
+    angles_from_matrices,
+    matrices_from_quaternions,
+)
 from mosca.errors import InputError
 
 FULL_ORDER = "ZXY"
@@ -40,24 +47,6 @@ def write_bvh(motion: Motion, path: Path, *, metres_per_unit: float = 0.01) -> N
     with whole_file(path) as temporary, open(temporary, "w", encoding="utf-8") as file:
         file.write("\n".join(lines) + "\n")
         np.savetxt(file, table, fmt=f"%.{DECIMALS}f")
-
-
-def angles_from_matrices(matrices: Array, order: str) -> Array:
-    """Return the angles (..., 3) [rad] with M = R_i(a) R_j(b) R_k(c) of rotations (..., 3, 3), ``order`` "ijk".
-
-    The last angle is taken from what the first leaves of M, so that the three together give M back to rounding even
-    where the middle one is +-90 deg and the others are open (Paul 1981, section 3.5).
-    """
-    i, j, k = ("XYZ".index(letter) for letter in order)
-    sign = 1.0 if (j - i) % 3 == 1 else -1.0
-    m = np.asarray(matrices)
-    first = np.arctan2(-sign * m[..., j, k], m[..., k, k])
-    sine, cosine = sign * np.sin(first), np.cos(first)
-    middle = np.arctan2(sign * m[..., i, k], cosine * m[..., k, k] - sine * m[..., j, k])
-    last = np.arctan2(
-        sign * (cosine * m[..., j, i] + sine * m[..., k, i]), cosine * m[..., j, j] + sine * m[..., k, j]
-    )
-    return np.stack([first, middle, last], axis=-1)
 
 
 def _is_end(skeleton: Skeleton, k: int) -> bool:

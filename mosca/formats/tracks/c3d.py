@@ -25,6 +25,8 @@ from mosca.formats.tracks.marker_table import MarkerTable, plain_names
 _DAMAGE = (OSError, ArithmeticError, LookupError, MemoryError, RuntimeError, ValueError, struct.error)
 LARGEST_COUNT = 65535
 """What 16 bit hold: points, and the number of the last frame."""
+OTHER_KINDS = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS")
+"""Parameters of POINT that name points which are something else, as Vicon's models write them."""
 LONGEST_LABEL = 120
 """Characters: a dimension is one byte, and some readers take it for a signed one."""
 METRES_PER = {"mm": 1e-3, "cm": 1e-2, "dm": 1e-1, "m": 1.0, "in": 0.0254}
@@ -32,7 +34,14 @@ METRES_PER = {"mm": 1e-3, "cm": 1e-2, "dm": 1e-1, "m": 1.0, "in": 0.0254}
 
 
 def write_c3d(table: MarkerTable, path: Path) -> None:
-    """Write a marker table as C3D, whole or not at all.
+    """Write a marker table as C3D, whole or not at all; InputError as ``c3d_document``."""
+    document = c3d_document(table, path)
+    with whole_file(Path(path)) as temporary:
+        document.write(str(temporary))
+
+
+def c3d_document(table: MarkerTable, path: Path) -> ezc3d.c3d:
+    """Return a marker table as what ezc3d writes to ``path``, which messages name.
 
     Raises InputError where it holds no sample, or more frames or markers than a C3D file can count.
     """
@@ -62,12 +71,13 @@ def write_c3d(table: MarkerTable, path: Path) -> None:
     document["data"]["meta_points"]["camera_masks"] = np.zeros((7, n_markers, n_frames), dtype=bool)
     document["header"]["points"]["first_frame"] = table.first_frame
     document["header"]["points"]["last_frame"] = table.first_frame + n_frames - 1
-    with whole_file(Path(path)) as temporary:
-        document.write(str(temporary))
+    return document
 
 
 def read_c3d(path: Path) -> MarkerTable:
     """Read the points of a C3D file; samples with a negative residual or no coordinates are absent (NaN).
+
+    What ``POINT:ANGLES`` and other groups of ``OTHER_KINDS`` name is no point in space and left out.
 
     Raises InputError where it cannot be read, is cut short or damaged, has no points or an unknown unit.
     """
@@ -103,7 +113,12 @@ def read_c3d(path: Path) -> MarkerTable:
     measured = seen & stated if stated.any() else seen
     deviation = np.where(stated, residuals[0].T * METRES_PER[unit], np.nan)
     names = _names(parameters, points.shape[1])
-    return MarkerTable(names, xyz, measured, deviation, first_frame, rate_hz)
+    others = {str(label).strip() for kind in OTHER_KINDS for label in parameters.get(kind, {}).get("value", [])}
+    kept = [k for k, name in enumerate(names) if name not in others]
+    if not kept:
+        raise InputError(f"{path}: all its points are {', '.join(OTHER_KINDS).lower()}; none is a place")
+    names = tuple(names[k] for k in kept)
+    return MarkerTable(names, xyz[:, kept], measured[:, kept], deviation[:, kept], first_frame, rate_hz)
 
 
 def _bytes_needed(document: ezc3d.c3d, data: bytes) -> int:

@@ -1,0 +1,1 @@
+"""Skeletons of people: a model fitted to a take, poses and joints with covariances, joint angles, gait events."""
