@@ -135,6 +135,14 @@ def svg_text(figure: Figure, name: str, alt: str) -> str:
     return (start + text[text.index(">") :]).strip()
 
 
+def svg_file(picture: Picture) -> str:
+    """Return a picture as the text of an .svg file, which no page gives its colours: the light ones, on paper."""
+    text = picture.svg.replace("<svg", '<svg xmlns="http://www.w3.org/2000/svg"', 1)
+    for colour, variable in COLOUR_VARIABLES.items():
+        text = text.replace(f"var({variable})", colour)
+    return text.replace(">", f'><rect width="100%" height="100%" fill="{PAPER}"/>', 1) + "\n"
+
+
 def _for_the_page(tag: str, name: str) -> str:
     """Return one tag of a figure with ids of its own (``name`` first) and colours as CSS variables."""
     tag = tag.replace("xlink:href=", "href=")

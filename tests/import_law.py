@@ -14,6 +14,25 @@ LAW: dict[str, tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]] = {
         ("mosca.data.truth",),
         ("numpy", "scipy", "cv2", "numba", "pydantic", "tomli_w", "mcap", "blosc2", "av", "ezc3d", "zstandard"),
     ),
+    # a model of a person is MuJoCo's: its kinematics and derivatives
+    "mosca.skeleton": (
+        ("mosca",),
+        ("mosca.data.truth",),
+        (
+            "numpy",
+            "scipy",
+            "cv2",
+            "numba",
+            "pydantic",
+            "tomli_w",
+            "mcap",
+            "blosc2",
+            "av",
+            "ezc3d",
+            "zstandard",
+            "mujoco",
+        ),
+    ),
     # a printable sheet is a drawing: PDF and SVG come from the plot library
     "mosca.formats.sheets.target_sheet": (("mosca",), ("mosca.data.truth",), ("numpy", "matplotlib")),
     # the twin shares with the pipeline how code is compiled, and no formula

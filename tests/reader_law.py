@@ -52,6 +52,12 @@ ALLOWED = {
     ("witness/mitsuba/tracks.py", "open"): "rigs and paths that such a scene names",
     ("witness/mitsuba/tracks.py", "tomllib.load"): "the same",
     ("witness/mitsuba/surfaces.py", "numpy.load"): "the same",
+    (
+        "mosca/skeleton/mjcf.py",
+        "xml.etree.ElementTree.fromstring",
+    ): "the one parser of MJCF, behind limits of size and depth",
+    ("mosca/skeleton/mjcf.py", "mujoco.MjModel.from_xml_string"): "behind that parser: no element that reads a file",
+    ("mosca/skeleton/model.py", "mujoco.MjModel.from_xml_string"): "of a text that mjcf.py has compiled before",
     ("twin/scenes/user_model.py", "mujoco.MjSpec.from_file"): "MuJoCo itself opens the meshes that a model names",
     ("twin/scenes/user_model.py", "mujoco.MjSpec.from_string"): "of a text from read_text",
 }

@@ -208,7 +208,7 @@ def test_trc_by_hand(tmp_path: Path) -> None:
         (GOOD_CSV, "1.5", "1.5m", r"row 2: x = '1.5m'; a number or nothing"),
         (GOOD_CSV, "0,5,1", "0.0,5,1", r"row 2: frame = '0.0'; a whole number"),
         (GOOD_CSV, "0,5,1", "0,99999999999999999999,1", "row 2: time_ns"),
-        (GOOD_CSV, "filled", "guessed", "row 3: status 'guessed'; measured, filled, predicted are allowed"),
+        (GOOD_CSV, "filled", "guessed", "row 3: status 'guessed'; measured, filled, predicted, edited are allowed"),
         (GOOD_CSV, ",filled", "", "row 3: 15 values given, 16 wanted"),
         (TRC, "PathFileType", "Path", "not a TRC file"),
         (TRC, "\tmm\t", "\tfurlong\t", "Units = 'furlong'"),

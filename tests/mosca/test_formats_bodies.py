@@ -14,11 +14,11 @@ from scipy.spatial.transform import Rotation
 from mosca.data.bodies import BodyPoses, RigidBody
 from mosca.data.motion.asf import read_asf_amc
 from mosca.data.motion.bvh import read_bvh
-from mosca.data.motion.motion import Motion, Skeleton, forward_kinematics
+from mosca.data.motion.motion import Motion, Skeleton, angles_from_matrices, forward_kinematics
 from mosca.errors import InputError
 from mosca.formats.bodies.bodies_csv import write_bodies_csv
 from mosca.formats.bodies.body_file import read_bodies, write_bodies
-from mosca.formats.bodies.bvh_writer import angles_from_matrices, write_bvh
+from mosca.formats.bodies.bvh_writer import write_bvh
 from mosca.formats.bodies.tum import write_tum
 
 DATA = Path(os.environ.get("MOSCA_DATA", Path(__file__).parents[3] / "shared" / "data")) / "cmu_mocap"

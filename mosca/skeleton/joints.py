@@ -1,0 +1,245 @@
+"""Centres and rotations of a person's joints from a pose, with the covariance of markers and fitted parameters."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mosca.camera.projection import cross_matrices
+from mosca.data.arrays import Array
+from mosca.data.joint_motion import JOINTS
+from mosca.skeleton.anatomical_axes import CHAINS, ELBOWS, KNEES, segment_axes
+from mosca.skeleton.model import Kinematics
+
+LEAST_SPREAD = 1 - float(np.cos(np.deg2rad(10.0)))
+"""A hinge that has turned by less than 10 degrees rms shows no axis: difference of the singular values of its mean
+rotation, which is the mean of one less the cosine of the turn."""
+STEP_M = 1e-5
+"""For derivatives of landmarks' axes by central differences [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class SegmentAxes:
+    """Anatomical axes of segments: body -> body_from_anatomical (3, 3), and its derivative (3, p) as a rotation
+    vector in anatomical axes by the model's parameters [rad/m]. A body whose landmarks or axis are not known is not
+    there.
+    """
+
+    axes: Mapping[str, Array]
+    slopes: Mapping[str, Array]
+
+
+def fitted_axes(kinematics: Kinematics, poses: Sequence[Array], pose_by_parameters: Sequence[Array]) -> SegmentAxes:
+    """Return the axes of a fitted take: ``poses`` (nq,) each, with their derivatives (nv, p) by the parameters.
+
+    The derivative of a pose is that of its least squares solution, hence with the opposite sign of
+    ``Reduced.pose_by_parameters``.
+    """
+    hinges = _flexion_axes(kinematics, poses, pose_by_parameters)
+    axes: dict[str, Array] = {}
+    slopes: dict[str, Array] = {}
+    bodies = {body for chain in CHAINS.values() for body in (chain.proximal, chain.distal)} - {""}
+    for body in sorted(bodies):
+        if body not in _bodies(kinematics):
+            continue
+        own = {joint: hinge[body] for joint, hinge in hinges.items() if body in hinge}
+        try:
+            axes[body], slopes[body] = _axes_and_slopes(kinematics, body, own)
+        except KeyError:
+            continue
+    return SegmentAxes(axes, slopes)
+
+
+def _bodies(kinematics: Kinematics) -> list[str]:
+    return [kinematics.mj.body(k).name for k in range(kinematics.mj.nbody)]
+
+
+def _flexion_axes(
+    kinematics: Kinematics, poses: Sequence[Array], pose_by_parameters: Sequence[Array]
+) -> dict[str, dict[str, tuple[Array, Array]]]:
+    """Return joint -> body -> flexion axis (3,) in its axes and derivative (3, p); without those that hardly bend."""
+    names = _bodies(kinematics)
+    both = {j: (names.index(a), names.index(b)) for j, (a, b) in {**KNEES, **ELBOWS}.items() if {a, b} <= set(names)}
+    relative: dict[str, list[Array]] = {joint: [] for joint in both}
+    turned: dict[str, list[Array]] = {joint: [] for joint in both}
+    for q, by_parameters in zip(poses, pose_by_parameters, strict=True):
+        kinematics.pose(q)
+        world_from = kinematics.rotations()
+        slopes = kinematics.turned_by_pose(np.arange(kinematics.mj.nbody))
+        for joint, (near, far) in both.items():
+            relative[joint].append(world_from[near].T @ world_from[far])
+            turned[joint].append(world_from[far].T @ ((slopes[far] - slopes[near]) @ by_parameters))
+    found = {}
+    for joint, (near, far) in both.items():
+        rotations, vectors = np.array(relative[joint]), np.array(turned[joint])
+        spread = np.linalg.svd(rotations.mean(axis=0), compute_uv=False)
+        if spread[0] - spread[1] < LEAST_SPREAD:
+            continue
+        if joint in KNEES:
+            found[joint] = dict(zip((names[near], names[far]), _hinge(rotations, vectors), strict=True))
+        elif (wrist := f"{joint[0]}_wrist") in kinematics.model.joints:
+            found[joint] = {names[near]: _swept(rotations, vectors, kinematics, wrist)}
+    return found
+
+
+def _hinge(rotations: Array, vectors: Array) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+    """Return a hinge's axis (3,) and derivative (3, p) in proximal, then in distal axes.
+
+    ``rotations`` (n, 3, 3) proximal_from_distal, ``vectors`` (n, 3, p) derivatives of their vectors in distal axes.
+    a, b minimise the sum of |R_i b - a|^2 (SARA): first singular vectors of the mean of R_i.
+    """
+    left, sigma, right = np.linalg.svd(rotations.mean(axis=0))
+    a, b = left[:, 0], right[0]
+    # The change of R is R [v], whose columns are R (v x e); taken to b it is R (v x b), taken to a from the left
+    # (R^T a) x v.
+    forward = np.mean(rotations @ cross_matrices(b[None])[0].T @ vectors, axis=0)
+    backward = np.mean(cross_matrices(rotations.transpose(0, 2, 1) @ a) @ vectors, axis=0)
+    da, db = np.zeros_like(forward), np.zeros_like(forward)
+    for k in (1, 2):
+        u, v = left[:, k], right[k]
+        gap = sigma[0] ** 2 - sigma[k] ** 2
+        da += np.outer(u, sigma[0] * (u @ forward) + sigma[k] * (v @ backward)) / gap
+        db += np.outer(v, sigma[0] * (v @ backward) + sigma[k] * (u @ forward)) / gap
+    sign = 1.0 if a[2] > 0 else -1.0
+    return (sign * a, sign * da), (sign * b, sign * db)
+
+
+def _swept(rotations: Array, vectors: Array, kinematics: Kinematics, wrist: str) -> tuple[Array, Array]:
+    """Return the axis (3,), in proximal axes, that the distal bone's length turns about, and its derivative (3, p).
+
+    The length is from the distal body's origin to ``wrist``; see ``_hinge`` for the others. The axis is the direction
+    of least variance of the length's direction.
+    """
+    rows = kinematics.model.joint_rows(wrist)
+    bone = kinematics.parameters[rows]
+    length = float(np.linalg.norm(bone))
+    unit = bone / length
+    of_unit = np.zeros((3, vectors.shape[2]))
+    of_unit[:, rows] = (np.eye(3) - np.outer(unit, unit)) / length
+    directions = rotations @ unit
+    slopes = rotations @ (cross_matrices(unit[None])[0].T @ vectors + of_unit)
+    directions, slopes = directions - directions.mean(axis=0), slopes - slopes.mean(axis=0)
+    n = len(directions)
+    value, vector = np.linalg.eigh(directions.T @ directions / n)
+    axis, slope = vector[:, 0], np.zeros_like(of_unit)
+    along = directions @ axis
+    for k in (1, 2):
+        u = vector[:, k]
+        change = np.einsum("n,i,nip->p", along, u, slopes) + np.einsum("n,i,nip->p", directions @ u, axis, slopes)
+        slope += np.outer(u, change / n) / (value[0] - value[k])
+    sign = 1.0 if axis[2] > 0 else -1.0
+    return sign * axis, sign * slope
+
+
+def _axes_and_slopes(
+    kinematics: Kinematics, body: str, hinges: Mapping[str, tuple[Array, Array]]
+) -> tuple[Array, Array]:
+    """Return ``body``'s anatomical axes (3, 3) and their derivative (3, p)."""
+    model = kinematics.model
+    body_id = _bodies(kinematics).index(body)
+    children = [
+        model.joints[k - 2] for k in range(2, kinematics.mj.nbody) if kinematics.mj.body_parentid[k] == body_id
+    ]
+    carried = [label for label, at in zip(model.labels, kinematics.body_of_marker, strict=True) if at == body_id]
+    rows = {joint: model.joint_rows(joint) for joint in children}
+    rows |= {label: model.marker_rows(label) for label in carried}
+    values = {name: kinematics.parameters[where].copy() for name, where in rows.items()}
+    turned = {joint: hinge[0] for joint, hinge in hinges.items()}
+    axes = segment_axes(body, values.__getitem__, turned)
+    slopes = np.zeros((3, len(kinematics.parameters)))
+
+    def change(name: str, component: int, of: dict[str, Array]) -> Array:
+        ends = []
+        for step in (STEP_M, -STEP_M):
+            moved = of | {name: of[name] + step * np.eye(3)[component]}
+            given = (moved, turned) if of is values else (values, moved)
+            ends.append(axes.T @ segment_axes(body, given[0].__getitem__, given[1]))
+        return _vector(ends[0] @ ends[1].T) / (2 * STEP_M)
+
+    for name, where in rows.items():
+        for component in range(3):
+            slopes[:, where.start + component] = change(name, component, values)
+    for joint, (_, slope) in hinges.items():
+        slopes += np.stack([change(joint, component, turned) for component in range(3)], axis=1) @ slope
+    return axes, slopes
+
+
+def _vector(rotation: Array) -> Array:
+    """Return the rotation vector (3,) of a small rotation (3, 3)."""
+    return (
+        np.array([rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]])
+        / 2
+    )
+
+
+class JointReader:
+    """Reads the joints of poses of one subject."""
+
+    def __init__(self, kinematics: Kinematics, axes: SegmentAxes, covariance: Array, landmarks_m: Array) -> None:
+        """``covariance`` (p, p) of the parameters [m^2]; ``landmarks_m`` (m,) standard deviation of each marker's
+        mean place against its landmark, a coordinate: what skin carries it away for the whole take [m].
+        """
+        self.kinematics, self.axes = kinematics, axes
+        self._landmarks = np.concatenate([np.zeros(3 * len(kinematics.model.joints)), np.repeat(landmarks_m, 3)])
+        names = _bodies(kinematics)
+        self.joints = tuple(joint for joint in JOINTS if CHAINS[joint].distal in names)
+        self._root = np.linalg.cholesky(covariance + 1e-18 * np.eye(len(covariance)))
+        self._near = np.array([names.index(CHAINS[j].proximal or "world") for j in self.joints])
+        self._far = np.array([names.index(CHAINS[j].distal) for j in self.joints])
+        mj_joints = kinematics.model.joints
+        self._centred = [k for k, j in enumerate(self.joints) if CHAINS[j].centre]
+        self._bodies = np.array([2 + mj_joints.index(self.joints[k]) for k in self._centred])
+        self._hips = [self._centred.index(self.joints.index(j)) for j in ("l_hip", "r_hip") if j in self.joints]
+        self._world = {"world": (np.eye(3), np.zeros((3, len(covariance))))}
+        known = {body: (axes.axes[body], axes.slopes[body]) for body in axes.axes} | self._world
+        nothing = (np.full((3, 3), np.nan), np.zeros((3, len(covariance))))
+        self._near_axes = [known.get(names[k], nothing) for k in self._near]
+        self._far_axes = [known.get(names[k], nothing) for k in self._far]
+
+    def read(self, noise: Array, pose_by_parameters: Array) -> tuple[Array, Array, Array, Array]:
+        """Return centres (j, 3) [m], covariances (j, 3, 3), rotations (j, 3, 3) and theirs, in the present pose.
+
+        ``noise`` (nv, nv) covariance of the pose at given parameters, ``pose_by_parameters`` (nv, p) its derivative.
+        """
+        centre, by_pose, by_parameters = self._centres()
+        rotation, turned, by_axes = self._rotations()
+        slopes = np.concatenate([by_pose, turned])  # (2 j, 3, nv)
+        direct = np.concatenate([by_parameters, by_axes])
+        total = direct + slopes @ pose_by_parameters
+        spread = total @ self._root
+        covariance = slopes @ noise @ slopes.transpose(0, 2, 1) + spread @ spread.transpose(0, 2, 1)
+        j = len(self.joints)
+        carried = by_axes * self._landmarks
+        covariance[j:] += carried @ carried.transpose(0, 2, 1)
+        unknown = np.isnan(rotation[:, 0, 0])
+        covariance[j:][unknown] = np.nan
+        covariance[:j][np.isnan(centre[:, 0])] = np.nan
+        return centre, covariance[:j], rotation, covariance[j:]
+
+    def _centres(self) -> tuple[Array, Array, Array]:
+        kinematics, j = self.kinematics, len(self.joints)
+        p, nv = len(kinematics.parameters), kinematics.mj.nv
+        places = kinematics.joint_centres()[self._bodies - 1]
+        slopes = kinematics.by_pose(places, self._bodies)
+        by_joints = kinematics.by_parameters(self._bodies)
+        centre, by_pose, by_parameters = np.full((j, 3), np.nan), np.zeros((j, 3, nv)), np.zeros((j, 3, p))
+        centre[self._centred], by_pose[self._centred] = places, slopes
+        by_parameters[self._centred, :, : by_joints.shape[2]] = by_joints
+        if len(self._hips) == 2:
+            centre[0], by_pose[0] = places[self._hips].mean(axis=0), slopes[self._hips].mean(axis=0)
+            by_parameters[0, :, : by_joints.shape[2]] = by_joints[self._hips].mean(axis=0)
+        return centre, by_pose, by_parameters
+
+    def _rotations(self) -> tuple[Array, Array, Array]:
+        kinematics = self.kinematics
+        world_from = kinematics.rotations()
+        near = world_from[self._near] @ np.stack([axes for axes, _ in self._near_axes])
+        far = world_from[self._far] @ np.stack([axes for axes, _ in self._far_axes])
+        rotation = near.transpose(0, 2, 1) @ far
+        turned = kinematics.turned_by_pose(self._far) - kinematics.turned_by_pose(self._near)
+        known = np.nan_to_num(far)
+        slopes = known.transpose(0, 2, 1) @ turned
+        of_near = np.stack([slope for _, slope in self._near_axes])
+        of_far = np.stack([slope for _, slope in self._far_axes])
+        by_axes = of_far - np.nan_to_num(rotation).transpose(0, 2, 1) @ of_near
+        return rotation, slopes, by_axes

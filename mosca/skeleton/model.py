@@ -1,0 +1,246 @@
+"""A skeleton with markers as a MuJoCo model: bodies joined by ball joints, markers as sites.
+
+What is estimated once for a subject, the *parameters* (p), are the place of each body's joint in its parent and the
+place of each marker in its body; what is estimated for each instant is the *pose* (nq), MuJoCo's configuration.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from mosca.camera.projection import cross_matrices
+from mosca.data.arrays import Array, set_read_only
+from mosca.data.files.bounded import read_text
+from mosca.errors import InputError
+from mosca.skeleton.kernels import Moving
+from mosca.skeleton.mjcf import MIDPOINT, MOST_BYTES, SIGMA, compiled
+
+HUMAN = Path(__file__).with_name("human.xml")
+PLACEMENT_M = 0.05
+"""Standard deviation of a marker's place on its body where the model states none (site user) [m]."""
+PROPORTION, JOINT_M = 0.06, 0.01
+"""Standard deviation of a joint's place: along the line from its parent's this share of the distance and this in
+addition, across that line this [m]. Segment lengths at equal stature vary by 4 to 6 % (Winter; Pheasant 1986)."""
+COINCIDENT_M = 1e-4
+"""Standard deviation of a joint that the model places in its parent's joint [m]: it stays there."""
+MIDPOINT_M, OFF_MIDPOINT_M = 0.003, 0.02
+"""Standard deviation of a joint against the middle of the two markers that the model names for it (tuple
+midpoint/JOINT): along the line between them, where only the flesh under them differs from side to side, and across
+it, where palpation is off by 5 to 8 mm (Della Croce et al. 1999) and sets place them above or below the joint [m]."""
+LEFT_RIGHT_M = 0.004
+"""Standard deviation of half the difference between the left and the right side of a body's joint places [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class SkeletonModel:
+    """A model's structure, starting values of its parameters and what is known of them beforehand.
+
+    ``mjcf``: text of the model. ``labels`` (m): its markers in use. ``joints`` (b): names of the joints of bodies
+    that have a parent. ``parameters`` (p): places of these joints in the parent body (b, 3), then of the markers in
+    their body (m, 3) [m]; ``information`` (p, p) about them [1/m^2]. ``rotation_sigma`` (nv): prior standard
+    deviation of the joints' rotation vectors [rad], inf where nothing is known.
+    """
+
+    mjcf: str
+    labels: tuple[str, ...]
+    joints: tuple[str, ...]
+    parameters: Array
+    information: Array
+    rotation_sigma: Array
+
+    def __post_init__(self) -> None:
+        p = 3 * (len(self.joints) + len(self.labels))
+        set_read_only(self, parameters=(p,), information=(p, p), rotation_sigma=(None,))
+
+    def joint_rows(self, joint: str) -> slice:
+        """Return the parameters that place ``joint``."""
+        return slice(3 * (k := self.joints.index(joint)), 3 * k + 3)
+
+    def marker_rows(self, label: str) -> slice:
+        """Return the parameters that place the marker ``label``."""
+        first = 3 * (len(self.joints) + self.labels.index(label))
+        return slice(first, first + 3)
+
+
+def read_skeleton_model(path: Path, labels: Sequence[str]) -> SkeletonModel:
+    """Return the model in the MJCF file ``path`` with those of its sites that ``labels`` name.
+
+    InputError where the file is no such model, or fewer than six of its markers are among the labels.
+    """
+    text = read_text(Path(path), "a skeleton model (MJCF)", most_bytes=MOST_BYTES)
+    mj = compiled(text, str(path))
+    return model_from_mjcf(text, mj, labels, str(path))
+
+
+def model_from_mjcf(text: str, mj: mujoco.MjModel, labels: Sequence[str], source: str) -> SkeletonModel:
+    """Return the model of ``mj``, compiled from ``text``; see ``read_skeleton_model``."""
+    kinds = mj.jnt_type
+    if mj.njnt < 2 or kinds[0] != mujoco.mjtJoint.mjJNT_FREE or np.any(kinds[1:] != mujoco.mjtJoint.mjJNT_BALL):
+        raise InputError(f"{source}: a free joint for the root and ball joints for all other bodies are wanted")
+    if mj.njnt != mj.nbody - 1:
+        raise InputError(f"{source}: {mj.nbody - 1} bodies and {mj.njnt} joints; each body has one joint")
+    known = [mj.site(k).name for k in range(mj.nsite)]
+    used = tuple(label for label in known if label in set(labels))
+    if len(used) < 6:
+        raise InputError(
+            f"{source}: {len(used)} of the tracks' labels are markers of the model, six or more are wanted; it has "
+            f"{', '.join(known[:8])}, ...; rename the tracks or give a model with your names"
+        )
+    joints = tuple(mj.joint(k).name for k in range(1, mj.njnt))
+    sites = [mj.site(label).id for label in used]
+    parameters = np.concatenate([mj.body_pos[2:].ravel(), mj.site_pos[sites].ravel()])
+    sigma = np.full(mj.nv, np.inf)
+    for k in range(mj.nnumeric):
+        name = mj.numeric(k).name
+        if name.startswith(SIGMA) and (joint := name.removeprefix(SIGMA)) in joints:
+            first = int(mj.joint(joint).dofadr[0])
+            sigma[first : first + 3] = np.deg2rad(mj.numeric(k).data[:3])
+    return SkeletonModel(text, used, joints, parameters, _information(mj, joints, used), sigma)
+
+
+def _information(mj: mujoco.MjModel, joints: tuple[str, ...], labels: tuple[str, ...]) -> Array:
+    """Return the information (p, p) of the starting values: proportions, placement, symmetry, middles of markers."""
+    sites = [mj.site(label).id for label in labels]
+    placed = mj.site_user[sites] if mj.nuser_site == 3 else np.zeros((len(sites), 3))
+    placed = np.where(placed > 0, placed, PLACEMENT_M)
+    information = np.diag(np.concatenate([np.zeros(3 * len(joints)), placed.ravel() ** -2.0]))
+    for k, offset in enumerate(mj.body_pos[2:]):
+        length = float(np.linalg.norm(offset))
+        own = slice(3 * k, 3 * k + 3)
+        if length == 0:
+            information[own, own] = np.eye(3) / COINCIDENT_M**2
+            continue
+        along = np.outer(offset, offset) / length**2
+        information[own, own] = (np.eye(3) - along) / JOINT_M**2 + along / (JOINT_M**2 + (PROPORTION * length) ** 2)
+
+    def tie(weight: Array, *parts: tuple[int, Array]) -> None:
+        row = np.zeros((3, len(information)))
+        for first, matrix in parts:
+            row[:, first : first + 3] += matrix
+        np.add(information, row.T @ weight @ row, out=information)
+
+    one, mirrored = np.eye(3), -np.diag([1.0, 1.0, -1.0])
+    for k, name in enumerate(joints):
+        if name.startswith("l_") and (other := f"r_{name[2:]}") in joints:
+            tie(one / (2 * LEFT_RIGHT_M) ** 2, (3 * k, one), (3 * joints.index(other), mirrored))
+    for k in range(mj.ntuple):
+        name = mj.tuple(k).name
+        first = int(mj.tuple_adr[k])
+        pair = [mj.site(int(i)).name for i in mj.tuple_objid[first : first + int(mj.tuple_size[k])]]
+        if (
+            name.startswith(MIDPOINT)
+            and set(pair) <= set(labels)
+            and (joint := name.removeprefix(MIDPOINT)) in joints
+        ):
+            ends = [(3 * (len(joints) + labels.index(label)), -one / len(pair)) for label in pair]
+            line = mj.site(pair[0]).pos - mj.site(pair[1]).pos
+            along = np.outer(line, line) / (line @ line)
+            weight = along / MIDPOINT_M**2 + (one - along) / OFF_MIDPOINT_M**2
+            tie(weight, (3 * joints.index(joint), one), *ends)
+    return np.asarray(information)
+
+
+class Kinematics:
+    """Places of a model's markers and bodies at given parameters and poses, and their derivatives."""
+
+    def __init__(self, model: SkeletonModel, parameters: Array | None = None) -> None:
+        self.model = model
+        self.mj = mujoco.MjModel.from_xml_string(model.mjcf)
+        self.data = mujoco.MjData(self.mj)
+        self._sites = np.array([self.mj.site(label).id for label in model.labels])
+        self.body_of_marker = self.mj.site_bodyid[self._sites].astype(np.int64)
+        bodies = range(self.mj.nbody)
+        above = np.zeros((self.mj.nbody, self.mj.nbody), dtype=bool)  # [body, body at or above it]
+        for body in bodies[1:]:
+            above[body] = above[self.mj.body_parentid[body]]
+            above[body, body] = True
+        self.above = above
+        self.moved_by = above[:, self.mj.dof_bodyid]
+        """(nbody, nv) whether a degree of freedom moves a body."""
+        longest = int(self.moved_by.sum(axis=1).max())
+        self._dofs = np.full((self.mj.nbody, longest), -1)
+        for body in bodies:
+            dofs = np.flatnonzero(self.moved_by[body])
+            self._dofs[body, : len(dofs)] = dofs
+        self.ball_rows = np.arange(6, self.mj.nv).reshape(-1, 3)
+        self.set_parameters(model.parameters if parameters is None else parameters)
+
+    def set_parameters(self, parameters: Array) -> None:
+        """Place joints and markers as ``parameters`` (p,) say."""
+        self.parameters = np.array(parameters, dtype=np.float64)
+        split = 3 * len(self.model.joints)
+        self.mj.body_pos[2:] = self.parameters[:split].reshape(-1, 3)
+        self.mj.site_pos[self._sites] = self.parameters[split:].reshape(-1, 3)
+
+    @property
+    def local(self) -> Array:
+        """(m, 3) places of the markers in their bodies' axes [m]."""
+        return self.parameters[3 * len(self.model.joints) :].reshape(-1, 3)
+
+    def pose(self, q: Array) -> None:
+        """Take the pose ``q`` (nq,)."""
+        self.data.qpos[:] = q
+        mujoco.mj_kinematics(self.mj, self.data)
+        mujoco.mj_comPos(self.mj, self.data)
+
+    def markers(self) -> Array:
+        """Return the markers' places (m, 3) in the world [m] in the present pose."""
+        return np.array(self.data.site_xpos[self._sites])
+
+    def joint_centres(self) -> Array:
+        """Return the places (nbody - 1, 3) of all joints in the world [m], the root's first."""
+        return np.array(self.data.xpos[1:])
+
+    def rotations(self) -> Array:
+        """Return world_from_body (nbody, 3, 3)."""
+        return np.array(self.data.xmat.reshape(-1, 3, 3))
+
+    def moving(self) -> Moving:
+        """Return what moves the markers in the present pose."""
+        axes, along = (np.ascontiguousarray(part) for part in np.split(self.data.cdof, 2, axis=1))
+        return Moving(self.body_of_marker, self._dofs, axes, along, self.data.subtree_com[1])
+
+    def by_pose(self, points: Array, bodies: Array) -> Array:
+        """Return derivatives (n, 3, nv) of ``points`` (n, 3), fixed to ``bodies`` (n,), by the pose's tangent."""
+        axes, along = self.data.cdof[:, :3], self.data.cdof[:, 3:]
+        x, y, z = (points - self.data.subtree_com[1]).T[:, :, None]
+        turned = np.empty((len(points), 3, self.mj.nv))
+        turned[:, 0] = along[:, 0] + axes[:, 1] * z - axes[:, 2] * y
+        turned[:, 1] = along[:, 1] + axes[:, 2] * x - axes[:, 0] * z
+        turned[:, 2] = along[:, 2] + axes[:, 0] * y - axes[:, 1] * x
+        return turned * self.moved_by[bodies][:, None, :]
+
+    def turned_by_pose(self, bodies: Array) -> Array:
+        """Return derivatives (n, 3, nv) of the bodies' rotation vectors in world axes by the pose's tangent."""
+        return np.asarray(self.data.cdof[:, :3].T * self.moved_by[bodies][:, None, :])
+
+    def by_parameters(self, bodies: Array) -> Array:
+        """Return derivatives (n, 3, 3 b) of points fixed to ``bodies`` (n,) by joints' places in their parents."""
+        rotations = self.rotations()
+        of_parent = rotations[self.mj.body_parentid[2:]]  # (b, 3, 3)
+        mask = self.above[np.asarray(bodies)][:, 2:]  # (n, b)
+        n, b = mask.shape
+        columns = mask[:, :, None, None] * of_parent
+        return np.asarray(columns.transpose(0, 2, 1, 3).reshape(n, 3, 3 * b))
+
+    def moved(self, q: Array, step: Array) -> Array:
+        """Return the pose ``q`` (nq,) moved by the tangent vector ``step`` (nv,)."""
+        new = np.array(q, dtype=np.float64)
+        mujoco.mj_integratePos(self.mj, new, np.ascontiguousarray(step), 1.0)
+        return new
+
+    def rotation_vectors(self, q: Array) -> tuple[Array, Array]:
+        """Return the ball joints' rotation vectors (b, 3) [rad] and their derivatives (b, 3, 3) by their tangent."""
+        ball = np.array(q[7:]).reshape(-1, 4)
+        ball = np.where(ball[:, :1] < 0, -ball, ball)
+        sine = np.linalg.norm(ball[:, 1:], axis=1)
+        angle = 2 * np.arctan2(sine, ball[:, 0])
+        vector = ball[:, 1:] * np.where(sine > 1e-9, angle / np.maximum(sine, 1e-12), 2.0)[:, None]
+        # Inverse of the right Jacobian of the rotation group (Sola et al. 2018, eq. 144).
+        half = np.maximum(angle / 2, 1e-9)
+        factor = np.where(angle > 1e-4, (1 - half / np.tan(half)) / (2 * half) ** 2, 1 / 12)
+        cross = cross_matrices(vector)
+        return vector, np.eye(3) + cross / 2 + factor[:, None, None] * (cross @ cross)

@@ -1,0 +1,97 @@
+"""Where a fit starts: the subject's size from distances on the same body, the pose from bodies with three markers."""
+
+import mujoco
+import numpy as np
+
+from mosca.data.arrays import Array
+from mosca.errors import InputError
+from mosca.skeleton.marker_frames import MarkerFrames
+from mosca.skeleton.model import Kinematics, SkeletonModel
+from mosca.skeleton.pose import PoseSolution, solve_pose
+
+SHORTEST_M = 0.1
+"""Distances between markers shorter than this say little about size [m]."""
+SIZES = (0.3, 2.5)
+"""Sizes of people against the model's 1.75 m, from small children up; beyond them the unit is wrong."""
+COARSE_M = (0.2, 0.06, 0.025)
+"""Standard deviations of the markers against the unfitted model, from far to near [m]."""
+
+
+def size_of(model: SkeletonModel, frames: MarkerFrames, source: str) -> float:
+    """Return the subject's size relative to the model: the median ratio of distances within bodies.
+
+    InputError, naming ``source``, where no body has two markers or the size is no person's.
+    """
+    kinematics = Kinematics(model)
+    local = kinematics.local
+    ratios = []
+    for a in range(len(model.labels)):
+        for b in range(a):
+            nominal = float(np.linalg.norm(local[a] - local[b]))
+            if kinematics.body_of_marker[a] != kinematics.body_of_marker[b] or nominal < SHORTEST_M:
+                continue
+            distance = np.linalg.norm(frames.xyz[:, a] - frames.xyz[:, b], axis=1)
+            if np.isfinite(distance).any():
+                ratios.append(float(np.nanmedian(distance)) / nominal)
+    if not ratios:
+        raise InputError(f"{source}: no two labelled markers on one body are seen together; label more of them")
+    size = float(np.median(ratios))
+    if not SIZES[0] < size < SIZES[1]:
+        raise InputError(
+            f"{source}: the subject would be {size:.3g} times the model's size; {SIZES[0]} to {SIZES[1]} is a "
+            "person's; are the coordinates in metres?"
+        )
+    return size
+
+
+def starting_pose(kinematics: Kinematics, xyz: Array) -> PoseSolution:
+    """Return the pose for markers ``xyz`` (m, 3), NaN where not measured, without knowing anything before.
+
+    Bodies with three markers off a line give their own rotation (Kabsch 1976); others begin as their parent.
+    """
+    q = np.array(kinematics.mj.qpos0)
+    seen = np.isfinite(xyz[:, 0])
+    world_from = np.tile(np.eye(3), (kinematics.mj.nbody, 1, 1))
+    kinematics.pose(q)
+    local = kinematics.local
+    for body in range(1, kinematics.mj.nbody):
+        rows = np.flatnonzero(seen & (kinematics.body_of_marker == body))
+        parent = world_from[kinematics.mj.body_parentid[body]]
+        if body == 1 and not _spans(local[rows]):
+            # The trunk below the first joints stands for a root that shows too little.
+            rows = np.flatnonzero(seen & kinematics.above[kinematics.body_of_marker, 1])
+            local_here = kinematics.markers()
+        else:
+            local_here = local
+        world_from[body] = _kabsch(local_here[rows], xyz[rows]) if _spans(local_here[rows]) else parent
+        if body == 1:
+            q[:3] = xyz[rows].mean(axis=0) - world_from[1] @ local_here[rows].mean(axis=0)
+            q[3:7] = _quaternion(world_from[1])
+        else:
+            start = int(kinematics.mj.jnt_qposadr[body - 1])
+            q[start : start + 4] = _quaternion(parent.T @ world_from[body])
+    for sigma in COARSE_M:
+        information = np.where(seen, sigma**-2.0, 0.0)[:, None, None] * np.eye(3)
+        solution = solve_pose(kinematics, q, xyz, information)
+        q = solution.q
+    return solution
+
+
+def _spans(points: Array) -> bool:
+    """Return whether ``points`` (n, 3) are three or more and off a line."""
+    if len(points) < 3:
+        return False
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    return bool(spread[1] > 0.2 * spread[0])
+
+
+def _kabsch(local: Array, world: Array) -> Array:
+    """Return the rotation (3, 3) that takes ``local`` (n, 3) to ``world`` (n, 3) best (Kabsch 1976)."""
+    left, _, right = np.linalg.svd((world - world.mean(axis=0)).T @ (local - local.mean(axis=0)))
+    return np.asarray(left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right)
+
+
+def _quaternion(matrix: Array) -> Array:
+    quaternion = np.empty(4)
+    mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(matrix).ravel())
+    return quaternion

@@ -1,0 +1,140 @@
+"""Poses of a fitted subject in every frame of a take, and its joints with their covariances."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from mosca.data.arrays import Array
+from mosca.data.joint_motion import JointMotion
+from mosca.data.motion.motion import WORLD_FROM_Y_UP, Motion, Skeleton, without_flips
+from mosca.skeleton.fit import LEAST_SIGMA_M, FittedSubject
+from mosca.skeleton.joints import JointReader
+from mosca.skeleton.marker_frames import MarkerFrames
+from mosca.skeleton.model import Kinematics
+from mosca.skeleton.pose import PoseSolution, solve_pose
+from mosca.skeleton.skin import common_m, common_modes
+from mosca.skeleton.start import starting_pose
+
+FEWEST_MARKERS = 6
+"""Fewer markers than this leave a pose to its prior: no result."""
+LOST = 0.3
+"""A pose is looked for afresh where the mean weight of its markers falls below this."""
+
+
+@dataclass(frozen=True, eq=False)
+class SkeletonTake:
+    """A subject's poses: ``q`` (n, nq), NaN where not found; ``joints``; ``residual_m`` (n, m) distance of each
+    marker from the model's, NaN where not measured.
+    """
+
+    joints: JointMotion
+    q: Array
+    residual_m: Array
+
+
+class SkeletonTracker:
+    """Finds the pose of one subject frame after frame."""
+
+    def __init__(self, subject: FittedSubject) -> None:
+        self.subject = subject
+        self.kinematics = Kinematics(subject.model, subject.parameters)
+        common = common_m(subject.skin_m, self.kinematics.body_of_marker)
+        self.reader = JointReader(self.kinematics, subject.axes, subject.covariance, common)
+        self._modes = common_modes(self.kinematics.local, self.kinematics.body_of_marker, common)
+        self._skin = np.maximum(subject.skin_m, LEAST_SIGMA_M)[:, None, None] ** 2 * np.eye(3)
+        self._q: Array | None = None
+
+    def step(self, xyz: Array, covariance: Array) -> PoseSolution | None:
+        """Return the pose for markers ``xyz`` (m, 3) of the subject's labels, NaN where not measured, [m].
+
+        ``covariance`` (m, 3, 3) of the measurement [m^2]. None where fewer than FEWEST_MARKERS are there.
+        """
+        seen = np.isfinite(xyz[:, 0])
+        if seen.sum() < FEWEST_MARKERS:
+            self._q = None
+            return None
+        information = np.where(seen[:, None, None], np.linalg.inv(covariance + self._skin), 0.0)
+        start = self._q if self._q is not None else starting_pose(self.kinematics, xyz).q
+        solution = solve_pose(self.kinematics, start, xyz, information, posture=self.subject.posture)
+        if self._q is not None and solution.weight[seen].mean() < LOST:
+            fresh = starting_pose(self.kinematics, xyz).q
+            again = solve_pose(self.kinematics, fresh, xyz, information, posture=self.subject.posture)
+            solution = again if again.weight[seen].mean() > solution.weight[seen].mean() else solution
+        self._q = solution.q
+        return solution
+
+    def joints(self, solution: PoseSolution) -> tuple[Array, Array, Array, Array]:
+        """Return what ``JointReader.read`` does, of a pose that ``step`` has returned."""
+        kinematics = self.kinematics
+        kinematics.pose(solution.q)
+        m, _, nv = solution.slopes.shape
+        by_joints = kinematics.by_parameters(kinematics.body_of_marker)
+        split = by_joints.shape[2]
+        mixed = np.empty((nv, split + 3 * m))
+        shaped = solution.weighted @ solution.slopes
+        mixed[:, :split] = shaped.reshape(3 * m, nv).T @ by_joints.reshape(3 * m, split)
+        of_body = kinematics.rotations()[kinematics.body_of_marker]
+        mixed[:, split:] = (shaped.transpose(0, 2, 1) @ of_body).transpose(1, 0, 2).reshape(nv, 3 * m)
+        inverse = np.asarray(cho_solve(cho_factor(solution.normal + 1e-9 * np.eye(nv)), np.eye(nv)))
+        by_parameters = -inverse @ mixed
+        modes = (of_body @ self._modes).reshape(3 * m, -1)
+        moved = inverse @ (shaped.reshape(3 * m, nv).T @ modes)
+        noise = inverse + moved @ moved.T
+        return self.reader.read(noise, by_parameters)
+
+
+def track_subject(
+    subject: FittedSubject,
+    frames: MarkerFrames,
+    progress: Callable[[int, int | None], None] = lambda done, total: None,
+) -> SkeletonTake:
+    """Return the subject's poses and joints in ``frames``, whose labels are the subject's."""
+    tracker = SkeletonTracker(subject)
+    n, j = len(frames), len(tracker.reader.joints)
+    q = np.full((n, tracker.kinematics.mj.nq), np.nan)
+    residual = np.full(frames.seen.shape, np.nan)
+    centre, centre_covariance = np.full((n, j, 3), np.nan), np.full((n, j, 3, 3), np.nan)
+    rotation, rotation_covariance = np.full((n, j, 4), np.nan), np.full((n, j, 3, 3), np.nan)
+    for k in range(n):
+        progress(k, n)
+        solution = tracker.step(frames.xyz[k], frames.covariance[k])
+        if solution is None:
+            continue
+        q[k] = solution.q
+        residual[k] = np.where(frames.seen[k], np.linalg.norm(solution.residual, axis=1), np.nan)
+        centre[k], centre_covariance[k], matrices, rotation_covariance[k] = tracker.joints(solution)
+        rotation[k] = [_quaternion(matrix) for matrix in matrices]
+    progress(n, n)
+    joints = JointMotion(
+        frames.frame, frames.time_ns, tracker.reader.joints, centre, centre_covariance, rotation, rotation_covariance
+    )
+    return SkeletonTake(joints, q, residual)
+
+
+def _quaternion(matrix: Array) -> Array:
+    quaternion = np.full(4, np.nan)
+    if np.isfinite(matrix).all():
+        mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(matrix).ravel())
+    return quaternion
+
+
+def motion_of(subject: FittedSubject, q: Array, frame_rate_hz: float) -> Motion:
+    """Return poses ``q`` (n, nq) as a skeleton in motion, standing upright in its rest pose; gaps are held."""
+    kinematics = Kinematics(subject.model, subject.parameters)
+    mj = kinematics.mj
+    good = np.flatnonzero(np.isfinite(q[:, 0]))
+    held = q[good[np.clip(np.searchsorted(good, np.arange(len(q)), side="right") - 1, 0, None)]]
+    offsets = np.concatenate([np.zeros((1, 3)), mj.body_pos[2:] @ WORLD_FROM_Y_UP.T])
+    names = [mj.joint(k).name for k in range(mj.njnt)]
+    skeleton = Skeleton(tuple(names), mj.body_parentid[1:] - 1, offsets)
+    rotations = held[:, 3:].reshape(len(q), -1, 4).copy()
+    # Axes of the bodies are y up; those of a skeleton at rest are the world's, z up.
+    rotations[..., 1:] = rotations[..., 1:] @ WORLD_FROM_Y_UP.T
+    upright = np.empty(4)
+    mujoco.mju_mat2Quat(upright, np.ascontiguousarray(WORLD_FROM_Y_UP.T).ravel())
+    for k in range(len(q)):
+        mujoco.mju_mulQuat(rotations[k, 0], held[k, 3:7], upright)
+    return Motion(skeleton, frame_rate_hz, held[:, :3], without_flips(rotations))

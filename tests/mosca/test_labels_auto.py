@@ -1,0 +1,177 @@
+"""Labels without training: the template's person, tracklets of points, and a walker of another lab."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from track_points import made_tracks
+
+from mosca.data.tracks import Tracks
+from mosca.errors import InputError
+from mosca.labelling.automatic.body import TemplateBody, turned
+from mosca.labelling.automatic.label import AutomaticSettings, label_automatically
+from mosca.labelling.automatic.template import STANDARD, BodyVariation, drawn_poses, expectation, read_template
+from mosca.labelling.automatic.tracklets import tracklets_of
+from tests.studies.labels_auto import Take, measured, real_take, score, spoiled, twin_take
+
+
+def test_the_right_side_mirrors_the_left_one() -> None:
+    template = read_template()
+    left, right = template.names.index("LELB"), template.names.index("RELB")
+    assert template.other_side[left] == right
+    np.testing.assert_allclose(template.place_m[right], template.place_m[left] * [1, -1, 1])
+    arms = [template.segment_names.index(f"{side}_upper_arm") for side in "lr"]
+    # both arms are raised sideways by 150 deg, and turn alike to the front
+    np.testing.assert_allclose(np.degrees(template.turn_rad[arms, 0]), [[-20, 150], [-150, 20]])
+    np.testing.assert_allclose(template.turn_rad[arms[0], 1], template.turn_rad[arms[1], 1])
+    assert template.names[template.other_side[template.names.index("C7")]] == "C7"
+
+
+def test_sets_have_their_own_names() -> None:
+    names = read_template(set_name="cmu").names
+    assert len(names) == 41
+    assert {"LFWT", "RBAC", "RSHN"} <= set(names)
+    assert not {"LASI", "RBAK", "LTIB", "LBAC", "LBAK"} & set(names)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ('segment = "head"', 'segment = "hat"', "segment 'hat' is not listed"),
+        ('parent = "l_forearm"', 'parent = "wing"', "parent 'wing' is not listed before it"),
+        ('other_side = "RFHD"', 'other_side = "C7"', "'C7' is named twice"),
+        ("height_m = 1.75", "height_m = -1", "key 'height_m': -1 given"),
+        ('"LKNE", "LSHN"', '"LKNE", "LSHX"', "set 'cmu': marker 'LSHX' is not listed"),
+        ('kind = "marker-template"', 'kind = "marker-model"', "is a marker model, not a marker template"),
+    ],
+)
+def test_a_wrong_template_is_refused_in_one_line(tmp_path: Path, old: str, new: str, says: str) -> None:
+    text = STANDARD.read_text(encoding="utf-8")
+    assert old in text
+    (tmp_path / "set.toml").write_text(text.replace(old, new, 1), encoding="utf-8")
+    with pytest.raises(InputError, match=r"set\.toml: ") as error:
+        read_template(tmp_path / "set.toml")
+    assert says in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_an_unknown_set_is_refused() -> None:
+    with pytest.raises(InputError, match=r"set 'helen' given; it has plug-in-gait, cmu"):
+        read_template(set_name="helen")
+
+
+def test_the_body_derivatives_are_those_of_its_places() -> None:
+    body = TemplateBody(read_template())
+    rng = np.random.default_rng(0)
+    at = body.mean + rng.normal(size=body.p) * body.sigma
+    at[3:6] = 0.0
+    whole = Rotation.from_rotvec([0.1, 0.2, 0.5]).as_matrix()
+    jacobian = body._places(at, whole)[2]
+    for k in range(body.p):
+        step = np.zeros(body.p)
+        step[k] = 1e-6
+        numeric = (body._places(at + step, whole)[0] - body._places(at - step, whole)[0]) / 2e-6
+        np.testing.assert_allclose(jacobian[:, :, k], numeric, atol=1e-7)
+
+
+def test_turns_are_rotations() -> None:
+    for vector in ([0.0, 0.0, 0.0], [0.3, -1.0, 0.2], [0.0, 0.0, 3.0]):
+        np.testing.assert_allclose(turned(np.array(vector)), Rotation.from_rotvec(vector).as_matrix(), atol=1e-14)
+
+
+def test_a_drawn_person_keeps_distances_within_a_limb() -> None:
+    template = read_template()
+    xyz = drawn_poses(template, BodyVariation(), 3, 5, np.random.default_rng(2))
+    away = np.linalg.norm(xyz[:, :, :, None] - xyz[:, :, None], axis=-1)
+    same = template.segment[:, None] == template.segment
+    np.testing.assert_allclose(away[:, :, same], away[:, :1, same].repeat(5, axis=1), atol=1e-12)
+    assert np.median(away.std(axis=1)[:, ~same]) > 0.02
+    assert (expectation(template).moved_m[same] < 1e-12).all()
+
+
+def lines(speeds: list[list[float]], starts: list[list[float]], frames: int = 50) -> Tracks:
+    """Points on straight lines at 100 Hz, each sample with a number of its own."""
+    t = np.arange(frames) / 100
+    xyz = np.array(starts)[None] + t[:, None, None] * np.array(speeds)[None]
+    n = frames * len(starts)
+    number = np.random.default_rng(0).permutation(n)
+    row = np.repeat(np.arange(frames), len(starts))
+    order = np.lexsort((number, row))
+    return made_tracks(row[order], number[order], xyz.reshape(n, 3)[order])
+
+
+def test_points_are_linked_by_constant_velocity() -> None:
+    # two that fly at 2.5 m/s, 90 mm behind each other: 25 mm a frame
+    tracks = lines([[2.5, 0, 0], [2.5, 0, 0], [0, 0, 0]], [[0, 0, 0], [0.09, 0, 0], [0, 1, 1]])
+    found = tracklets_of(tracks)
+    assert found.linked
+    for k in range(len(found)):
+        part = found.part(k)
+        x, rows = found.xyz[part], found.row[part]
+        speed = np.diff(x, axis=0) / np.diff(rows)[:, None] * 100
+        assert np.ptp(speed, axis=0).max(initial=0.0) < 1e-9
+    assert len(found) == 3
+
+
+def test_points_that_meet_are_not_linked_across() -> None:
+    # they pass each other at 2 mm: which is which is not sure, so tracklets end there
+    tracks = lines([[1.0, 0, 0], [-1.0, 0, 0]], [[-0.25, 0, 0], [0.25, 0.002, 0]])
+    found = tracklets_of(tracks)
+    for k in range(len(found)):
+        assert np.ptp(found.xyz[found.part(k)][:, 1]) == 0.0
+    assert len(found) >= 3
+
+
+def test_a_track_that_jumps_or_was_long_away_is_split() -> None:
+    rows = np.r_[0:20, 30:50]
+    x = np.where(np.arange(40) < 30, 0.0, 0.4)
+    tracks = made_tracks(rows, np.zeros(40, dtype=int), np.stack([x, 0 * x, 0 * x], axis=1))
+    assert tracklets_of(tracks).starts.tolist() == [0, 20, 30, 40]
+
+
+def test_nothing_and_clutter_give_no_labels() -> None:
+    template = read_template()
+    assert len(label_automatically(Tracks.none(), template).tracks) == 0
+    rng = np.random.default_rng(1)
+    places = rng.uniform(-1, 1, (12, 3))
+    rows = np.repeat(np.arange(60), 12)
+    tracks = made_tracks(rows, np.tile(np.arange(12), 60), np.tile(places, (60, 1)))
+    done = label_automatically(tracks, template)
+    # chance constellations are no person: hardly a label, and what has none has no probability
+    assert (done.tracks.label != "").mean() < 0.5
+    assert (done.probability[done.tracks.label == ""] == 0).all()
+
+
+def test_the_twins_walker_is_labelled_and_ghosts_are_not() -> None:
+    take = twin_take("walk", 1.75, 32, 1.2)
+    template = read_template()
+    tracks, what = spoiled(take, np.random.default_rng(3), 0.05, False, 0.05)
+    done = label_automatically(tracks, template, AutomaticSettings(frames=1, further=1))
+    reached = score(done, tracks, what, template)
+    assert reached.precision > 0.99
+    assert reached.f1 > 0.97
+    assert len(done.tracks) == len(tracks)
+
+
+@pytest.mark.data
+def test_a_real_walker_shuffled_in_each_frame(data_dir: Path) -> None:
+    take = real_take(data_dir / "people/cmu_02_01.c3d", {})
+    assert len(take.names) == 41
+    reached, _ = measured(take, read_template(set_name="cmu"), 0, gaps=0.1, shuffled=True)
+    assert reached.f1 > 0.98
+    assert reached.precision > 0.995
+
+
+@pytest.mark.data
+def test_a_mirrored_walker_has_the_sides_exchanged(data_dir: Path) -> None:
+    """A person in a mirror is a person whose left side is the right one: sides are told by the space alone."""
+    take = real_take(data_dir / "people/cmu_02_01.c3d", {})
+    other = {"L": "R", "R": "L"}
+    names = [other[name[0]] + name[1:] if name[0] in other and name != "RBAC" else name for name in take.names]
+    mirrored = Take(names, take.xyz[:200] * [1.0, -1.0, 1.0], take.rate_hz)
+    tracks, what = spoiled(mirrored, np.random.default_rng(0), 0.0, False)
+    template = read_template(set_name="cmu")
+    reached = score(label_automatically(tracks, template, AutomaticSettings(frames=1)), tracks, what, template)
+    assert reached.precision > 0.97
+    assert reached.recall > 0.9
