@@ -1,1 +1,1 @@
-"""Names for tracks: marker models, coded targets, blinking LEDs."""
+"""Names for tracks: marker models, marker-set templates, coded targets, blinking LEDs."""

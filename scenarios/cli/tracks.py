@@ -165,6 +165,28 @@ def apply(tracks: Path, model: Path, out: Path, fps: float | None) -> None:
 @click.argument("tracks", type=FILE)
 @click.option("--out", required=True, type=OUT_FILE, help="the same tracks with labels: .npz, .csv, .c3d or .trc")
 @click.option(
+    "--set",
+    "set_name",
+    metavar="NAME|FILE.toml",
+    help="marker set: plug-in-gait, cmu, or a template file  [default: which of many markers there are is not known]",
+)
+@click.option("--model", type=OUT_FILE, help="write the marker model of this person: .toml, for 'mosca labels apply'")
+@click.option("--fps", type=POSITIVE, help="frame rate to state in .c3d and .trc  [default: from the samples' times]")
+def auto(tracks: Path, out: Path, set_name: str | None, model: Path | None, fps: float | None) -> None:
+    """Name the tracks of a person by a template of the marker set, without training or a static pose.
+
+    \b
+    Example:  mosca labels auto take2.c3d --set plug-in-gait --out named.c3d
+    """
+    from scenarios.commands.labels_auto import label_auto
+
+    echo_lines(label_auto(tracks, out, set_name, model, fps))
+
+
+@labels.command()
+@click.argument("tracks", type=FILE)
+@click.option("--out", required=True, type=OUT_FILE, help="the same tracks with labels: .npz, .csv, .c3d or .trc")
+@click.option(
     "--name", "names", multiple=True, metavar="NUMBER=LABEL", help="label of a lamp  [default: lamp/NUMBER, all]"
 )
 @click.option(

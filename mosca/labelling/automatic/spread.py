@@ -1,0 +1,168 @@
+"""Labels for all other tracklets, by the distances between the markers of this person.
+
+What a distance of two markers is, and how much it changes, is learned from the tracklets that have a label; each
+further one is compared with them where both are seen. A label is given where it is clearly likelier than any other,
+and than none; labels that do not fit what was learned later are taken back.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mosca.data.arrays import Array
+from mosca.labelling.automatic.template import Expectation
+from mosca.labelling.automatic.tracklets import TrackletSet
+
+SOFT_M = 0.005
+"""Standard deviation of a distance on one limb, at least [m]."""
+UNSEEN_SHARE = 0.2
+"""Of what people's motions change a distance, that is not seen in a take yet."""
+TIGHTEST, FEWEST = 6, 3
+"""PersonDistances that decide, the least changing; and how many there must be."""
+ROOM_M = 0.3
+"""PersonDistances of a point of no marker are spread by this [m]."""
+DIMENSIONS = 3
+"""A point's position has so many numbers, however many distances tell it."""
+BOUND = 25.0
+ROWS = 12
+"""Frames of a tracklet that are compared."""
+RIVAL = 3.0
+"""TrackletSet of one label at once, whose log likelihood ratios differ by less: none has it."""
+ROUNDS = 20
+
+
+@dataclass(frozen=True, eq=False)
+class PersonDistances:
+    """A person's distances (m, m), NaN where two markers were not seen together."""
+
+    mean_m: Array
+    sigma_m: Array
+
+
+class Labelling:
+    """Which tracklet has which label, while it changes."""
+
+    def __init__(self, tracklets: TrackletSet, expected: Expectation) -> None:
+        self.tracklets, self.expected = tracklets, expected
+        self.label = np.full(len(tracklets), -1)
+        self.probability = np.zeros(len(tracklets))
+        self.xyz = np.full((tracklets.frames, len(expected.mean_m), 3), np.nan)
+
+    def give(self, k: int, marker: int, probability: float = 1.0) -> None:
+        """Label tracklet ``k`` (-1: take its label away)."""
+        part = self.tracklets.part(k)
+        if self.label[k] >= 0:
+            self.xyz[self.tracklets.row[part], self.label[k]] = np.nan
+        if marker >= 0:
+            self.xyz[self.tracklets.row[part], marker] = self.tracklets.xyz[part]
+        self.label[k], self.probability[k] = marker, probability
+
+    def busy(self, k: int) -> Array:
+        """Return which markers (m,) another tracklet is in some frame of ``k``."""
+        out = np.isfinite(self.xyz[self.tracklets.row[self.tracklets.part(k)], :, 0]).any(axis=0)
+        if self.label[k] >= 0:
+            out[self.label[k]] = False
+        return np.asarray(out)
+
+    def distances(self) -> PersonDistances:
+        """Return what the labelled tracklets show."""
+        some = self.xyz[:: max(1, len(self.xyz) // 400)]
+        m = some.shape[1]
+        mean, sigma = np.full((m, m), np.nan), np.full((m, m), np.inf)
+        for k in range(m):
+            away = np.linalg.norm(some - some[:, k : k + 1], axis=2)
+            there = np.isfinite(away)
+            count = np.where(there.any(axis=0), there.sum(axis=0), np.nan)
+            mean[k] = np.where(there, away, 0.0).sum(axis=0) / count
+            sigma[k] = np.sqrt(np.where(there, (away - mean[k]) ** 2, 0.0).sum(axis=0) / count)
+        sigma = np.where(self.expected.same, sigma, np.hypot(sigma, UNSEEN_SHARE * self.expected.moved_m))
+        sigma = np.hypot(sigma, SOFT_M)
+        sigma[np.isnan(mean) | np.eye(m, dtype=bool)] = np.inf
+        return PersonDistances(mean, sigma)
+
+    def ratios(self, k: int, known: PersonDistances) -> Array:
+        """Return the log likelihood ratio (m,) of tracklet ``k`` as each marker, against none; -inf where unknown."""
+        part = self.tracklets.part(k)
+        rows, xyz = self.tracklets.row[part], self.tracklets.xyz[part]
+        step = max(1, len(rows) // ROWS)
+        others = self.xyz[rows[::step]].copy()
+        if self.label[k] >= 0:
+            others[:, self.label[k]] = np.nan
+        away = np.linalg.norm(others - xyz[::step, None], axis=2)
+        there = np.isfinite(away)
+        count = there.sum(axis=0)
+        seen = np.flatnonzero(count >= max(1, 0.3 * len(away)))
+        if len(seen) < FEWEST:
+            return np.full(len(known.mean_m), -np.inf)
+        first = np.where(there, away, 0.0).sum(axis=0)[seen] / count[seen]
+        second = np.where(there, away**2, 0.0).sum(axis=0)[seen] / count[seen]
+        mean, sigma = known.mean_m[:, seen], known.sigma_m[:, seen]
+        tight = np.argsort(sigma, axis=1)[:, :TIGHTEST]
+        mean, sigma = np.take_along_axis(mean, tight, axis=1), np.take_along_axis(sigma, tight, axis=1)
+        good = np.isfinite(sigma)
+        cost = (second[tight] - 2 * mean * first[tight] + mean**2) / np.where(good, sigma, 1.0) ** 2
+        each = np.where(good, -0.5 * np.minimum(cost, BOUND) - np.log(np.where(good, sigma, 1.0) / ROOM_M), 0.0)
+        enough = good.sum(axis=1)
+        return np.where(enough >= FEWEST, DIMENSIONS * each.sum(axis=1) / np.maximum(enough, 1), -np.inf)
+
+
+def spread(labelling: Labelling, sure: float) -> None:
+    """Give labels to tracklets that have none, where their probability is ``sure`` or more."""
+    for _ in range(ROUNDS):
+        known = labelling.distances()
+        _take_back(labelling, known, sure)
+        wanted: list[tuple[float, float, int, int]] = []
+        for k in np.flatnonzero(labelling.label < 0).tolist():
+            ratios = np.where(labelling.busy(k), -np.inf, labelling.ratios(k, known))
+            probability, marker = _best(ratios)
+            if probability >= sure:
+                wanted.append((float(ratios[marker]), probability, k, marker))
+        if not _give_best(labelling, wanted):
+            return
+
+
+def _best(ratios: Array) -> tuple[float, int]:
+    """Return probability and index of the likeliest marker, against the others and none."""
+    marker = int(ratios.argmax())
+    if not np.isfinite(ratios[marker]):
+        return 0.0, marker
+    top = max(float(ratios[marker]), 0.0)
+    total = np.exp(-top) + np.exp(ratios - top).sum()
+    return float(np.exp(ratios[marker] - top) / total), marker
+
+
+def _give_best(labelling: Labelling, wanted: list[tuple[float, float, int, int]]) -> int:
+    """Give labels, the likeliest first, where no tracklet of the same frames is nearly as likely; return how many."""
+    given = 0
+    by_marker: dict[int, list[tuple[float, int]]] = {}
+    for ratio, _, k, marker in wanted:
+        by_marker.setdefault(marker, []).append((ratio, k))
+    rows = labelling.tracklets.row
+    for ratio, probability, k, marker in sorted(wanted, key=lambda one: -one[0]):
+        if labelling.busy(k)[marker]:
+            continue
+        own = rows[labelling.tracklets.part(k)]
+        rivals = (
+            other != k and abs(theirs - ratio) < RIVAL and labelling.label[other] < 0
+            and len(np.intersect1d(own, rows[labelling.tracklets.part(other)], assume_unique=True)) > 0
+            for theirs, other in by_marker[marker]
+        )  # fmt: skip
+        if not any(rivals):
+            labelling.give(k, marker, probability)
+            given += 1
+    return given
+
+
+def _take_back(labelling: Labelling, known: PersonDistances, sure: float) -> None:
+    """Take labels away that another, or none, fits better by what is known now."""
+    for k in np.flatnonzero(labelling.label >= 0).tolist():
+        ratios = labelling.ratios(k, known)
+        own = ratios[labelling.label[k]]
+        if not np.isfinite(own):
+            continue
+        free = np.where(labelling.busy(k), -np.inf, ratios)
+        probability, marker = _best(free)
+        if marker != labelling.label[k] or own < 0:
+            labelling.give(k, -1)
+        else:
+            labelling.probability[k] = probability
