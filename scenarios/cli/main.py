@@ -18,10 +18,12 @@ import click
 from mosca import __version__
 from mosca.errors import InputError, MoscaError
 from scenarios.cli import capture as cli_capture
+from scenarios.cli import edit as cli_edit
 from scenarios.cli import lab as cli_lab
 from scenarios.cli import live as cli_live
 from scenarios.cli import motion as cli_motion
 from scenarios.cli import rig as cli_rig
+from scenarios.cli import skeleton as cli_skeleton
 from scenarios.cli import station as cli_station
 from scenarios.cli import tracks as cli_tracks
 from scenarios.cli.options import FILE, OUT_FILE, OUT_FOLDER, OutFile, log_to_stderr, print_table, table
@@ -277,6 +279,8 @@ cli.add_command(cli_tracks.reconstruct)
 cli.add_command(cli_tracks.labels)
 cli.add_command(cli_tracks.bodies)
 cli.add_command(cli_tracks.zones)
+cli.add_command(cli_skeleton.skeleton)
+cli.add_command(cli_edit.edit)
 cli.add_command(cli_live.live)
 cli.add_command(cli_motion.motion)
 cli.add_command(cli_rig.calibrate)
