@@ -26,6 +26,8 @@ class MetricKind(NamedTuple):
     """The value that it should have, where neither less nor more is better: what is farther off is worse."""
     speed: bool = False
     """Whether it depends on the machine."""
+    shown_in: str = ""
+    """Unit in which pages always show it; "": the one that reads best."""
 
     @property
     def highest(self) -> float:
@@ -57,6 +59,15 @@ METRICS = {
     "body_position_rms": MetricKind("m", "at_most", "length", "root_mean"),
     "body_angle_rms": MetricKind("rad", "at_most", "angle", "root_mean"),
     "body_completeness": MetricKind("1", "at_least", "share"),
+    "joint_center_rms": MetricKind("m", "at_most", "length", "root_mean"),
+    "joint_angle_rms": MetricKind("rad", "at_most", "angle", "root_mean", shown_in="deg"),
+    "joint_center_nees": MetricKind("1", "at_most", "ratio", wanted=3.0),
+    "joint_angle_nees": MetricKind("1", "at_most", "ratio", wanted=3.0),
+    "joint_center_coverage95": MetricKind("1", "at_least", "share", wanted=0.95),
+    "joint_angle_coverage95": MetricKind("1", "at_least", "share", wanted=0.95),
+    "joint_completeness": MetricKind("1", "at_least", "share"),
+    "label_f1": MetricKind("1", "at_least", "share"),
+    "label_switches": MetricKind("1", "at_most", "count"),
     "reprojection_rms": MetricKind("px", "at_most", "image", "root_mean"),
     "calibration_rays_rms": MetricKind("px", "at_most", "image", "root_mean"),
     "calibration_volume_rms": MetricKind("m", "at_most", "length", "root_mean"),

@@ -1,6 +1,7 @@
 """The page of a run: one self-contained HTML file that opens offline, and the comparison of several runs."""
 
 import json
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -46,6 +47,7 @@ def write_page(path: Path, record: RunRecord, evidence: Evidence) -> None:
         ],
         premises=[_premise_row(name, value) for name, value in record.premises.items()],
         pictures=pictures(record, evidence),
+        joints=[_joint_row(name, one) for name, one in record.joints.items()],
         counts=[(_words(name), _plain(value)) for name, value in {**record.counts, **record.source_account}.items()],
         cameras=[
             _camera_row(name, one, record.counts.get("expected_sets"))
@@ -74,6 +76,19 @@ def _camera_row(name: str, one: Mapping[str, Any], expected: int | None) -> tupl
         f"{100 * one['connected']:.1f} %",
         f"{100 * one['missing']:.1f} % missing" if expected is None else f"{one['delivered']} of {expected}",
         clock,
+    )
+
+
+def _joint_row(name: str, one: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return a row of the joints' table: name, centre, its NEES, rotation about x, y, z, its NEES, both found."""
+    place, turn = one.get("center_rms_m"), one.get("angle_rms_rad")
+    return (
+        _words(name),
+        "–" if place is None else f"{1e3 * place:.2f} mm",
+        _plain(one.get("center_nees")),
+        "–" if turn is None else ", ".join(f"{math.degrees(value):.2f}" for value in turn) + " deg",
+        _plain(one.get("angle_nees")),
+        *(f"{100 * one[key]:.1f} %" if key in one else "–" for key in ("center_completeness", "angle_completeness")),
     )
 
 

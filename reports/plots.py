@@ -9,6 +9,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormat
 from mosca.data.arrays import Array
 from reports.evidence import ErrorTable, Evidence, true_positions
 from reports.images import camera_picture
+from reports.joint_plots import angles_picture
 from reports.plot_style import (
     AXIS_COLOURS,
     BLUE,
@@ -61,6 +62,8 @@ def _pictures(record: RunRecord, evidence: Evidence) -> Iterator[Picture]:
         yield volume
     if evidence.errors is not None and len(evidence.truth_names):
         yield completeness_picture(record, evidence)
+    if evidence.angles is not None and evidence.angles.names and len(evidence.angles):
+        yield angles_picture(evidence.angles, evidence.true_angles)
     for i, view in enumerate(evidence.views[:MOST_VIEWS]):
         yield camera_picture(view, f"camera{i}")
 

@@ -90,6 +90,9 @@ class RunRecord:
     cameras: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     """Name -> residual, error besides detection noise, shares connected and missing, clock offset, counts of
     frames; of a continuous run the counts alone."""
+    joints: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    """Joint of a person -> rms error of its centre [m] and of its rotation's three components [rad], NEES, share of
+    the errors in the 95 % ellipsoid, share of the frames in which it was found; empty where there is none."""
     timings: Mapping[str, float] = field(default_factory=dict)
     """Seconds, the only part that differs between two runs of the same seed and code."""
     provenance: Mapping[str, Any] = field(default_factory=dict)

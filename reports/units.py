@@ -9,7 +9,8 @@ from reports.metrics import kind_of
 def shown(values: Sequence[float], unit: str, name: str = "") -> tuple[tuple[float, ...], str]:
     """Return ``values`` of one row in the unit that reads best, and that unit's name.
 
-    m below 0.5 m become mm, s below 1 s ms, rad below 0.1 rad mrad, shares percent; px and others stay. All
+    m below 0.5 m become mm, s below 1 s ms, rad below 0.1 rad mrad (angles of joints degrees), shares percent; px and
+    others stay. All
     values of a row share a unit, chosen by the first.
     """
     factor, text = _scale(abs(values[0]) if values else 0.0, unit, name)
@@ -21,10 +22,12 @@ def _scale(size: float, unit: str, name: str) -> tuple[float, str]:
         return 1e3, "mm"
     if unit == "s" and size < 1.0:
         return 1e3, "ms"
+    kind = kind_of(name)
+    if unit == "rad" and kind is not None and kind.shown_in == "deg":
+        return 180 / math.pi, "deg"
     if unit == "rad" and size < 0.1:
         return 1e3, "mrad"
     if unit == "1":
-        kind = kind_of(name)
         return (100.0, "%") if kind is not None and kind.quantity == "share" else (1.0, "")
     return 1.0, unit
 

@@ -13,6 +13,7 @@ from mosca.data.arrays import Array
 from mosca.data.bodies import BodyPoses, RigidBody
 from mosca.data.detections import Detections
 from mosca.data.frames import FrameSource
+from mosca.data.joint_motion import JointMotion
 from mosca.data.rig import Rig
 from mosca.data.tracks import Tracks
 from mosca.data.truth import Truth
@@ -120,6 +121,8 @@ class Collected:
 class TruthPairs:
     """Measured samples paired with true markers, over all frames (t) and markers (m)."""
 
+    row: Array
+    """Of each pair (k,): index of its sample in the tracks."""
     frame: Array
     """Of each pair (k,): index of its instant in the truth."""
     marker: Array
@@ -186,6 +189,10 @@ class MeasuredTracks:
     poses: BodyPoses | None = None
     calibration_m2: Callable[[Array], Array] | None = None
     """Covariance (n, 3, 3) [m^2] that the error of the run's own calibration adds to points (n, 3) [m]."""
+    joints: JointMotion | None = None
+    """Of the scene's person."""
+    labelled: Tracks | None = None
+    """Its tracks, where their labels were found and not the truth's."""
     nominal: Rig | None = None
     """The standing cameras with the pipeline's lens model fitted to the true lenses, where these are known."""
 
@@ -201,5 +208,7 @@ class Scored:
     truth: Truth | None
     """In the same frame; None without a truth."""
     pairs: TruthPairs | None
+    joints: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    """Joint -> its own figures (``scenarios.score.people.joint_table``)."""
     not_judged: tuple[str, ...] = ()
     """Limited metrics that need more than there is."""

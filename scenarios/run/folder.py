@@ -70,6 +70,7 @@ def _files(result: RunResult, rrd: Path | None) -> dict[str, Callable[[Path], ob
         "tracks.csv": lambda path: write_tracks_csv(result.tracks, path),
         "bodies.csv": None if (poses := result.poses) is None else lambda path: write_bodies_csv(poses, path),
         "commands.csv": None if result.commands is None else lambda path: _write_commands(result.commands, path),
+        **({} if result.person is None else result.person.files()),
         # of a refused calibration its page says why; nobody can measure with it
         "rig.toml": None
         if own is None or own.calibration.refused

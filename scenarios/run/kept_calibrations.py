@@ -1,4 +1,4 @@
-"""Calibrations of sessions, kept by the content of all that goes into them.
+"""Calibrations of sessions, and other results, kept by the content of all that goes into them.
 
 Scenarios whose cameras are the same at rest share one session, and later runs find it: in ``XDG_CACHE_HOME`` or
 ``~/.cache``, under ``mosca-testbench/calibrations``. A file begins with the digest of what follows; one that was cut
@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import fields, is_dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from pydantic import BaseModel
@@ -24,13 +24,14 @@ from mosca.errors import InputError
 from mosca.numba_support.cache import source_stamp
 from scenarios.run.provenance import numerics
 from scenarios.session import estimated
-from scenarios.session.estimated import SessionCalibration
 
 LOG = logging.getLogger(__name__)
 MOST_BYTES = 1 << 28
 """Of a kept calibration that is read."""
 MOST_KEPT = 200
 """Calibrations that are kept, the last used ones (a megabyte each)."""
+SESSION_CODE = Path(estimated.__file__)
+Kept = TypeVar("Kept")
 
 
 def cache_folder() -> Path:
@@ -39,36 +40,45 @@ def cache_folder() -> Path:
     return Path(base) / "mosca-testbench" / "calibrations"
 
 
-def kept(inputs: object, made: Callable[[], SessionCalibration], folder: Path | None = None) -> SessionCalibration:
+def kept(
+    inputs: object,
+    made: Callable[[], Kept],
+    folder: Path | None = None,
+    *,
+    code: Path = SESSION_CODE,
+    most: int | None = None,
+) -> Kept:
     """Return the calibration of these inputs, from ``folder`` or ``made`` now and kept there.
 
     ``inputs``: all that decides it besides the code and the processor: numbers, texts, arrays, dataclasses, tables,
-    and tuples and mappings of these. A process that makes the same one is waited for. Where the folder cannot be
-    written a warning is logged.
+    and tuples and mappings of these; ``code``: the source file that makes it, with all that it imports. A process
+    that makes the same one is waited for. Where the folder cannot be written a warning is logged. ``most`` are kept,
+    without it MOST_KEPT.
     """
     folder = folder or cache_folder()
-    path = folder / f"{key_of(inputs)}.calibration"
+    path = folder / f"{key_of(inputs, code)}.calibration"
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         LOG.warning("%s: calibrations are not kept: %s", folder, error.strerror)
         return made()
     with _one_at_a_time(path.with_suffix(".lock")):
-        if (found := _read(path)) is not None:
+        found: Kept | None = _read(path)
+        if found is not None:
             LOG.info("calibration kept in %s", path)
             return found
         result = made()
         try:
             _write(path, result)
-            _remove_oldest(folder)
+            _remove_oldest(folder, MOST_KEPT if most is None else most)
         except (OSError, InputError) as error:
             LOG.warning("%s: the calibration is not kept: %s", path, error)
         return result
 
 
-def key_of(inputs: object) -> str:
+def key_of(inputs: object, code: Path = SESSION_CODE) -> str:
     """Return a digest of the inputs, of the code and of what else decides last digits."""
-    digest = hashlib.sha256(source_stamp(Path(estimated.__file__)).encode())
+    digest = hashlib.sha256(source_stamp(code).encode())
     _add(digest, (numerics(), inputs))
     return digest.hexdigest()[:32]
 
@@ -96,7 +106,7 @@ def _add(digest: Any, value: object) -> None:
     digest.update(b")")
 
 
-def _read(path: Path) -> SessionCalibration | None:
+def _read(path: Path) -> Any:
     """Return what is kept in a file; None where there is none, or where it is not whole."""
     try:
         content = read_bytes(path, MOST_BYTES)
@@ -107,19 +117,18 @@ def _read(path: Path) -> SessionCalibration | None:
         return None
     with suppress(OSError):  # of a folder that may only be read
         os.utime(path)
-    result: SessionCalibration = pickle.loads(body)
-    return result
+    return pickle.loads(body)
 
 
-def _write(path: Path, result: SessionCalibration) -> None:
+def _write(path: Path, result: object) -> None:
     body = pickle.dumps(result)
     with whole_file(path) as temporary:
         temporary.write_bytes(hashlib.sha256(body).digest() + body)
 
 
-def _remove_oldest(folder: Path) -> None:
+def _remove_oldest(folder: Path, most: int) -> None:
     last_used = sorted(folder.glob("*.calibration"), key=lambda path: path.stat().st_mtime)
-    for path in last_used[:-MOST_KEPT]:
+    for path in last_used[:-most]:
         path.unlink(missing_ok=True)
         path.with_suffix(".lock").unlink(missing_ok=True)
 

@@ -8,10 +8,12 @@ from typing import Any
 import numpy as np
 
 from mosca.data.arrays import Array
+from mosca.data.joint_angles import JointAngles
 from mosca.data.rig import Rig
 from mosca.data.truth import Truth
 from mosca.diagnostics.camera_health import CameraHealth
 from mosca.diagnostics.sensor import Estimate, LearnedSensor
+from mosca.skeleton.isb_angles import isb_angles
 from reports.evidence import CameraView, ErrorTable, Evidence, MarkerCounts
 from reports.metrics import METRICS
 from reports.record import Metric, MetricBlocks, RunRecord
@@ -20,6 +22,7 @@ from scenarios.run.provenance import provenance
 from scenarios.score.controls import control_verdict
 from scenarios.score.delivery import expected_sets, expected_share, frame_losses, losses, weakest
 from scenarios.score.limits import loose_limits
+from scenarios.score.people import true_motion
 from scenarios.score.sensor import StatedSensor
 from scenarios.score.tracks import limits_met
 from scenarios.spec.limits import end_of
@@ -65,6 +68,7 @@ def record_of(
         premises=worth.premises,
         counts=_counts(spec, collected),
         cameras=_cameras(collected),
+        joints=worth.joints,
         source_account=collected.account,
         timings={key: float(value) for key, value in timings.items()},
         rig=_rig_words(spec),
@@ -194,8 +198,8 @@ def health_record(one: CameraHealth) -> dict[str, Any]:
     }
 
 
-def evidence_of(spec: Scenario, rig: Rig, worth: Scored) -> Evidence:
-    """Return what the page shows; without a truth the tracks alone."""
+def evidence_of(spec: Scenario, rig: Rig, worth: Scored, angles: JointAngles | None = None) -> Evidence:
+    """Return what the page shows; without a truth the tracks alone. ``angles``: of the scene's person."""
     collected, truth, pairs = worth.collected, worth.truth, worth.pairs
     base = Evidence(
         rig,
@@ -203,6 +207,10 @@ def evidence_of(spec: Scenario, rig: Rig, worth: Scored) -> Evidence:
         np.array(spec.working_space.size_m),
         collected.tracks,
         collected.views,
+        angles=angles,
+        true_angles=None
+        if angles is None or truth is None or truth.joints is None
+        else isb_angles(true_motion(truth)),
     )
     if truth is None or pairs is None:
         return base

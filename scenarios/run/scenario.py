@@ -18,6 +18,7 @@ from mosca.errors import CalibrationError, InputError
 from mosca.pipeline import PipelineSettings
 from mosca.rigid_bodies.ambiguity import check_bodies
 from mosca.rigid_bodies.tracker import body_poses, labelled_by_bodies
+from mosca.skeleton.marker_frames import MarkerFrames
 from mosca.synchronisation import Assembly
 from reports.evidence import Evidence
 from reports.record import RunRecord
@@ -27,8 +28,10 @@ from scenarios.build.frame_sources import account, device_notes, patient
 from scenarios.build.frame_sources import opened as opened_source
 from scenarios.build.scene import build_scene, pipeline_settings
 from scenarios.build.worn_rig import worn_cameras, worn_rig, worn_settings
+from scenarios.run.calibration_take import calibration_take
 from scenarios.run.continuous import collect_continuous
 from scenarios.run.kept_calibrations import kept
+from scenarios.run.people import Person, person_of
 from scenarios.run.pipeline import collected_of, recorded
 from scenarios.run.postprocess import with_gaps_filled
 from scenarios.run.precompile import PIPELINE, compile_side_by_side, compiling
@@ -65,6 +68,8 @@ class RunResult:
     """The calibration of the scenario's own session."""
     poses: BodyPoses | None = None
     """Poses of the scenario's rigid bodies."""
+    person: Person | None = None
+    """The scene's person, where the scenario has a skeleton."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,6 +110,7 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
             if spec.expect == "caught":
                 return _refused(spec, name, options, built.known, timings, reported, own)
         believed = with_fault(built.known.rig if own is None else own.calibration.rig, spec.fault)
+        movement = _movement(spec, folder, built, believed, options, timings)
         opened = _opened(spec, built, options)
         stack.enter_context(opened.source)
         if opened.twin is not None:
@@ -134,6 +140,11 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
         if opened.twin is not None and isinstance(truth, Truth) and options.record_to is not None:
             write_truth(truth, options.record_to / "truth.npz")
 
+        person: Person | None = None
+        if spec.skeleton is not None and isinstance(truth, Truth) and len(collected.tracks):
+            with _timed(timings, "skeleton"):
+                person = person_of(spec, collected.tracks, truth, movement)
+
         def synchronous() -> Tracks:
             again = replace(options, record_to=None)
             return collected_of(opened.source, opened.twin, believed, opened.settings, spec, again, stack).tracks
@@ -141,9 +152,11 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
         with _timed(timings, "score"):
             calibration_m2 = None if own is None else own.covariance_m2
             names = built.known.rig.names
+            joints, labelled = (None, None) if person is None else person.scored(spec)
             measured = MeasuredTracks(
-                collected, believed, names, synchronous, continuous, bodies, poses, calibration_m2, built.known.rig
-            )
+                collected, believed, names, synchronous, continuous, bodies, poses, calibration_m2, joints,
+                labelled, built.known.rig,
+            )  # fmt: skip
             worth = scored(spec, name, measured, truth, opened.twin, built.scene)
             collected = worth.collected
             scores = _all_scores(spec, worth, poses, timings, own)
@@ -153,11 +166,11 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
             written, collected.assembly.notes["filled"] = with_gaps_filled(written, spec.pipeline.fill_s)
     timings |= collected.seconds
     record = record_of(spec, name, options.source, replace(worth, scores=scores), timings, built.known)
-    evidence = evidence_of(spec, believed, worth)
+    evidence = evidence_of(spec, believed, worth, None if person is None else person.angles)
     if continuous is not None:
         evidence = as_worn(evidence, spec, continuous)
     commands = None if built.scene is None else built.scene.commands
-    return RunResult(record, evidence, written, worth.truth, commands, own, poses)
+    return RunResult(record, evidence, written, worth.truth, commands, own, poses, person)
 
 
 def _built(spec: Scenario, folder: Path, options: RunOptions) -> _Built:
@@ -170,6 +183,16 @@ def _built(spec: Scenario, folder: Path, options: RunOptions) -> _Built:
         known, settings = calibrated(spec, cameras), pipeline_settings(spec)
     scene = build_scene(spec, folder) if options.source == "twin" else None
     return _Built(rig, cameras, known, settings, scene)
+
+
+def _movement(
+    spec: Scenario, folder: Path, built: _Built, believed: Rig, options: RunOptions, timings: dict[str, float]
+) -> MarkerFrames | None:
+    """Return the labelled markers of the take to which the skeleton is fitted; None where there is none before."""
+    if spec.skeleton is None or spec.skeleton.fit_to == "take":
+        return None
+    with _timed(timings, "calibration_take"):
+        return calibration_take(spec, folder, built.cameras, believed, built.settings, options)
 
 
 def _own_calibration(

@@ -2,6 +2,7 @@
 
 from collections.abc import Collection
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from scenarios.score.bodies import body_scores
 from scenarios.score.continuous import comparison_scores, over_synchronous, scored_apart
 from scenarios.score.cramer_rao import bound, efficiencies, needs_bound, pulses_asked
 from scenarios.score.disturbances import disturbances
+from scenarios.score.people import centre_errors, joint_scores, joint_table, label_scores, rotation_errors
 from scenarios.score.premises import premises_met
 from scenarios.score.reference import JUDGED, ReferenceTrajectories
 from scenarios.score.tracks import BLOCKS, metrics, pair
@@ -36,7 +38,7 @@ def scored(
     """
     collected = measured.collected
     if truth is None:
-        return Scored({}, {}, collected, None, None, not_judged(spec, NEED_NO_TRUTH))
+        return Scored({}, {}, collected, None, None, not_judged=not_judged(spec, NEED_NO_TRUTH))
     if isinstance(truth, ReferenceTrajectories):
         return _beside_reference(spec, measured, truth)
     disturbed = None
@@ -55,9 +57,19 @@ def scored(
         scores |= comparison_scores(spec, measured.continuous, truth, space)
     if measured.poses is not None:
         scores |= body_scores(measured.poses, measured.bodies, truth)
+    joints: dict[str, dict[str, Any]] = {}
+    if measured.joints is not None and truth.joints is not None:
+        centres = centre_errors(measured.joints, truth, measured.calibration_m2)
+        rotations = rotation_errors(measured.joints, truth)
+        scores |= joint_scores(centres, rotations)
+        joints = joint_table(centres, rotations)
+    if measured.labelled is not None:
+        scores |= label_scores(measured.labelled, truth, space)
     if twin is not None and needs_bound(spec.limits):
         scores |= _efficiencies(twin, truth, measured.rig, pairs, collected)
-    return Scored(scores, premises_met(spec, truth, name, disturbed), collected, truth, pairs)
+    # a truth of an older file has no joints
+    unjudged = tuple(name for name in spec.limits if name.startswith("joint_") and truth.joints is None)
+    return Scored(scores, premises_met(spec, truth, name, disturbed), collected, truth, pairs, joints, unjudged)
 
 
 def not_judged(spec: Scenario, judged: Collection[str]) -> tuple[str, ...]:
@@ -77,7 +89,8 @@ def _beside_reference(spec: Scenario, measured: MeasuredTracks, given: Reference
             "time: are its x, y, z in metres and in the rig's world frame, its time_ns on the session's clock?"
         )
     scores = {key: score for key, score in metrics(pairs, space).items() if key in JUDGED}
-    return Scored(scores, {}, collected, truth, pairs, not_judged(spec, (*NEED_NO_TRUTH, *JUDGED)))
+    unjudged = not_judged(spec, (*NEED_NO_TRUTH, *JUDGED))
+    return Scored(scores, {}, collected, truth, pairs, not_judged=unjudged)
 
 
 def _efficiencies(

@@ -34,10 +34,11 @@ def pair(
     a period from every true instant is a ghost of the nearest one. ``calibration``: the covariance (n, 3, 3) [m^2]
     that an estimated calibration's own error gives to points (n, 3) [m]; the error is held against the sum.
     """
-    measured = tracks.select(np.asarray(tracks.status) == "measured")
+    of_measured = np.flatnonzero(np.asarray(tracks.status) == "measured")
+    measured = tracks.select(of_measured)
     frames = len(truth.time_ns)
-    at = _nearest(truth.time_ns, measured.time_ns)
-    in_time = _in_time(truth.time_ns, measured.time_ns, at)
+    at = nearest(truth.time_ns, measured.time_ns)
+    timely = in_time(truth.time_ns, measured.time_ns, at)
     views = (truth.visible >= SEEN_SHARE).sum(axis=2)
     seen_mask = views >= SEEN_CAMERAS
     order = np.argsort(at, kind="stable")
@@ -48,7 +49,7 @@ def pair(
         rows = order[starts[f] : starts[f + 1]]
         known = np.flatnonzero(np.isfinite(truth.xyz[f]).all(axis=1))
         gate[f] = _gate(truth.xyz[f, known], working_space_m)
-        usable = rows[in_time[rows]]
+        usable = rows[timely[rows]]
         mine, theirs = _assign(measured.xyz[usable], truth.xyz[f, known], gate[f])
         theirs = known[theirs]
         ghosts[f] = len(rows) - len(mine)
@@ -66,7 +67,8 @@ def pair(
         covariance = covariance + calibration(measured.xyz[rows])
     nees = np.einsum("ni,ni->n", error, np.linalg.solve(covariance, error[:, :, None])[:, :, 0])
     return TruthPairs(
-        frame, marker, measured.track[rows], error, nees, measured.residual_px[rows], measured.n_cameras[rows],
+        of_measured[rows], frame, marker, measured.track[rows], error, nees, measured.residual_px[rows],
+        measured.n_cameras[rows],
         views[frame, marker], seen_mask.sum(axis=1), missed, ghosts, gate, seen_mask,
     )  # fmt: skip
 
@@ -225,7 +227,8 @@ def _lagrange_weights(seconds: Array) -> Array:
     return weights
 
 
-def _nearest(times: Array, wanted: Array) -> Array:
+def nearest(times: Array, wanted: Array) -> Array:
+    """Return for each wanted time (n,) the index of the nearest of ``times`` (k,), which rise."""
     if len(times) == 0:
         return np.zeros(len(wanted), int)
     right = np.clip(np.searchsorted(times, wanted), 1, max(1, len(times) - 1))
@@ -234,7 +237,8 @@ def _nearest(times: Array, wanted: Array) -> Array:
     return np.where(np.abs(times[left] - wanted) <= np.abs(times[right] - wanted), left, right)
 
 
-def _in_time(times: Array, wanted: Array, at: Array) -> Array:
+def in_time(times: Array, wanted: Array, at: Array) -> Array:
+    """Return whether each wanted time (n,) is within half a period of ``times[at]``."""
     if len(times) < 2:
         return np.ones(len(wanted), bool)
     result: Array = np.abs(times[at] - wanted) <= 0.5 * np.median(np.diff(times))

@@ -36,7 +36,8 @@ from scenarios.spec.cameras import (
 )
 from scenarios.spec.continuous import ContinuousSpec
 from scenarios.spec.limits import breaks_schema, end_of, limits_schema, read_breaks, read_limits
-from scenarios.spec.scenes import GlowSpec, LampsSpec, SceneSpec
+from scenarios.spec.scenes import ActorScene, GlowSpec, LampsSpec, SceneSpec
+from scenarios.spec.skeleton import SkeletonSpec
 from scenarios.spec.stages import StageTables
 
 
@@ -113,8 +114,23 @@ class MovedFault(Table):
     shift_m: Vector = Field(description="where they are believed to stand minus where they do, world frame [m]")
 
 
+class LabelFault(Table):
+    """Labels are swapped, pair by pair, in the take; those that the skeleton was fitted to are right."""
+
+    kind: Literal["swapped_labels"]
+    pairs: tuple[tuple[str, str], ...] = Field(min_length=1, description="of markers; no marker twice")
+
+    @model_validator(mode="after")
+    def _names_each_once(self) -> "LabelFault":
+        names = [name for pair in self.pairs for name in pair]
+        if len(set(names)) < len(names):
+            twice = next(name for name in names if names.count(name) > 1)
+            raise ValueError(f"pairs name '{twice}' twice; give each marker once")
+        return self
+
+
 FaultSpec = Annotated[
-    SwapFault | LensFault | ClockFault | TurnFault | ScaleFault | MovedFault, Field(discriminator="kind")
+    SwapFault | LensFault | ClockFault | TurnFault | ScaleFault | MovedFault | LabelFault, Field(discriminator="kind")
 ]
 
 
@@ -213,6 +229,7 @@ class Scenario(Table):
     fault: FaultSpec | None = None
     pipeline: PipelineSpec = PipelineSpec()
     continuous: ContinuousSpec | None = Field(None, description="cameras that are not synchronised")
+    skeleton: SkeletonSpec | None = Field(None, description="the skeleton of the scene's person, fitted and scored")
     length: tuple[LengthSpec, ...] = Field(
         (), description="certified lengths that are seen, for length_rms and length_max; [[length]]"
     )
@@ -264,8 +281,31 @@ class Scenario(Table):
             )
         if "rigidity_rms" in self.limits and not self.pipeline.bodies:
             raise ValueError("limits.rigidity_rms needs rigid bodies; set pipeline.bodies = true")
+        _check_skeleton(self)
         _check_control(self)
         return self
+
+
+def _check_skeleton(spec: Scenario) -> None:
+    if spec.skeleton is None:
+        for name in spec.limits:
+            if name.startswith(("joint_", "label_")):
+                raise ValueError(f"limits.{name} needs a skeleton; add [skeleton], or take the limit away")
+        if isinstance(spec.fault, LabelFault):
+            raise ValueError("fault.kind = 'swapped_labels' needs the labels of a skeleton; add [skeleton]")
+        return
+    for name in spec.limits:
+        if name.startswith("label_") and spec.skeleton.labels == "truth":
+            raise ValueError(f"limits.{name} needs labels that are found; set skeleton.labels = 'auto'")
+    if not isinstance(spec.scene, ActorScene):
+        raise ValueError(f"[skeleton] with scene.kind = '{spec.scene.kind}': only an 'actor' has one; leave it out")
+    if spec.scene.motion is not None and spec.skeleton.fit_to == "range_of_motion":
+        raise ValueError(
+            f"skeleton.fit_to = 'range_of_motion' with scene.motion = '{spec.scene.motion}': the person of a motion "
+            "file makes no other movement; say fit_to = 'take'"
+        )
+    if spec.continuous is not None:
+        raise ValueError("[skeleton] with [continuous]: poses are those of frame sets; leave one of them out")
 
 
 def _check_control(spec: Scenario) -> None:

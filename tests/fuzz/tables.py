@@ -18,8 +18,10 @@ from mosca.data.motion.bvh import read_bvh
 from mosca.data.motion.joint_csv import read_points_csv
 from mosca.data.motion.motion import Motion, matrices_from_quaternions
 from mosca.data.tracks import Tracks, write_npz
-from mosca.data.truth import Truth, read_truth, write_truth
+from mosca.data.truth import TABLES, JointTruth, Truth, read_truth, write_truth
 from mosca.data.wands import SingleLight
+from mosca.editing.edit_file import read_track_edits
+from mosca.editing.history import TakeFormat, read_edited, write_edited
 from mosca.formats.selfcal_points import read_selfcal_points
 from mosca.formats.tracks.c3d import read_c3d
 from mosca.formats.tracks.marker_table import MarkerTable
@@ -93,6 +95,7 @@ def _truth_seed(folder: Path) -> None:
             np.arange(t) * 10_000_000, ("a", "b", "c"), rng.normal(size=(t, m, 3)), rng.random((t, m, c)),
             ("left", "right"), rng.normal(size=(t, m, c, 2)), rng.random((t, m, c)),
             rng.integers(0, 10**9, (t, c)), rng.normal(size=(t, c, 3, 3)), rng.normal(size=(t, c, 3)),
+            joints=JointTruth(("pelvis", "neck"), rng.normal(size=(t, 2, 3)), rng.normal(size=(t, 2, 4))),
         ),
         folder / "truth.npz",
     )  # fmt: skip
@@ -100,11 +103,20 @@ def _truth_seed(folder: Path) -> None:
 
 def _truth(folder: Path) -> Any:
     truth = read_truth(folder / "truth.npz")
-    return {key: getattr(truth, key) for key in Truth.__dataclass_fields__ if key != "frames"}
+    joints = {} if truth.joints is None else {"joints": vars(truth.joints)}
+    return joints | {key: getattr(truth, key) for key in Truth.__dataclass_fields__ if key not in TABLES}
 
 
 def _table(table: MarkerTable) -> Any:
     return {"names": list(table.names), "xyz": table.xyz, "first": table.first_frame, "rate": table.rate_hz}
+
+
+def _c3d_with_angles(folder: Path) -> None:
+    path = str(folder / "a.c3d")
+    write_tracks(some_tracks(), folder / "a.c3d", 100.0)
+    document = ezc3d.c3d(path)
+    document.add_parameter("POINT", "ANGLES", ["LFHD"])
+    document.write(path)
 
 
 def _c3d_expected(folder: Path) -> Any:
@@ -125,6 +137,12 @@ def _c3d_expected(folder: Path) -> Any:
     for k in range(points.shape[1]):
         label = labels[k] if k < len(labels) and labels[k] else f"point_{k + 1}"
         names.append(label if label not in names else f"{label}_{k + 1}")
+    kinds = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS")
+    others = [str(label).strip() for kind in kinds for label in point.get(kind, {}).get("value", [])]
+    places = [k for k, name in enumerate(names) if name not in others]
+    if not places:
+        raise ValueError("no place")
+    names, xyz = [names[k] for k in places], xyz[:, places]
     return {"names": names, "xyz": xyz, "first": first - 1, "rate": point["RATE"]["value"][0]}
 
 
@@ -492,6 +510,27 @@ def _record_seed(folder: Path) -> None:
     (folder / "a.json").write_bytes(source.read_bytes())
 
 
+EDITS = TakeFormat(read_tracks, lambda tracks, path: write_tracks(tracks, path, 100.0), read_track_edits)
+
+
+def _edited_seed(folder: Path) -> None:
+    frame = np.repeat(np.arange(20), 2)
+    tracks = Tracks(
+        frame, frame * 10_000_000, np.tile([0, 1], 20), np.tile(["A", "B"], 20),
+        np.random.default_rng(0).normal(size=(40, 3)),
+        np.tile(np.eye(3), (40, 1, 1)), np.full(40, 3), np.zeros(40), np.full(40, "measured"),
+    )  # fmt: skip
+    (folder / "e.toml").write_text("[[edit]]\ntrim = { frames = [2, 17] }\n[[edit]]\nfilter = { cutoff_hz = 20 }\n")
+    write_tracks(tracks, folder / "start.csv", 100.0)
+    edited = read_edited(folder / "start.csv", EDITS).edited(read_track_edits(folder / "e.toml"))
+    write_edited(edited, folder / "out.csv", EDITS)
+
+
+def _edited(folder: Path) -> Any:
+    take = read_edited(folder / "out.csv", EDITS).undone(2).take
+    return {name: getattr(take, name) for name in Tracks.__dataclass_fields__}
+
+
 READERS = (
     Reader(
         "tracks.csv",
@@ -506,11 +545,13 @@ READERS = (
         ("tracks.npz",),
         _tracks("tracks.npz"),
     ),
+    Reader("edit record", (_edited_seed,), ("out.csv.edits.npz",), _edited),
     Reader("truth.npz", (_truth_seed,), ("truth.npz",), _truth),
     Reader(
         "c3d",
         (
             lambda folder: write_tracks(some_tracks(), folder / "a.c3d", 100.0),
+            _c3d_with_angles,
             *copied(DATA / "c3d_trc/kineticstoolkit/sample_static.c3d", "a.c3d"),
         ),
         ("a.c3d",),

@@ -18,8 +18,10 @@ from mosca.data.bodies import RigidBody
 from mosca.data.files.rig_file import read_rig, write_rig
 from mosca.data.files.target_file import read_measured_points, read_target_file
 from mosca.data.rig import FisheyeLens, MoscaLens, OpenCVLens, Rig
+from mosca.editing.edit_file import Edits, read_motion_edits, read_track_edits
 from mosca.formats.bodies.body_file import read_bodies, write_bodies
 from mosca.formats.bodies.model_file import read_model
+from mosca.labelling.automatic.template import STANDARD, read_template
 from scenarios.commands.lamp_file import read_lamps
 from scenarios.spec.scenario import load_scenario
 from twin.scenes.user_markers import read_marker_table
@@ -370,6 +372,48 @@ def _lamps_expected(folder: Path) -> Any:
     }
 
 
+TRACK_EDITS = """[[edit]]
+trim = { frames = [2, 48] }
+[[edit]]
+swap = { labels = ["A", "B"], frames = [20, 30] }
+[[edit]]
+rename = { labels = { "#3" = "C" } }
+[[edit]]
+fill = { labels = ["A"], longest_s = 0.2, cluster = ["B", "C", "D"] }
+[[edit]]
+filter = { cutoff_hz = 12.0 }
+[[edit]]
+delete = { labels = ["D"], frames = [3, 4] }
+[[edit]]
+[edit.offset]
+labels = ["A"]
+blend = "linear"
+keyframes = [{ frame = 10, xyz_m = [0, 0, 0.01] }, { frame = 20, xyz_m = [0.0, 0.5, -1e-3] }]
+"""
+MOTION_EDITS = """[[edit]]
+rotate = { joint = "knee", keyframes = [{ frame = 10, rotation_vector_deg = [0, 0, 30] }] }
+[[edit]]
+foot_lock = { leg = ["hip", "knee", "ankle"], contacts = [[3, 9], [20, 30]], blend_s = 0.1 }
+[[edit]]
+retarget = { skeleton = "b.bvh", feet = ["ankle"], joints = { b = "hip" } }
+"""
+
+
+def _edits(read: Callable[[Path], Edits[Any]]) -> tuple[Callable[[Path], Any], Callable[[Path], Any]]:
+    """Return reading and expectation of a file of edits, of the keys that it gives."""
+
+    def both(folder: Path) -> tuple[Any, Any]:
+        edits = read(folder / "a.toml")
+        values = [{n: asdict(one)} for n, one in zip(edits.names, edits.operations, strict=True)]  # type: ignore[call-overload]
+        given = document(folder / "a.toml")["edit"]
+        for one in given:
+            if "retarget" in one:
+                one["retarget"]["skeleton"] = str(folder / one["retarget"]["skeleton"])
+        return as_given(values, given)
+
+    return (lambda folder: both(folder)[0]), (lambda folder: both(folder)[1])
+
+
 MARKERS = (
     "name,body,x,y,z,diameter,kind\na,base,0.1,0.2,0.3,0.012,ball\nb,base,1e-2,-0.2,0,,flat\nc,arm,0,0,1.5,0.02,\n"
 )
@@ -411,6 +455,29 @@ def _scenario(name: str) -> Callable[[Path], None]:
     return toml_seed((ROOT / "scenarios/library" / f"{name}.toml").read_text(encoding="utf-8"))
 
 
+def _template(folder: Path) -> Any:
+    read = read_template(folder / "a.toml")
+    middle = [k for k, name in enumerate(read.names) if read.other_side[k] == k and name]
+    return {
+        "names": sorted(read.names),
+        "place": {read.names[k]: read.place_m[k] for k in middle},
+        "share": {read.names[k]: read.share[k] for k in range(len(read.names))},
+        "segments": {read.names[k]: read.segment_names[read.segment[k]] for k in middle},
+    }
+
+
+def _template_expected(folder: Path) -> Any:
+    marks = document(folder / "a.toml")["marker"]
+    both = [(name, one) for one in marks for name in (one["name"], one.get("other_side")) if name is not None]
+    alone = [one for one in marks if one.get("other_side") is None]
+    return {
+        "names": sorted(name for name, _ in both),
+        "place": {one["name"]: np.array(one["place_m"], float) for one in alone},
+        "share": {name: one.get("share", 0.97) for name, one in both},
+        "segments": {one["name"]: one["segment"] for one in alone},
+    }
+
+
 FILES = ("a.toml",)
 READERS = (
     Reader("rig", (_rig_seed,), FILES, lambda folder: values_of(read_rig(folder / "a.toml")), _rig_expected),
@@ -422,8 +489,13 @@ READERS = (
     Reader("measured points", (_points_seed,), ("a.toml", "left.txt"), _points, _points_expected),
     Reader("bodies", (_bodies_seed,), FILES, _bodies, _bodies_expected),
     Reader("marker model", (toml_seed(MODEL),), FILES, _model, _model_expected),
+    Reader(
+        "marker template", (toml_seed(STANDARD.read_text(encoding="utf-8")),), FILES, _template, _template_expected
+    ),
     Reader("scenario", tuple(map(_scenario, ("spaces/space_1m", "delivery/bursts"))), FILES, *_models(load_scenario)),
     Reader("program", (toml_seed(PROGRAM),), FILES, *_models(read_program)),
     Reader("lamps", (toml_seed(LAMPS),), FILES, _lamps, _lamps_expected),
+    Reader("track edits", (toml_seed(TRACK_EDITS),), FILES, *_edits(read_track_edits)),
+    Reader("motion edits", (toml_seed(MOTION_EDITS),), FILES, *_edits(read_motion_edits)),
     Reader("marker table", (toml_seed(MARKERS, "a.csv"),), ("a.csv",), _markers, _markers_expected),
 )

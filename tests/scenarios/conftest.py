@@ -42,6 +42,7 @@ def lab_folder(tmp_path_factory):
     (lab / "empty.toml").write_text("")
     (lab / "other.toml").write_text('title = "x"\n')
     (lab / "background.toml").write_text("[background]\nkind = 'mean'\n")
+    (lab / "edits.toml").write_text("[[edit]]\ntrim = { frames = [0, 99] }\n")
     (lab / "file.txt").write_text("mine")
     (lab / "bad.mcap").write_bytes(b"123")
     (lab / "bad.npz").write_bytes(b"PK\x03\x04 no")

@@ -125,8 +125,8 @@ def test_other_bad_input(tmp_path):
     "verb",
     [
         "run", "suite", "list", "new", "reconstruct", "calibrate", "report", "view", "schema", "rig check",
-        "live", "zones", "labels learn", "labels apply", "capture", "twin serve", "station detect",
-        "station reconstruct", "bodies learn", "bodies find",
+        "live", "zones", "labels learn", "labels apply", "labels auto", "capture", "twin serve", "station detect",
+        "station reconstruct", "bodies learn", "bodies find", "edit",
     ],
 )  # fmt: skip
 def test_every_verb_has_help_with_an_example(verb, tmp_path):

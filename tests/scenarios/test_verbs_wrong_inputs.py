@@ -180,6 +180,10 @@ LEARN = "labels learn left.csv --out new.toml "
         ("labels apply left.csv --out new.csv --model none.toml", "none.toml: no such file"),
         ("labels apply left.csv --out new.csv --model rig.toml", "rig.toml: is a rig file, not a marker model"),
         ("labels apply left.csv --out new.xyz --model rig.toml", "suffix '.xyz' given"),
+        ("labels auto left.csv --out new.csv --set helen", "set 'helen' given; it has plug-in-gait, cmu"),
+        ("labels auto left.csv --out new.csv --set rig.toml", "rig.toml: is a rig file, not a marker template"),
+        ("labels auto left.csv --out new.csv --model new.txt", "suffix '.txt' given; a marker model is a .toml file"),
+        ("labels auto left.csv --out new.csv", "left.csv: no track can be named; z must be up"),
     ],
 )
 def test_zones_and_labels(refused, given, told):
