@@ -31,7 +31,7 @@ ROUNDS, ITERATIONS = 8, 12
 LEAST_REDUNDANCY = 0.1
 POOLED = 20.0
 """Degrees of freedom that the median over all markers counts in each marker's movement on the skin."""
-SIGNIFICANT = 2.0
+SIGNIFICANT = 3.0
 """Standard deviations by which residuals must exceed the measurement's covariance to be movement on the skin."""
 POSTURES = 6.0
 """Independent postures of a take for a marker on moving skin: it slides as the neighbouring joint's three rotations

@@ -39,6 +39,12 @@ class ActorScene(Table):
     skin: Literal["off", "moderate", "strong"] = Field(
         "off", description="how far the markers slide on the bones (soft tissue; docs/people.md has millimetres)"
     )
+    seat_sigma_m: float = Field(
+        0.0,
+        ge=0,
+        le=0.02,
+        description="how far markers sit from their set's places, along the skin (standard deviation) [m]",
+    )
     marker_diameter_m: Positive = Field(0.016, description="diameter of the ball markers [m]")
 
     @model_validator(mode="after")

@@ -306,3 +306,22 @@ def test_other_errors(tmp_path: Path) -> None:
     )
     with pytest.raises(InputError, match=r"no joint for abdomen \(upperback or .*the file has hip, hip_end"):
         _walker(motion_file=bvh)
+
+
+def test_markers_sit_where_other_hands_put_them():
+    """Off by the stated sigma along the skin, by half across it; alike in all actions of a seed."""
+
+    def made(action, sigma_m):
+        box = {"box_center_m": [0, 0, 1.3], "box_size_m": [4, 4, 2.8]}
+        return build_actor(
+            duration_s=0.2, **box, rng=np.random.default_rng(3), action=action, seat_sigma_m=sigma_m
+        )  # fmt: skip
+
+    nominal, again, other = made("walk", 0.0), made("walk", 0.005), made("dance", 0.005)
+    geoms = list(nominal.marker_geoms)
+    moved = again.model.geom_pos[geoms] - nominal.model.geom_pos[geoms]
+    np.testing.assert_array_equal(again.model.geom_pos[geoms], other.model.geom_pos[geoms])
+    # 50 markers: two coordinates of 5 mm and one of 2.5, so 7.5 mm in the root mean square, to a tenth by chance
+    assert 0.0060 < np.sqrt(np.mean(np.sum(moved**2, axis=1))) < 0.0090
+    with pytest.raises(InputError, match="seat_sigma_m = 1 given"):
+        made("walk", 1)

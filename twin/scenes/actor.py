@@ -18,7 +18,7 @@ from mosca.data.motion.motion import Motion, rest_positions
 from mosca.errors import InputError
 from twin.scenes.actions import ACTIONS, Action, ActionName, act
 from twin.scenes.actor_joints import hinge_axes, joint_frames, recorded_axes
-from twin.scenes.actor_markers import MarkerSet, Seat, seats
+from twin.scenes.actor_markers import MarkerSet, Seat, scattered, seats
 from twin.scenes.actor_recording import placed, played, read
 from twin.scenes.anatomy import Anatomy, limb_shapes, read_anatomy
 from twin.scenes.emission import ALL_SIDES_DEG, Blink, Glow
@@ -67,6 +67,7 @@ def build_actor(
     markers: int = 50,
     marker_set: MarkerSet = "default",
     skin: Skin = "off",
+    seat_sigma_m: float = 0.0,
     marker_diameter_m: float = 0.016,
     lamps: tuple[BodyLamp, ...] = (),
     floor: bool = True,
@@ -79,8 +80,8 @@ def build_actor(
         Length of the scene, working space ((3,) each), and whether there is a floor.
     markers, marker_set, marker_diameter_m, lamps
         Number (30..60 of the default set), set and size of the markers; lamps of worn cameras, which come after them.
-    skin
-        How far markers slide on the bones (``soft_tissue``).
+    skin, seat_sigma_m
+        How far markers slide on the bones (``soft_tissue``), and sit from where they should (``scattered``).
     rng
         Draws start and first step of a walk, the loops of the other actions, and the skin.
     motion_file, skeleton_file, start_s
@@ -106,14 +107,13 @@ def build_actor(
         motion = placed(motion, anatomy, box, start_s, duration_s, placement, heading_deg, keep_in_box, name)
         flexion = recorded_axes(anatomy, played(motion, start_s, duration_s))
     shapes = limb_shapes(anatomy)
-    seated = seats(anatomy, shapes, markers, marker_set)
+    seated = scattered(seats(anatomy, shapes, markers, marker_set), seat_sigma_m, rng.spawn(1)[0])
     spec, joints = _specify(anatomy, shapes, seated, marker_diameter_m, floor, slides=_is_soft(skin))
     _wear(spec, lamps)
     names = (*(seat.name for seat in seated), *(lamp.name for lamp in lamps))
     model, geoms = compiled(spec, names)
-    path: BuiltInConfiguration | SplinePath | SoftTissue
     if motion_file is not None:
-        path = _recorded(model, joints, motion, start_s)
+        path: BuiltInConfiguration | SplinePath | SoftTissue = _recorded(model, joints, motion, start_s)
     elif action == "walk":
         moved = walk(anatomy.skeleton, gait, box.center[:2], box.size[:2] / 2, speed_mps, rng, gait_detail)
         path = _built_in(moved, model, joints)
