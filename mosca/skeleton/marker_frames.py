@@ -58,7 +58,7 @@ def marker_frames(tracks: Tracks, labels: Sequence[str]) -> MarkerFrames:
     covariance = np.zeros((len(frame), len(labels), 3, 3))
     column_of = {label: k for k, label in enumerate(labels)}
     names, which = np.unique(tracks.label, return_inverse=True)
-    column = np.array([column_of.get(short_label(name), -1) for name in names.tolist()])[which]
+    column = np.array([column_of.get(short_label(name), -1) for name in names.tolist()], dtype=np.int64)[which]
     known = np.where(np.isfinite(tracks.covariance), tracks.covariance, 0.0)
     used = np.flatnonzero((column >= 0) & (tracks.status == "measured"))
     used = used[np.argsort(-np.trace(known[used], axis1=1, axis2=2), kind="stable")]

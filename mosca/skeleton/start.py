@@ -39,7 +39,7 @@ def size_of(model: SkeletonModel, frames: MarkerFrames, source: str) -> float:
     if not SIZES[0] < size < SIZES[1]:
         raise InputError(
             f"{source}: the subject would be {size:.3g} times the model's size; {SIZES[0]} to {SIZES[1]} is a "
-            "person's; are the coordinates in metres?"
+            "person's. Are the coordinates in metres?"
         )
     return size
 

@@ -51,7 +51,8 @@ LENSES = [
     lens=st.sampled_from(LENSES),
     x=st.floats(-3, 3),
     y=st.floats(-3, 3),
-    z=st.one_of(st.floats(-1, -1e-3), st.floats(1e-3, 3), st.just(1.0)),
+    # nearer to 90 degrees the powers of x / z in a lens lose more digits than the tolerance has
+    z=st.one_of(st.floats(-1, -1e-2), st.floats(1e-2, 3), st.just(1.0)),
 )
 @settings(max_examples=400, deadline=None)
 def test_the_lens_that_is_adjusted_is_that_of_projection(lens, x, y, z):

@@ -5,10 +5,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from mosca.data.motion.motion import forward_kinematics, matrices_from_quaternions
+from mosca.data.tracks import Tracks
 from mosca.skeleton.anatomical_axes import axes_from
 from mosca.skeleton.fit import fit_subject
 from mosca.skeleton.kernels import PoseEquations, fill_equations
-from mosca.skeleton.marker_frames import MarkerFrames
+from mosca.skeleton.marker_frames import MarkerFrames, marker_frames
 from mosca.skeleton.model import HUMAN, Kinematics, read_skeleton_model
 from mosca.skeleton.pose import solve_pose
 from mosca.skeleton.skin import common_modes
@@ -256,3 +257,7 @@ def test_frames_with_too_few_markers_have_no_pose(model, fitted):
     assert np.isfinite(found.q[[0, 2]]).all()
     assert np.isnan(found.q[1]).all()
     assert np.isnan(found.joints.centre[1]).all()
+
+
+def test_no_tracks_are_no_frames():
+    assert len(marker_frames(Tracks.none(), ("LASI", "RASI"))) == 0

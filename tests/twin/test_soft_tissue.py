@@ -179,7 +179,10 @@ def test_a_jump_sets_thighs_ringing(jumper: Scene) -> None:
 
 
 def test_slow_wobble_is_the_bones_acceleration_over_the_square_of_the_frequency(jumper: Scene) -> None:
-    """Below its resonance tissue lags behind the bone by a / w^2: along -a, by 1.1 to 2.6 mm at 10 m/s^2."""
+    """Below its resonance tissue lags behind the bone by a / w^2: along -a, by 1.1 to 2.6 mm at 10 m/s^2.
+
+    It stiffens: x / sqrt(1 + x^2 / s^2) is 0.85 of x at 0.6 s.
+    """
     scene = jumper
     soft, sampler = softened(scene), scene.sampler()
     chest = sorted({s.part for s in MARKER_SITES if s.name in scene.marker_names}).index("chest")
@@ -192,7 +195,7 @@ def test_slow_wobble_is_the_bones_acceleration_over_the_square_of_the_frequency(
         lag.append(sampler.data.xmat[body].reshape(3, 3) @ soft.tissue(t)[3 * chest : 3 * chest + 3])
     acceleration, moved = np.diff(np.array(xyz), 2, axis=0) / h**2, np.array(lag)[1:-1]
     share = -np.sum(acceleration * moved) / np.sum(acceleration**2)
-    assert (2 * np.pi * 15.0) ** -2 < share < (2 * np.pi * 9.0) ** -2
+    assert 0.85 * (2 * np.pi * 15.0) ** -2 < share < (2 * np.pi * 9.0) ** -2
     assert np.corrcoef(-acceleration.ravel(), moved.ravel())[0, 1] > 0.75
 
 
