@@ -64,7 +64,7 @@ class JointTruth:
     - thorax: y mid(STRN, T10) -> mid(CLAV, C7); z across the plane of CLAV, C7 and mid(STRN, T10); x = y x z.
     - head: x mid(LBHD, RBHD) -> mid(LFHD, RFHD); z mid(LFHD, LBHD) -> mid(RFHD, RBHD); y = z x x.
     - thigh: y knee -> hip; z the knee's axis of flexion; x = y x z. Shank: y ankle -> knee; z and x likewise.
-    - foot: x HEE -> TOE; z = x x (HEE -> ankle); y = z x x.
+    - foot: x HEE -> TOE; z along TOE -> MT5 (left: MT5 -> TOE); y = z x x.
     - upper arm: y elbow -> shoulder; z the elbow's axis of flexion; x = y x z.
     - forearm: y wrist -> elbow; z along WRB -> WRA (left: WRA -> WRB), on the bone that carries them, so that the
       elbow's rotation includes pronation; x = y x z.

@@ -11,7 +11,7 @@ Each segment's axes, x forward, y up, z to the right in the anatomical position,
   elbow;
 - shank: y from ankle to knee, z nearest to the knee's flexion axis;
 - forearm: y from wrist to elbow, z nearest to the line through WRA and WRB;
-- foot: x from HEE to TOE, z perpendicular to the plane of these and the ankle;
+- foot: x from HEE to TOE, z nearest to the line through TOE and MT5, which slopes: inversion has an offset;
 - hand: y from the middle of FIN and PNK to the wrist, z nearest to the line through these.
 
 A knee's flexion axis is the direction that stays most nearly the same in thigh and shank over the take (SARA: Ehrig
@@ -115,7 +115,7 @@ def segment_axes(body: str, at: Landmark, hinges: Mapping[str, Array]) -> Array:
         between = at(f"{letter}WRA") - at(f"{letter}WRB")
         return axes_from(1, origin - at(f"{side}_wrist"), 2, outward * between)
     if name == "foot":
-        heel, toe = at(f"{letter}HEE"), at(f"{letter}TOE")
-        return axes_from(0, toe - heel, 2, np.cross(toe - heel, origin - heel))
+        toe = at(f"{letter}TOE")
+        return axes_from(0, toe - at(f"{letter}HEE"), 2, outward * (at(f"{letter}MT5") - toe))
     finger, little = at(f"{letter}FIN"), at(f"{letter}PNK")
     return axes_from(1, origin - (finger + little) / 2, 2, outward * (finger - little))

@@ -107,11 +107,11 @@ def test_rotations_are_those_of_frames_laid_through_markers_and_joints() -> None
         at = {
             name: centre(joints, f"{side}_{name}") for name in ("hip", "knee", "ankle", "shoulder", "elbow", "wrist")
         }
-        m = {name: xyz[side.upper() + name] for name in ("HEE", "TOE", "WRA", "WRB", "FIN", "PNK")}
+        m = {name: xyz[side.upper() + name] for name in ("HEE", "TOE", "MT5", "WRA", "WRB", "FIN", "PNK")}
         found[f"{side}thigh"] = axes(at["hip"] - at["knee"], world[f"{side}femur"][..., 0] * -1.0, "yz")
         found[f"{side}shank"] = axes(at["knee"] - at["ankle"], world[f"{side}tibia"][..., 0] * -1.0, "yz")
         foot = m["TOE"] - m["HEE"]
-        found[f"{side}foot"] = axes(foot, np.cross(foot, at["ankle"] - m["HEE"]), "xz")
+        found[f"{side}foot"] = axes(foot, right * (m["MT5"] - m["TOE"]), "xz")
         found[f"{side}arm"] = axes(at["shoulder"] - at["elbow"], right * world[f"{side}humerus"][..., 2], "yz")
         found[f"{side}forearm"] = axes(at["elbow"] - at["wrist"], right * (m["WRA"] - m["WRB"]), "yz")
         found[f"{side}hand"] = axes(at["wrist"] - (m["FIN"] + m["PNK"]) / 2, right * (m["FIN"] - m["PNK"]), "yz")
@@ -141,7 +141,9 @@ def test_rotations_are_those_of_frames_laid_through_markers_and_joints() -> None
 def test_what_landmarks_do_not_tell_is_not_a_number() -> None:
     joints = joints_of(actor(markers=30), np.array([0.0]))
     unknown = {name for name, wxyz in zip(joints.names, joints.rotation[0], strict=True) if np.isnan(wxyz).any()}
-    assert unknown == {f"{side}_{joint}" for side in "lr" for joint in ("elbow", "wrist")}  # no WRB, no PNK
+    assert unknown == {
+        f"{side}_{joint}" for side in "lr" for joint in ("elbow", "wrist", "ankle")
+    }  # no WRB, PNK, MT5
     assert np.isfinite(centre(joints, "l_elbow")).all()
 
 

@@ -131,7 +131,8 @@ def _leg_axes(
     of_thigh, of_shank = flexion[f"{side}_knee"]
     heel = at.mid(f"{letter}HEE")
     ahead = at.mid(f"{letter}TOE") - heel
-    foot = _from_x(ahead, z=np.cross(ahead, ankle - heel))
+    right = 1.0 if side == "r" else -1.0  # where the little toe is
+    foot = _from_x(ahead, z=right * (at.mid(f"{letter}MT5") - at.mid(f"{letter}TOE")))
     return _from_y(hip - knee, z=of_thigh), _from_y(knee - ankle, z=of_shank), foot
 
 
