@@ -55,8 +55,8 @@ def angles_picture(
         Instants (k,) [ns] of the heel strikes of "l" and "r". Angles are then drawn over the gait cycle of their side
         (in the middle of the body, of the right), each cycle thin and their mean on it.
     """
-    known = np.isfinite(angles.angles).any(axis=0)
-    rows = _rows([name for name, there in zip(angles.names, known, strict=True) if there] or angles.names)
+    known = [name for k, name in enumerate(angles.names) if np.isfinite(angles.angles[:, k]).any()]
+    rows = _rows(known or angles.names)
     if not rows or not len(angles):
         raise ValueError("joint angles: none to draw")
     with house_style():
