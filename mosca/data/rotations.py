@@ -57,3 +57,8 @@ def nearest_rotation(matrix: Sequence[Sequence[float]] | Array) -> tuple[Array, 
     u, _, vt = np.linalg.svd(given)
     rotation = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
     return rotation, float(np.abs(rotation - given).max())
+
+
+def aligning_rotation(some: Array, onto: Array) -> Array:
+    """Return the rotation (3, 3) that turns points ``some`` (k, 3) best ``onto`` others, about their middles."""
+    return nearest_rotation((onto - onto.mean(axis=0)).T @ (some - some.mean(axis=0)))[0]

@@ -10,6 +10,7 @@ import numpy as np
 
 from mosca.data.arrays import Array
 from mosca.data.bodies import RigidBody
+from mosca.data.rotations import aligning_rotation
 from mosca.errors import InputError
 
 ALIKE_M = 0.005
@@ -62,9 +63,7 @@ def arrangements(some: Array, onto: Array, tolerance_m: float, skip_identity: bo
 def difference_m(some: Array, onto: Array) -> float:
     """Return the largest distance [m] between paired points (k, 3) after the best proper rotation and shift."""
     p, q = some - some.mean(axis=0), onto - onto.mean(axis=0)
-    u, _, vt = np.linalg.svd(p.T @ q)
-    turn = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
-    return float(np.linalg.norm(p @ turn - q, axis=1).max())
+    return float(np.linalg.norm(p @ aligning_rotation(some, onto).T - q, axis=1).max())
 
 
 def nearest(one: RigidBody, other: RigidBody, tolerance_m: float) -> tuple[float, tuple[int, ...]] | None:

@@ -15,7 +15,7 @@ from mosca.errors import InputError
 from mosca.skeleton.joints import SegmentAxes, fitted_axes
 from mosca.skeleton.marker_frames import MarkerFrames
 from mosca.skeleton.model import Kinematics, SkeletonModel
-from mosca.skeleton.pose import Linearised, limited, linearised, solve_pose
+from mosca.skeleton.pose import TINY, Linearised, limited, linearised, pose_by_parameters, solve_pose
 from mosca.skeleton.skin import common_m, common_modes
 from mosca.skeleton.start import size_of, starting_pose
 
@@ -28,7 +28,9 @@ FIRST_SKIN_M = 0.01
 LEAST_SIGMA_M = 2e-5
 """No marker is known better than this on its body [m]: below any rig's noise, it keeps weights finite."""
 ROUNDS, ITERATIONS = 8, 12
+"""Estimates of the skin's movement, and steps of a fit in each, at most."""
 LEAST_REDUNDANCY = 0.1
+"""Least share of a marker's error that its residual is taken to show: divided by less, it is noise alone."""
 POOLED = 20.0
 """Degrees of freedom that the median over all markers counts in each marker's movement on the skin."""
 SIGNIFICANT = 3.0
@@ -36,7 +38,6 @@ SIGNIFICANT = 3.0
 POSTURES = 6.0
 """Independent postures of a take for a marker on moving skin: it slides as the neighbouring joint's three rotations
 go, to either side, and a movement repeated slides the same way again, so that frames in between add nothing."""
-TINY = 1e-9
 SETTLED = 0.3
 """Decrease of chi squared that a step still promises when a fit has converged: a small part of one sigma."""
 
@@ -148,7 +149,8 @@ class SkeletonAdjustment:
             best, damping = trial, (damping / 3 if damping > 1e-5 else 0.0)
             if promised < SETTLED:
                 break
-        self.last = self._linearise(information)
+        self.last = best
+        self.kinematics.set_parameters(self.parameters)
 
     def _linearise(self, information: Array) -> "Equations":
         """Return the equations of all frames at the present poses and parameters."""
@@ -280,9 +282,7 @@ def reduced(kinematics: Kinematics, at: Linearised, information: Array) -> Reduc
     weighted = at.weight[:, None, None] * information
     shaped_joints = (weighted @ by_joints).reshape(3 * m, split)
     shaped_markers = weighted @ of_body
-    mixed = np.empty((nv, split + 3 * m))
-    mixed[:, :split] = at.slopes.reshape(3 * m, nv).T @ shaped_joints
-    mixed[:, split:] = (at.slopes.transpose(0, 2, 1) @ shaped_markers).transpose(1, 0, 2).reshape(nv, 3 * m)
+    mixed = pose_by_parameters(kinematics, at.slopes, weighted)
     normal = np.zeros((split + 3 * m, split + 3 * m))
     normal[:split, :split] = by_joints.reshape(3 * m, split).T @ shaped_joints
     across = (by_joints.transpose(0, 2, 1) @ shaped_markers).transpose(1, 0, 2).reshape(split, 3 * m)

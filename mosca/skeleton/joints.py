@@ -190,8 +190,8 @@ class JointReader:
         self._centred = [k for k, j in enumerate(self.joints) if CHAINS[j].centre]
         self._bodies = np.array([2 + mj_joints.index(self.joints[k]) for k in self._centred])
         self._hips = [self._centred.index(self.joints.index(j)) for j in ("l_hip", "r_hip") if j in self.joints]
-        self._world = {"world": (np.eye(3), np.zeros((3, len(covariance))))}
-        known = {body: (axes.axes[body], axes.slopes[body]) for body in axes.axes} | self._world
+        known = {body: (axes.axes[body], axes.slopes[body]) for body in axes.axes}
+        known["world"] = np.eye(3), np.zeros((3, len(covariance)))
         nothing = (np.full((3, 3), np.nan), np.zeros((3, len(covariance))))
         self._near_axes = [known.get(names[k], nothing) for k in self._near]
         self._far_axes = [known.get(names[k], nothing) for k in self._far]

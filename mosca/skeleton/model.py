@@ -76,12 +76,7 @@ def read_skeleton_model(path: Path, labels: Sequence[str]) -> SkeletonModel:
 
 
 def model_from_mjcf(text: str, mj: mujoco.MjModel, labels: Sequence[str], source: str) -> SkeletonModel:
-    """Return the model of ``mj``, compiled from ``text``; see ``read_skeleton_model``."""
-    kinds = mj.jnt_type
-    if mj.njnt < 2 or kinds[0] != mujoco.mjtJoint.mjJNT_FREE or np.any(kinds[1:] != mujoco.mjtJoint.mjJNT_BALL):
-        raise InputError(f"{source}: a free joint for the root and ball joints for all other bodies are wanted")
-    if mj.njnt != mj.nbody - 1:
-        raise InputError(f"{source}: {mj.nbody - 1} bodies and {mj.njnt} joints; each body has one joint")
+    """Return the model of ``mj``, as ``mjcf.compiled`` gives it for ``text``; see ``read_skeleton_model``."""
     known = [mj.site(k).name for k in range(mj.nsite)]
     used = tuple(label for label in known if label in set(labels))
     if len(used) < 6:

@@ -13,6 +13,8 @@ LARGEST_TURN = 0.6
 """Largest rotation of a joint in one iteration [rad]: linearised, a step beyond it is not to be trusted."""
 SETTLED = 1e-4
 """Largest step of a pose that has converged [m, rad]: the next would be of its square's order."""
+TINY = 1e-9
+"""Added to the diagonal of a normal matrix: degrees of freedom that neither markers nor prior hold do not move."""
 ROBUST = 3.0
 """Markers farther from the model than this many standard deviations weigh less (Huber 1964)."""
 
@@ -112,8 +114,21 @@ def linearised(
     return Linearised(np.array(q), normal, gradient, weight, residual, slopes, cost)
 
 
+def pose_by_parameters(kinematics: Kinematics, slopes: Array, weighted: Array) -> Array:
+    """Return the block (nv, p) of the normal matrix between a pose, which ``kinematics`` takes, and the parameters.
+
+    ``slopes`` (m, 3, nv) of the markers by the pose, ``weighted`` (m, 3, 3) information.
+    """
+    m, _, nv = slopes.shape
+    by_joints = kinematics.by_parameters(kinematics.body_of_marker)
+    of_body = kinematics.rotations()[kinematics.body_of_marker]
+    shaped = weighted @ slopes
+    of_markers = (shaped.transpose(0, 2, 1) @ of_body).transpose(1, 0, 2).reshape(nv, 3 * m)
+    return np.concatenate([shaped.reshape(3 * m, nv).T @ by_joints.reshape(3 * m, -1), of_markers], axis=1)
+
+
 def _step(at: Linearised, damping: float) -> Array:
-    normal = at.normal + damping * np.diag(np.diag(at.normal)) + 1e-9 * np.eye(len(at.normal))
+    normal = at.normal + damping * np.diag(np.diag(at.normal)) + TINY * np.eye(len(at.normal))
     return limited(np.asarray(cho_solve(cho_factor(normal), at.gradient)))
 
 

@@ -1,9 +1,9 @@
 """Where a fit starts: the subject's size from distances on the same body, the pose from bodies with three markers."""
 
-import mujoco
 import numpy as np
 
 from mosca.data.arrays import Array
+from mosca.data.rotations import aligning_rotation, quaternion_from_rotation
 from mosca.errors import InputError
 from mosca.skeleton.marker_frames import MarkerFrames
 from mosca.skeleton.model import Kinematics, SkeletonModel
@@ -63,13 +63,13 @@ def starting_pose(kinematics: Kinematics, xyz: Array) -> PoseSolution:
             local_here = kinematics.markers()
         else:
             local_here = local
-        world_from[body] = _kabsch(local_here[rows], xyz[rows]) if _spans(local_here[rows]) else parent
+        world_from[body] = aligning_rotation(local_here[rows], xyz[rows]) if _spans(local_here[rows]) else parent
         if body == 1:
             q[:3] = xyz[rows].mean(axis=0) - world_from[1] @ local_here[rows].mean(axis=0)
-            q[3:7] = _quaternion(world_from[1])
+            q[3:7] = quaternion_from_rotation(world_from[1])
         else:
             start = int(kinematics.mj.jnt_qposadr[body - 1])
-            q[start : start + 4] = _quaternion(parent.T @ world_from[body])
+            q[start : start + 4] = quaternion_from_rotation(parent.T @ world_from[body])
     for sigma in COARSE_M:
         information = np.where(seen, sigma**-2.0, 0.0)[:, None, None] * np.eye(3)
         solution = solve_pose(kinematics, q, xyz, information)
@@ -83,15 +83,3 @@ def _spans(points: Array) -> bool:
         return False
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     return bool(spread[1] > 0.2 * spread[0])
-
-
-def _kabsch(local: Array, world: Array) -> Array:
-    """Return the rotation (3, 3) that takes ``local`` (n, 3) to ``world`` (n, 3) best (Kabsch 1976)."""
-    left, _, right = np.linalg.svd((world - world.mean(axis=0)).T @ (local - local.mean(axis=0)))
-    return np.asarray(left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right)
-
-
-def _quaternion(matrix: Array) -> Array:
-    quaternion = np.empty(4)
-    mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(matrix).ravel())
-    return quaternion

@@ -3,18 +3,18 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import mujoco
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from mosca.data.arrays import Array
 from mosca.data.joint_motion import JointMotion
-from mosca.data.motion.motion import WORLD_FROM_Y_UP, Motion, Skeleton, without_flips
+from mosca.data.motion.motion import WORLD_FROM_Y_UP, Motion, Skeleton, multiply_quaternions, without_flips
+from mosca.data.rotations import quaternion_from_rotation
 from mosca.skeleton.fit import LEAST_SIGMA_M, FittedSubject
 from mosca.skeleton.joints import JointReader
 from mosca.skeleton.marker_frames import MarkerFrames
 from mosca.skeleton.model import Kinematics
-from mosca.skeleton.pose import PoseSolution, solve_pose
+from mosca.skeleton.pose import TINY, PoseSolution, pose_by_parameters, solve_pose
 from mosca.skeleton.skin import common_m, common_modes
 from mosca.skeleton.start import starting_pose
 
@@ -71,17 +71,12 @@ class SkeletonTracker:
         kinematics = self.kinematics
         kinematics.pose(solution.q)
         m, _, nv = solution.slopes.shape
-        by_joints = kinematics.by_parameters(kinematics.body_of_marker)
-        split = by_joints.shape[2]
-        mixed = np.empty((nv, split + 3 * m))
-        shaped = solution.weighted @ solution.slopes
-        mixed[:, :split] = shaped.reshape(3 * m, nv).T @ by_joints.reshape(3 * m, split)
-        of_body = kinematics.rotations()[kinematics.body_of_marker]
-        mixed[:, split:] = (shaped.transpose(0, 2, 1) @ of_body).transpose(1, 0, 2).reshape(nv, 3 * m)
-        inverse = np.asarray(cho_solve(cho_factor(solution.normal + 1e-9 * np.eye(nv)), np.eye(nv)))
+        mixed = pose_by_parameters(kinematics, solution.slopes, solution.weighted)
+        inverse = np.asarray(cho_solve(cho_factor(solution.normal + TINY * np.eye(nv)), np.eye(nv)))
         by_parameters = -inverse @ mixed
-        modes = (of_body @ self._modes).reshape(3 * m, -1)
-        moved = inverse @ (shaped.reshape(3 * m, nv).T @ modes)
+        modes = kinematics.rotations()[kinematics.body_of_marker] @ self._modes
+        shaped = (solution.weighted @ solution.slopes).reshape(3 * m, nv)
+        moved = inverse @ (shaped.T @ modes.reshape(3 * m, -1))
         noise = inverse + moved @ moved.T
         return self.reader.read(noise, by_parameters)
 
@@ -106,19 +101,13 @@ def track_subject(
         q[k] = solution.q
         residual[k] = np.where(frames.seen[k], np.linalg.norm(solution.residual, axis=1), np.nan)
         centre[k], centre_covariance[k], matrices, rotation_covariance[k] = tracker.joints(solution)
-        rotation[k] = [_quaternion(matrix) for matrix in matrices]
+        known = np.isfinite(matrices[:, 0, 0])
+        rotation[k, known] = [quaternion_from_rotation(matrix) for matrix in matrices[known]]
     progress(n, n)
     joints = JointMotion(
         frames.frame, frames.time_ns, tracker.reader.joints, centre, centre_covariance, rotation, rotation_covariance
     )
     return SkeletonTake(joints, q, residual)
-
-
-def _quaternion(matrix: Array) -> Array:
-    quaternion = np.full(4, np.nan)
-    if np.isfinite(matrix).all():
-        mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(matrix).ravel())
-    return quaternion
 
 
 def motion_of(subject: FittedSubject, q: Array, frame_rate_hz: float) -> Motion:
@@ -133,8 +122,5 @@ def motion_of(subject: FittedSubject, q: Array, frame_rate_hz: float) -> Motion:
     rotations = held[:, 3:].reshape(len(q), -1, 4).copy()
     # Axes of the bodies are y up; those of a skeleton at rest are the world's, z up.
     rotations[..., 1:] = rotations[..., 1:] @ WORLD_FROM_Y_UP.T
-    upright = np.empty(4)
-    mujoco.mju_mat2Quat(upright, np.ascontiguousarray(WORLD_FROM_Y_UP.T).ravel())
-    for k in range(len(q)):
-        mujoco.mju_mulQuat(rotations[k, 0], held[k, 3:7], upright)
+    rotations[:, 0] = multiply_quaternions(held[:, 3:7], quaternion_from_rotation(WORLD_FROM_Y_UP.T))
     return Motion(skeleton, frame_rate_hz, held[:, :3], without_flips(rotations))

@@ -4,12 +4,12 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from mosca.data.arrays import Array
 from mosca.data.joint_motion import JointMotion
 from mosca.skeleton.marker_frames import MarkerFrames
 from mosca.skeleton.model import HUMAN, SkeletonModel, read_skeleton_model
+from scenarios.score.people import rotation_vectors
 from twin.scenes.actor import build_actor
 
 NOISE_M = 3e-4
@@ -58,25 +58,17 @@ def actor_take(
     return model, frames, (tuple(true.names), true.centre, true.rotation)
 
 
+def apart(joints: JointMotion, truth: Truth) -> tuple[Array, Array]:
+    """Return centres less the true ones (n, j, 3) [m] and rotation vectors to the true rotations [rad]; NaN: none."""
+    names, centre, rotation = truth
+    order = [names.index(name) for name in joints.joints]
+    return joints.centre - centre[:, order], rotation_vectors(joints.rotation, rotation[:, order])
+
+
 def joint_errors(joints: JointMotion, truth: Truth) -> dict[str, tuple[float, float]]:
     """Return joint -> rms of the centre's distance from truth [m] and of the rotation's angle [rad]; NaN: none."""
-    names, centre, rotation = truth
-    found = {}
-    for k, name in enumerate(joints.joints):
-        true = names.index(name)
-        away = joints.centre[:, k] - centre[:, true]
-        both = np.isfinite(joints.rotation[:, k, 0]) & np.isfinite(rotation[:, true, 0])
-        turn = np.full(1, np.nan)
-        if both.any():
-            ours = Rotation.from_quat(joints.rotation[both, k][:, [1, 2, 3, 0]])
-            turn = (ours.inv() * Rotation.from_quat(rotation[both, true][:, [1, 2, 3, 0]])).magnitude()
-        distance = np.linalg.norm(away, axis=1)
-        known = np.isfinite(distance)
-        found[name] = (
-            float(np.sqrt(np.mean(distance[known] ** 2))) if known.any() else np.nan,
-            float(np.sqrt(np.mean(turn**2))),
-        )
-    return found
+    sizes = [np.linalg.norm(one, axis=2) for one in apart(joints, truth)]
+    return {name: (rms(sizes[0][:, k]), rms(sizes[1][:, k])) for k, name in enumerate(joints.joints)}
 
 
 def rms(values: Any) -> float:

@@ -9,14 +9,13 @@ coverage 0.95, where the stated covariances are right.
 import argparse
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from mosca.data.arrays import Array
 from mosca.data.joint_motion import JointMotion
 from mosca.skeleton.fit import fit_subject
 from mosca.skeleton.track import track_subject
-from tests.studies.skeleton_actor import Truth, actor_take, rms
+from tests.studies.skeleton_actor import Truth, actor_take, apart, rms
 
 WORN = {"marker_set": "anatomical", "seat_sigma_m": 0.005}
 MOVEMENT_S, TAKE_S, RATE_HZ = 24.0, 10.0, 10.0
@@ -25,26 +24,15 @@ INSIDE = float(chi2.ppf(0.95, 3))
 
 def errors(joints: JointMotion, truth: Truth) -> tuple[Array, Array, Array, Array]:
     """Return the centres' errors (k, 3) [m] and their squares by the covariance (k,), then the rotations'."""
-    names, centre, rotation = truth
-    found: list[list[Array]] = [[], [], [], []]
-    for k, name in enumerate(joints.joints):
-        true = names.index(name)
-        away = joints.centre[:, k] - centre[:, true]
-        known = np.isfinite(away[:, 0])
-        _add(found[:2], away[known], joints.centre_covariance[known, k])
-        known = np.isfinite(joints.rotation[:, k, 0]) & np.isfinite(rotation[:, true, 0])
-        ours, theirs = (
-            Rotation.from_quat(q[known], scalar_first=True) for q in (joints.rotation[:, k], rotation[:, true])
-        )
-        if known.any():
-            _add(found[2:], (ours.inv() * theirs).as_rotvec(), joints.rotation_covariance[known, k])
-    distance, nees, turn, turn_nees = (np.concatenate(parts) for parts in found)
+    found: list[Array] = []
+    for away, covariance in zip(
+        apart(joints, truth), (joints.centre_covariance, joints.rotation_covariance), strict=True
+    ):
+        known = np.isfinite(away[..., 0]) & np.isfinite(covariance[..., 0, 0])
+        error = away[known]
+        found += [error, np.einsum("ni,nij,nj->n", error, np.linalg.inv(covariance[known]), error)]
+    distance, nees, turn, turn_nees = found
     return distance, nees, turn, turn_nees
-
-
-def _add(to: list[list[Array]], error: Array, covariance: Array) -> None:
-    to[0].append(error)
-    to[1].append(np.einsum("ni,nij,nj->n", error, np.linalg.inv(covariance), error) if len(error) else error[:, 0])
 
 
 def main() -> None:

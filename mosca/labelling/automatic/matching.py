@@ -26,9 +26,15 @@ ACROSS = 0.12
 ROOM_M3 = 1.0
 """Where points of no marker are: about a person."""
 STEPS, EACH_FIT = 36, 4
+"""Steps of the relaxation, and after how many of them the body is fitted again."""
 HEADINGS = 8
-ANEW, MOST_OPEN, LARGE = 8, 700, 60.0
+"""Sides to which the person is taken to look at first."""
+ANEW, MOST_OPEN = 8, 700
+"""Steps in which a limb is assigned anew, and the most pairs of marker and free point whose distances count."""
+LARGE = 60.0
+"""Largest exponent: what differs by more is certain, and its exponential has no number."""
 PAIRS_OF_NONE = 400
+"""Pairs of markers, drawn, that say how far apart points are at all."""
 TRIED, WORSE = 40, 12.0
 """Alternatives that are looked into, and how much worse they look at most."""
 

@@ -18,17 +18,19 @@ SOFT_M = 0.005
 UNSEEN_SHARE = 0.2
 """Of what people's motions change a distance, that is not seen in a take yet."""
 TIGHTEST, FEWEST = 6, 3
-"""PersonDistances that decide, the least changing; and how many there must be."""
+"""Distances that decide, the least changing; and how many there must be."""
 ROOM_M = 0.3
-"""PersonDistances of a point of no marker are spread by this [m]."""
+"""Distances of a point of no marker are spread by this [m]."""
 DIMENSIONS = 3
 """A point's position has so many numbers, however many distances tell it."""
 BOUND = 25.0
+"""Largest cost of one distance, in units of its variance: one wrong point does not decide."""
 ROWS = 12
 """Frames of a tracklet that are compared."""
 RIVAL = 3.0
-"""TrackletSet of one label at once, whose log likelihood ratios differ by less: none has it."""
+"""Tracklets of one label at once, whose log likelihood ratios differ by less: none has it."""
 ROUNDS = 20
+"""Times that labels are given and taken back, at most."""
 
 
 @dataclass(frozen=True, eq=False)

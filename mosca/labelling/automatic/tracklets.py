@@ -17,6 +17,7 @@ from mosca.data.tracks import Tracks
 ACCELERATION = 150.0
 """Of a marker on a person, at most [m/s^2]: heels and boxers' fists reach 50 to 100 between frames."""
 NOISE_M = 0.003
+"""Of a measured place, at most: half hidden markers are off by millimetres [m]."""
 FIRST_SPEED = 3.0
 """Of a marker relative to those around it, whose velocity is not known yet [m/s]."""
 CLEARLY = 2.0
