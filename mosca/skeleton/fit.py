@@ -197,7 +197,7 @@ class SkeletonAdjustment:
         measured = np.trace(self.frames.covariance, axis1=2, axis2=3).mean(axis=0) / 3
         # Noise alone varies by this much: less is no sign of movement.
         chance = 1 + SIGNIFICANT * np.sqrt(2 / (own + POOLED))
-        new = np.sqrt(np.maximum(np.where(square > chance * measured, square - measured, 0.0), LEAST_SIGMA_M**2))
+        new = np.sqrt(np.where(square > chance * measured, square - measured, 0.0))
         changed = np.abs(np.log((new**2 + measured) / (self.skin**2 + measured))).max() > 0.1
         self.skin = new
         moving = float(np.mean(new**2 / (new**2 + measured + LEAST_SIGMA_M**2)))

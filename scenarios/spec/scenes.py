@@ -18,7 +18,7 @@ class ActorScene(Table):
     motion_rate_hz: Positive | None = Field(None, description="frame rate of the motion file, where it lies")
     heading_deg: float = Field(0.0, description="turn of the motion file about the vertical [deg]")
     keep_in_box: bool = Field(True, description="whether a motion that leaves the working space is an error")
-    action: Literal["walk", "boxing", "dance", "jump", "range_of_motion"] = Field(
+    action: Literal["walk", "run", "boxing", "dance", "jump", "range_of_motion"] = Field(
         "walk",
         description="what the person does without a motion file; all but 'walk' are loops drawn by the seed, "
         "over the middle of a working space of 2.5 m; 'range_of_motion' (24 s) moves every joint in turn, for "

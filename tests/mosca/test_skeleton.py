@@ -195,7 +195,7 @@ def test_joint_centres_of_drawn_persons_are_where_they_are(fitted):
     assert np.sqrt(np.mean(np.sum(hips**2, axis=2))) < 1.5e-3
     assert (
         np.sqrt(np.mean(np.sum(errors**2, axis=2))) < 4e-3
-    )  # knees along their hinge: by the middle of markers, 3 mm
+    )  # knees along their hinge: by the middle of markers, 2.2 mm
 
 
 def test_stated_covariances_hold_the_errors(fitted):
@@ -211,6 +211,12 @@ def _errors(one):
     _, _, centres, found = one
     joints = [found.joints.joints.index(name) for name in CENTRES]
     return found.joints.centre[:, joints] - centres, found.joints.centre_covariance[:, joints]
+
+
+def test_noise_is_no_movement_on_the_skin(fitted):
+    """A marker that does not slide has none, not the least that keeps weights finite: twice that, over 150 frames taken
+    for 6, would be as large as the noise of a good rig."""
+    assert np.mean([subject.skin_m == 0 for subject, *_ in fitted]) > 0.9
 
 
 def test_rotations_are_rotations_and_knees_flex_about_z(fitted):

@@ -1,4 +1,4 @@
-"""Boxing, dance and jump: speeds, joint limits, smoothness, gravity, feet, box, hiding, determinism.
+"""Run, boxing, dance and jump: speeds, joint limits, smoothness, gravity, feet, box, hiding, determinism.
 
 Expected ranges: hand speeds of boxers (straight punches 6 to 8 m/s) and of recorded dancers (CMU subject 131:
 3.6 and 5.3 m/s); joint ranges of the American Academy of Orthopaedic Surgeons; free fall.
@@ -24,7 +24,7 @@ from twin.scenes.actor import BuiltInConfiguration, build_actor
 from twin.scenes.scene import MARKER_GROUP, Scene
 from twin.scenes.submovements import MovementSequence, minimum_jerk, there_and_back
 
-ACTIONS = ("boxing", "dance", "jump")
+ACTIONS = ("run", "boxing", "dance", "jump")
 CENTER, SIZE = np.array([0.2, -0.1, 1.25]), np.array([2.5, 2.5, 2.5])
 STEP_S = 0.005
 GRAVITY = np.array([0.0, 0.0, -9.81])
@@ -90,7 +90,13 @@ def performed() -> dict[str, Sampled]:
 
 @pytest.mark.parametrize(
     ("action", "slowest", "fastest", "marker"),
-    [("boxing", 6.0, 8.0, "WRA"), ("dance", 3.0, 5.0, "WRA"), ("dance", 3.0, 5.5, "FIN"), ("jump", 3.5, 6.5, "WRA")],
+    [
+        ("run", 1.5, 3.5, "WRA"),
+        ("boxing", 6.0, 8.0, "WRA"),
+        ("dance", 3.0, 5.0, "WRA"),
+        ("dance", 3.0, 5.5, "FIN"),
+        ("jump", 3.5, 6.5, "WRA"),
+    ],
 )
 def test_hands_are_as_fast_as_those_of_people(
     performed: dict[str, Sampled], action: str, slowest: float, fastest: float, marker: str
@@ -175,7 +181,33 @@ def test_a_flying_body_falls_freely(performed: dict[str, Sampled]) -> None:
     assert np.ptp(jump.com[:, 2]) > 0.4
 
 
-@pytest.mark.parametrize("action", ACTIONS)
+def test_a_runner_flies_between_steps_and_treads_at_the_belts_speed(performed: dict[str, Sampled]) -> None:
+    """Novacheck 1998: 160 to 170 steps a minute, contact 0.22 to 0.28 s, up and down by 6 to 10 cm; peak force 2 to 2.8
+    times the weight (Cavanagh and Lafortune 1980)."""
+    runner = performed["run"]
+    assert 155 < 2 * 60 / _length(runner.scene) < 175
+    acceleration = np.diff(runner.com, 2, axis=0) / STEP_S**2
+    up = acceleration[:, 2]
+    flying = np.abs(up - GRAVITY[2]) < 0.1
+    assert 0.20 < flying.mean() < 0.40
+    assert up.min() > 1.01 * GRAVITY[2]  # the belt does not pull
+    assert 1.0 < up.max() / 9.81 < 1.8
+    assert 0.06 < np.ptp(runner.com[:, 2]) < 0.10
+    assert np.abs(acceleration[:, :2]).max() < 1.5
+    assert runner.soles.min() > 0
+    for k, side in enumerate("lr"):
+        ball = runner.body(f"{side}toes")
+        velocity = np.diff(ball, axis=0) / STEP_S
+        tread = (runner.soles[1:, k] < 0.004) & (runner.soles[:-1, k] < 0.004)
+        assert 0.22 < tread.sum() * STEP_S < 0.28
+        middle = velocity[tread][3:-3]
+        assert np.ptp(np.linalg.norm(middle, axis=1)) < 0.06
+        assert 2.6 < np.linalg.norm(middle, axis=1).mean() < 3.2
+        heel = runner.body(f"{side}foot")[:, 2]
+        assert 0.30 < heel.max() < 0.50  # as high as the knee
+
+
+@pytest.mark.parametrize("action", ["boxing", "dance", "jump"])
 def test_feet_stand_on_the_floor_and_do_not_slide(performed: dict[str, Sampled], action: str) -> None:
     one = performed[action]
     assert one.soles.min() > -1e-6
@@ -251,7 +283,7 @@ def test_one_seed_is_one_performance_and_loops(action: str) -> None:
 
 @pytest.mark.parametrize("action", ACTIONS)
 def test_people_of_other_statures(action: str) -> None:
-    stature = {"boxing": 1.9, "dance": 1.55, "jump": 1.65}[action]
+    stature = {"run": 1.9, "boxing": 1.9, "dance": 1.55, "jump": 1.65}[action]
     scene = _actor(
         action, stature_m=stature, box_size_m=np.array([3.0, 3.0, 3.0]), box_center_m=np.array([0, 0, 1.5])
     )
@@ -262,7 +294,7 @@ def test_people_of_other_statures(action: str) -> None:
 def test_errors() -> None:
     with pytest.raises(InputError, match=r"action = 'dance': the person moves through .* the box is 1\.5 x 1\.5"):
         _actor("dance", box_size_m=np.array([1.5, 1.5, 2.5]))
-    with pytest.raises(InputError, match="allowed: walk, boxing, dance, jump, range_of_motion"):
+    with pytest.raises(InputError, match="allowed: walk, run, boxing, dance, jump, range_of_motion"):
         _actor("swim")
     for more, said in (
         ({"gait": "circle"}, "gait is of action = 'walk'"),

@@ -1,4 +1,4 @@
-"""Actions of a person without a recording, besides walking: boxing, dancing, jumping, ..., as endless loops.
+"""Actions of a person without a recording, besides walking: running, boxing, dancing, ..., as endless loops.
 
 Each action is a loop of postures at 200 Hz, drawn once (order, positions, timing, handedness), converted to joint
 rotations and played as a periodic C2 spline. Limbs hide markers as they do in recorded people: hands
@@ -21,11 +21,13 @@ from twin.scenes.dancing import dance
 from twin.scenes.jumping import jumps
 from twin.scenes.posture import STATURE_M, Balance, Performer
 from twin.scenes.range_of_motion import range_of_motion
+from twin.scenes.running import run
 from twin.scenes.world import Box
 
-ActionName = Literal["walk", "boxing", "dance", "jump", "range_of_motion"]
-ACTIONS: tuple[ActionName, ...] = ("walk", "boxing", "dance", "jump", "range_of_motion")
+ActionName = Literal["walk", "run", "boxing", "dance", "jump", "range_of_motion"]
+ACTIONS: tuple[ActionName, ...] = ("walk", "run", "boxing", "dance", "jump", "range_of_motion")
 _PERFORMED: dict[ActionName, Callable[[Performer, np.random.Generator], Motion]] = {
+    "run": run,
     "boxing": boxing,
     "dance": dance,
     "jump": jumps,
