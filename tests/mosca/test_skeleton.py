@@ -214,8 +214,8 @@ def _errors(one):
 
 
 def test_noise_is_no_movement_on_the_skin(fitted):
-    """A marker that does not slide has none, not the least that keeps weights finite: twice that, over 150 frames taken
-    for 6, would be as large as the noise of a good rig."""
+    """A marker that does not slide has none, not the least that keeps weights finite: twice that, in 150 frames that
+    count as 6, would be as large as the noise of a good rig."""
     assert np.mean([subject.skin_m == 0 for subject, *_ in fitted]) > 0.9
 
 

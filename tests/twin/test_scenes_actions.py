@@ -182,8 +182,9 @@ def test_a_flying_body_falls_freely(performed: dict[str, Sampled]) -> None:
 
 
 def test_a_runner_flies_between_steps_and_treads_at_the_belts_speed(performed: dict[str, Sampled]) -> None:
-    """Novacheck 1998: 160 to 170 steps a minute, contact 0.22 to 0.28 s, up and down by 6 to 10 cm; peak force 2 to 2.8
-    times the weight (Cavanagh and Lafortune 1980)."""
+    """Novacheck 1998: 160 to 170 steps a minute, contact 0.22 to 0.28 s, up and down by 6 to 10 cm; peak force 2 to
+    2.8 times the weight (Cavanagh and Lafortune 1980).
+    """
     runner = performed["run"]
     assert 155 < 2 * 60 / _length(runner.scene) < 175
     acceleration = np.diff(runner.com, 2, axis=0) / STEP_S**2

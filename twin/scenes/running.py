@@ -95,7 +95,7 @@ def _postures(performer: Performer, time_s: Array, stride_s: float, speed_mps: f
 
 
 def _foot(since_s: Array, stride_s: float, speed_mps: float, scale: float) -> tuple[Array, Array, Array]:
-    """Return a ball's place ahead and above [m] and the foot's pitch [rad], (n,) each, ``since_s`` its stance began."""
+    """Return a ball's place ahead and above [m] and its foot's pitch [rad], (n,) each, ``since_s`` touch-down."""
     contact = _CONTACT_SHARE * stride_s
     swing = stride_s - contact
     front = speed_mps * contact / 2 - scale * _BEHIND_M
