@@ -2,7 +2,8 @@
 
 With ``look`` only those of detection, with ``points`` only those of correspondence, triangulation and tracking, so
 that two processes can compile in parallel. With ``look_twice`` those of detection in images of 8 and of 16 bits: in
-one process they share the functions that do not depend on the type of the pixels, which are half of it.
+one process they share the functions that do not depend on the type of the pixels, which are half of it. With
+``people`` those of a person's pose and joints, which the pipeline does not need.
 """
 
 import sys
@@ -24,9 +25,14 @@ from mosca.detection.disc_fit.camera_statistics import NO_STATISTICS
 from mosca.detection.scheduler import FrameSetDetector
 from mosca.diagnostics.camera_health import Health
 from mosca.pipeline import PipelineSettings, run
+from mosca.skeleton.joints import JointReader, SegmentAxes
+from mosca.skeleton.model import HUMAN, Kinematics, read_skeleton_model
+from mosca.skeleton.pose import solve_pose
+from mosca.skeleton.pose_kernels import information_of
 from mosca.tracking.tracker import Tracker, TrackSettings
 
 WIDTH, HEIGHT, RATE_HZ, PULSES = 96, 72, 100.0, 8
+LABELS = ("LASI", "RASI", "LPSI", "RPSI", "LTHI", "RTHI", "LTIB", "RTIB")
 POINTS = np.array([[0.1, 0.0, 0.1], [-0.1, 0.1, 0.0], [0.0, -0.1, -0.1]])
 
 
@@ -99,6 +105,18 @@ def points() -> int:
     return samples
 
 
+def people() -> int:
+    """Find the pose and the joints of the model of a person at rest; returns how many joints it has."""
+    model = read_skeleton_model(HUMAN, LABELS)
+    kinematics = Kinematics(model)
+    kinematics.pose(kinematics.mj.qpos0)
+    xyz, m = kinematics.markers(), len(model.labels)
+    information_of(xyz, np.zeros((m, 3, 3)), np.full(m, 0.01), information := np.empty((m, 3, 3)))
+    solution = solve_pose(kinematics, kinematics.mj.qpos0, xyz, information)
+    reader = JointReader(kinematics, SegmentAxes({}, {}), 1e-6 * np.eye(len(model.parameters)), np.full(m, 0.01))
+    return len(reader.read(solution)[0])
+
+
 def _rig() -> Rig:
     lens = MoscaLens(0.9, (WIDTH - 1) / 2, (HEIGHT - 1) / 2, 0.0099, 0.0099)
     cameras = []
@@ -118,4 +136,4 @@ def _blobs(xy_px: Array) -> Array:
 
 
 if __name__ == "__main__":
-    {"look": look, "look_twice": look_twice, "points": points}.get("".join(sys.argv[1:]), warm_up)()
+    {"look": look, "look_twice": look_twice, "points": points, "people": people}.get("".join(sys.argv[1:]), warm_up)()

@@ -8,6 +8,7 @@ from pydantic.dataclasses import dataclass
 
 from mosca.data.arrays import Array
 from mosca.data.files.toml import SETTINGS, Positive
+from mosca.data.rotations import aligning_rotation
 from mosca.data.tracks import Tracks
 from mosca.editing.operation import EditError, Frames, Labels, marker_names, rows_between, rows_of
 from mosca.smoothing.gap_filling import filled
@@ -173,11 +174,10 @@ def _moved(before: Array, after: Array, point: Array) -> Array:
     if both.sum() < FEWEST:
         return np.full(3, np.nan)
     a, b = before[both].mean(axis=0), after[both].mean(axis=0)
-    u, sizes, vt = np.linalg.svd((before[both] - a).T @ (after[both] - b))
+    sizes = np.linalg.svd((before[both] - a).T @ (after[both] - b), compute_uv=False)
     if sizes[1] < IN_LINE**2 * sizes[0]:
         return np.full(3, np.nan)
-    mirrored = np.sign(np.linalg.det(u @ vt))
-    result: Array = (point - a) @ u @ np.diag([1.0, 1.0, mirrored]) @ vt + b
+    result: Array = aligning_rotation(before[both], after[both]) @ (point - a) + b
     return result
 
 

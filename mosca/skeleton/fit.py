@@ -8,14 +8,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve, solve_triangular
+from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
 
 from mosca.data.arrays import Array, set_read_only
 from mosca.errors import InputError
 from mosca.skeleton.joints import SegmentAxes, fitted_axes
 from mosca.skeleton.marker_frames import MarkerFrames
 from mosca.skeleton.model import Kinematics, SkeletonModel
-from mosca.skeleton.pose import TINY, Linearised, limited, linearised, pose_by_parameters, solve_pose
+from mosca.skeleton.pose import TINY, PoseSolution, limited, linearised, pose_by_parameters, solve_pose
 from mosca.skeleton.skin import common_m, common_modes
 from mosca.skeleton.start import size_of, starting_pose
 
@@ -164,7 +164,7 @@ class SkeletonAdjustment:
         for k, q in enumerate(self.q):
             given = (q, self.frames.xyz[k], information[k])
             at = linearised(self.kinematics, *given, posture=posture, share=1 / len(self.q))
-            part = reduced(self.kinematics, at, information[k])
+            part = reduced(self.kinematics, at)
             normal += part.normal / self.correlated
             gradient += part.gradient / self.correlated
             cost += at.cost / self.correlated
@@ -178,7 +178,7 @@ class SkeletonAdjustment:
         self.parameters = self.parameters + step
         for k, part in enumerate(at.frames):
             # Undamped: poses that do not follow the parameters raise the cost however small the step.
-            moved = limited(part.pose_step - part.pose_by_parameters @ step)
+            moved = limited(part.pose_step - part.follow(step))
             self.q[k] = self.kinematics.moved(self.q[k], moved)
         return float(at.gradient @ step) + sum(part.decrease for part in at.frames) / self.correlated
 
@@ -207,7 +207,7 @@ class SkeletonAdjustment:
     def subject(self, size: float) -> FittedSubject:
         """Return the fitted subject."""
         at, seen = self.last, self.frames.seen
-        squares = np.stack([np.sum(part.residual**2, axis=1) for part in at.frames])[seen]
+        squares = np.stack([np.sum(part.at.residual**2, axis=1) for part in at.frames])[seen]
         inverse = np.asarray(cho_solve(cho_factor(at.normal), np.eye(len(at.normal))))
         covariance = inverse + inverse @ self._common_movement() @ inverse
         axes = fitted_axes(self.kinematics, self.q, [-part.pose_by_parameters for part in at.frames])
@@ -229,14 +229,14 @@ class SkeletonAdjustment:
         for k, (q, part) in enumerate(zip(self.q, self.last.frames, strict=True)):
             at = linearised(kinematics, q, self.frames.xyz[k], information[k])
             rotations = kinematics.rotations()[body]
-            shaped = (at.weight[:, None, None] * information[k]) @ rotations @ modes
+            shaped = at.weighted @ rotations @ modes
             by_joints = kinematics.by_parameters(body)
             of_body = rotations.transpose(0, 2, 1) @ shaped
             direct = np.concatenate(
                 [np.einsum("mip,mik->pk", by_joints, shaped, optimize=True), of_body.reshape(-1, shaped.shape[2])]
             )
             of_pose = np.einsum("miv,mik->vk", at.slopes, shaped, optimize=True)
-            moved = direct - part.pose_by_parameters.T @ of_pose
+            moved = direct - part.mixed.T @ solve_triangular(part.root, of_pose, trans=1)
             total += moved @ moved.T
         return total * max(len(self.q) / POSTURES, 1.0) / self.correlated**2
 
@@ -256,33 +256,55 @@ class Equations:
 
 @dataclass(frozen=True, eq=False)
 class Reduced:
-    """What one frame says of the parameters, its pose eliminated.
+    """What one frame says of the parameters, the pose of its equations ``at`` eliminated.
 
-    ``normal`` (p, p), ``gradient`` (p,); the pose's best step is ``pose_step`` (nv,) less ``pose_by_parameters``
-    (nv, p) times the parameters'. ``redundancy`` (m,): share of a marker's error that its ``residual`` (m, 3) [m]
-    shows; ``weighted_residual`` by the root of its weight.
+    ``normal`` (p, p), ``gradient`` (p,); ``pose_step`` (nv,) is the pose's best where the parameters stay. ``root``
+    (nv, nv) upper triangular, root' root the pose's normal matrix, ``mixed`` (nv, p) root'^-1 times its block with
+    the parameters.
     """
 
+    at: PoseSolution
     normal: Array
     gradient: Array
     pose_step: Array
-    pose_by_parameters: Array
-    decrease: float
-    redundancy: Array
-    residual: Array
-    weighted_residual: Array
+    root: Array
+    mixed: Array
+
+    def follow(self, change: Array) -> Array:
+        """Return the pose's step (nv, ...) that a ``change`` (p, ...) of the parameters takes off ``pose_step``."""
+        return np.asarray(solve_triangular(self.root, self.mixed @ change))
+
+    @property
+    def pose_by_parameters(self) -> Array:
+        """(nv, p): ``follow`` of each parameter."""
+        return np.asarray(solve_triangular(self.root, self.mixed))
+
+    @property
+    def decrease(self) -> float:
+        """Decrease of the cost that ``pose_step`` promises."""
+        return float(self.at.gradient @ self.pose_step)
+
+    @property
+    def redundancy(self) -> Array:
+        """(m,): share of a marker's error that its residual shows."""
+        m, _, nv = self.at.slopes.shape
+        half = solve_triangular(self.root, self.at.slopes.reshape(3 * m, nv).T, trans=1).T.reshape(m, 3, nv)
+        return np.asarray(1 - np.sum((half @ half.transpose(0, 2, 1)) * self.at.weighted, axis=(1, 2)) / 3)
+
+    @property
+    def weighted_residual(self) -> Array:
+        """(m, 3) residual by the root of its weight [m]."""
+        return np.asarray(np.sqrt(self.at.weight)[:, None] * self.at.residual)
 
 
-def reduced(kinematics: Kinematics, at: Linearised, information: Array) -> Reduced:
-    """Eliminate the pose from the equations ``at``, where ``kinematics`` stands; ``information`` (m, 3, 3)."""
-    m, _, nv = at.slopes.shape
+def reduced(kinematics: Kinematics, at: PoseSolution) -> Reduced:
+    """Eliminate the pose from the equations ``at``, where ``kinematics`` stands."""
+    m, nv = len(at.weight), len(at.gradient)
     by_joints = kinematics.by_parameters(kinematics.body_of_marker)
     of_body = kinematics.rotations()[kinematics.body_of_marker]
     split = by_joints.shape[2]
-    weighted = at.weight[:, None, None] * information
-    shaped_joints = (weighted @ by_joints).reshape(3 * m, split)
-    shaped_markers = weighted @ of_body
-    mixed = pose_by_parameters(kinematics, at.slopes, weighted)
+    shaped_joints = (at.weighted @ by_joints).reshape(3 * m, split)
+    shaped_markers = at.weighted @ of_body
     normal = np.zeros((split + 3 * m, split + 3 * m))
     normal[:split, :split] = by_joints.reshape(3 * m, split).T @ shaped_joints
     across = (by_joints.transpose(0, 2, 1) @ shaped_markers).transpose(1, 0, 2).reshape(split, 3 * m)
@@ -291,21 +313,12 @@ def reduced(kinematics: Kinematics, at: Linearised, information: Array) -> Reduc
     normal[rows[:, :, None], rows[:, None, :]] = of_body.transpose(0, 2, 1) @ shaped_markers
     own = np.einsum("mij,mi->mj", shaped_markers, at.residual).ravel()
     gradient = np.concatenate([shaped_joints.T @ at.residual.ravel(), own])
-    factor = cho_factor(at.normal + TINY * np.eye(nv))
-    solved = np.asarray(cho_solve(factor, mixed))
-    half = np.asarray(solve_triangular(factor[0], at.slopes.reshape(3 * m, nv).T, trans=1)).reshape(nv, m, 3)
-    taken = np.einsum("kmi,mij,kmj->m", half, weighted, half, optimize=True)
-    pose_step = np.asarray(cho_solve(factor, at.gradient))
-    return Reduced(
-        normal - mixed.T @ solved,
-        gradient - solved.T @ at.gradient,
-        pose_step,
-        solved,
-        float(at.gradient @ pose_step),
-        1 - taken / 3,
-        at.residual,
-        np.sqrt(at.weight)[:, None] * at.residual,
-    )
+    root = np.asarray(cholesky(at.normal + TINY * np.eye(nv)))
+    block = pose_by_parameters(kinematics, at.slopes, at.weighted)
+    half = np.asarray(solve_triangular(root, np.column_stack([block, at.gradient]), trans=1))
+    mixed, right = half[:, :-1], half[:, -1]
+    pose_step = np.asarray(solve_triangular(root, right))
+    return Reduced(at, normal - mixed.T @ mixed, gradient - mixed.T @ right, pose_step, root, mixed)
 
 
 def _correlation_length(residuals: Array) -> float:

@@ -9,7 +9,10 @@ from mosca.camera.projection import cross_matrices
 from mosca.data.arrays import Array
 from mosca.data.joint_motion import JOINTS
 from mosca.skeleton.anatomical_axes import CHAINS, ELBOWS, KNEES, segment_axes
+from mosca.skeleton.joint_kernels import WIDE, JointTable, Spread, read_joints
 from mosca.skeleton.model import Kinematics
+from mosca.skeleton.pose import TINY, PoseSolution
+from mosca.skeleton.skin import common_modes
 
 LEAST_SPREAD = 1 - float(np.cos(np.deg2rad(10.0)))
 """A hinge that has turned by less than 10 degrees rms shows no axis: difference of the singular values of its mean
@@ -179,67 +182,67 @@ class JointReader:
         """``covariance`` (p, p) of the parameters [m^2]; ``landmarks_m`` (m,) standard deviation of each marker's
         mean place against its landmark, a coordinate: what skin carries it away for the whole take [m].
         """
-        self.kinematics, self.axes = kinematics, axes
-        self._landmarks = np.concatenate([np.zeros(3 * len(kinematics.model.joints)), np.repeat(landmarks_m, 3)])
+        self.kinematics = kinematics
         names = _bodies(kinematics)
         self.joints = tuple(joint for joint in JOINTS if CHAINS[joint].distal in names)
-        self._root = np.linalg.cholesky(covariance + 1e-18 * np.eye(len(covariance)))
-        self._near = np.array([names.index(CHAINS[j].proximal or "world") for j in self.joints])
-        self._far = np.array([names.index(CHAINS[j].distal) for j in self.joints])
-        mj_joints = kinematics.model.joints
-        self._centred = [k for k, j in enumerate(self.joints) if CHAINS[j].centre]
-        self._bodies = np.array([2 + mj_joints.index(self.joints[k]) for k in self._centred])
-        self._hips = [self._centred.index(self.joints.index(j)) for j in ("l_hip", "r_hip") if j in self.joints]
+        p = len(covariance)
+        first = 3 * len(kinematics.model.joints)
+        root = np.linalg.cholesky(covariance + 1e-18 * np.eye(p))
+        modes = common_modes(kinematics.local, kinematics.body_of_marker, landmarks_m).reshape(p - first, -1)
+        columns = np.zeros((p, -(-(p + modes.shape[1]) // WIDE) * WIDE))
+        columns[:, :p], columns[first:, p : p + modes.shape[1]] = root, modes
+        nothing = np.zeros((3, 3)), np.zeros((3, p))
         known = {body: (axes.axes[body], axes.slopes[body]) for body in axes.axes}
-        known["world"] = np.eye(3), np.zeros((3, len(covariance)))
-        nothing = (np.full((3, 3), np.nan), np.zeros((3, len(covariance))))
-        self._near_axes = [known.get(names[k], nothing) for k in self._near]
-        self._far_axes = [known.get(names[k], nothing) for k in self._far]
+        known["world"] = np.eye(3), nothing[1]
+        ends = [(CHAINS[joint].proximal or "world", CHAINS[joint].distal) for joint in self.joints]
+        near_axes, near_slopes = _stacked([known.get(near, nothing) for near, _ in ends])
+        far_axes, far_slopes = _stacked([known.get(far, nothing) for _, far in ends])
+        self._table = JointTable(
+            np.array([self._centre_bodies(joint) for joint in self.joints]),
+            np.array([names.index(near) for near, _ in ends]),
+            np.array([names.index(far) for _, far in ends]),
+            near_axes,
+            far_axes,
+            np.array([near in known and far in known for near, far in ends]),
+        )
+        # axes come with the fitted parameters; what skin does in one instant does not change them
+        turns = np.zeros((2, len(self.joints), 3, columns.shape[1]))
+        turns[0, :, :, :p], turns[1, :, :, :p] = near_slopes @ root, far_slopes @ root
+        landmarks = np.repeat(landmarks_m, 3)
+        near_turns, far_turns = turns
+        self._spread = Spread(
+            _blocks(columns), _blocks(near_turns), _blocks(far_turns), near_slopes[:, :, first:] * landmarks,
+            far_slopes[:, :, first:] * landmarks,
+        )  # fmt: skip
 
-    def read(self, noise: Array, pose_by_parameters: Array) -> tuple[Array, Array, Array, Array]:
-        """Return centres (j, 3) [m], covariances (j, 3, 3), rotations (j, 3, 3) and theirs, in the present pose.
+    def _centre_bodies(self, joint: str) -> tuple[int, int]:
+        """Return the two bodies whose origins' middle is the joint's centre, -1 for none."""
+        joints = self.kinematics.model.joints
+        if CHAINS[joint].centre:
+            return (2 + joints.index(joint),) * 2
+        if joint == "pelvis" and {"l_hip", "r_hip"} <= set(self.joints):
+            return 2 + joints.index("l_hip"), 2 + joints.index("r_hip")
+        return -1, -1
 
-        ``noise`` (nv, nv) covariance of the pose at given parameters, ``pose_by_parameters`` (nv, p) its derivative.
+    def read(self, solution: PoseSolution) -> tuple[Array, Array, Array, Array]:
+        """Return centres (j, 3) [m], covariances (j, 3, 3), rotations (j, 3, 3) and theirs, NaN for what is unknown.
+
+        The covariances are of the markers' noise, of their segments' movement over skin and of the parameters.
         """
-        centre, by_pose, by_parameters = self._centres()
-        rotation, turned, by_axes = self._rotations()
-        slopes = np.concatenate([by_pose, turned])  # (2 j, 3, nv)
-        direct = np.concatenate([by_parameters, by_axes])
-        total = direct + slopes @ pose_by_parameters
-        spread = total @ self._root
-        covariance = slopes @ noise @ slopes.transpose(0, 2, 1) + spread @ spread.transpose(0, 2, 1)
-        j = len(self.joints)
-        carried = by_axes * self._landmarks
-        covariance[j:] += carried @ carried.transpose(0, 2, 1)
-        unknown = np.isnan(rotation[:, 0, 0])
-        covariance[j:][unknown] = np.nan
-        covariance[:j][np.isnan(centre[:, 0])] = np.nan
-        return centre, covariance[:j], rotation, covariance[j:]
-
-    def _centres(self) -> tuple[Array, Array, Array]:
         kinematics, j = self.kinematics, len(self.joints)
-        p, nv = len(kinematics.parameters), kinematics.mj.nv
-        places = kinematics.joint_centres()[self._bodies - 1]
-        slopes = kinematics.by_pose(places, self._bodies)
-        by_joints = kinematics.by_parameters(self._bodies)
-        centre, by_pose, by_parameters = np.full((j, 3), np.nan), np.zeros((j, 3, nv)), np.zeros((j, 3, p))
-        centre[self._centred], by_pose[self._centred] = places, slopes
-        by_parameters[self._centred, :, : by_joints.shape[2]] = by_joints
-        if len(self._hips) == 2:
-            centre[0], by_pose[0] = places[self._hips].mean(axis=0), slopes[self._hips].mean(axis=0)
-            by_parameters[0, :, : by_joints.shape[2]] = by_joints[self._hips].mean(axis=0)
-        return centre, by_pose, by_parameters
+        kinematics.pose(solution.q)
+        out = np.empty((j, 3)), np.empty((j, 3, 3)), np.empty((2, j, 3, 3))
+        given = (kinematics.tree, kinematics.placed, solution.normal, solution.weighted)
+        if not read_joints(*given, TINY, self._table, self._spread, out):
+            raise np.linalg.LinAlgError("the pose's normal matrix is not positive definite")
+        centre, rotation, covariance = out
+        return centre, covariance[0], rotation, covariance[1]
 
-    def _rotations(self) -> tuple[Array, Array, Array]:
-        kinematics = self.kinematics
-        world_from = kinematics.rotations()
-        near = world_from[self._near] @ np.stack([axes for axes, _ in self._near_axes])
-        far = world_from[self._far] @ np.stack([axes for axes, _ in self._far_axes])
-        rotation = near.transpose(0, 2, 1) @ far
-        turned = kinematics.turned_by_pose(self._far) - kinematics.turned_by_pose(self._near)
-        known = np.nan_to_num(far)
-        slopes = known.transpose(0, 2, 1) @ turned
-        of_near = np.stack([slope for _, slope in self._near_axes])
-        of_far = np.stack([slope for _, slope in self._far_axes])
-        by_axes = of_far - np.nan_to_num(rotation).transpose(0, 2, 1) @ of_near
-        return rotation, slopes, by_axes
+
+def _stacked(pairs: Sequence[tuple[Array, Array]]) -> tuple[Array, Array]:
+    return np.stack([axes for axes, _ in pairs]), np.stack([slopes for _, slopes in pairs])
+
+
+def _blocks(columns: Array) -> Array:
+    """Return ``columns`` (..., k) in blocks of WIDE, (k / WIDE, ..., WIDE)."""
+    return np.ascontiguousarray(np.moveaxis(columns.reshape(*columns.shape[:-1], -1, WIDE), -2, 0))

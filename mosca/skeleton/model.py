@@ -11,12 +11,12 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from mosca.camera.projection import cross_matrices
 from mosca.data.arrays import Array, set_read_only
 from mosca.data.files.bounded import read_text
 from mosca.errors import InputError
-from mosca.skeleton.kernels import Moving
+from mosca.skeleton.kernels import Placed, Tree, fill_slopes, place, rotation_vectors
 from mosca.skeleton.mjcf import MIDPOINT, MOST_BYTES, SIGMA, compiled
+from mosca.skeleton.pose_kernels import RotationPrior
 
 HUMAN = Path(__file__).with_name("human.xml")
 PLACEMENT_M = 0.05
@@ -145,23 +145,28 @@ class Kinematics:
     def __init__(self, model: SkeletonModel, parameters: Array | None = None) -> None:
         self.model = model
         self.mj = mujoco.MjModel.from_xml_string(model.mjcf)
-        self.data = mujoco.MjData(self.mj)
         self._sites = np.array([self.mj.site(label).id for label in model.labels])
         self.body_of_marker = self.mj.site_bodyid[self._sites].astype(np.int64)
-        bodies = range(self.mj.nbody)
-        above = np.zeros((self.mj.nbody, self.mj.nbody), dtype=bool)  # [body, body at or above it]
-        for body in bodies[1:]:
-            above[body] = above[self.mj.body_parentid[body]]
+        nbody = self.mj.nbody
+        self.parent = np.concatenate([[-1], self.mj.body_parentid[1:]]).astype(np.int64)
+        above = np.zeros((nbody, nbody), dtype=bool)  # [body, body at or above it]
+        for body in range(1, nbody):
+            above[body] = above[self.parent[body]]
             above[body, body] = True
         self.above = above
         self.moved_by = above[:, self.mj.dof_bodyid]
         """(nbody, nv) whether a degree of freedom moves a body."""
-        longest = int(self.moved_by.sum(axis=1).max())
-        self._dofs = np.full((self.mj.nbody, longest), -1)
-        for body in bodies:
-            dofs = np.flatnonzero(self.moved_by[body])
+        self._count = np.maximum(self.moved_by.sum(axis=1), 3)
+        self._dofs = np.full((nbody, int(self._count.max())), -1)
+        for body in range(nbody):
+            dofs = np.flatnonzero(self.moved_by[body]) if body else np.arange(3)
             self._dofs[body, : len(dofs)] = dofs
-        self.ball_rows = np.arange(6, self.mj.nv).reshape(-1, 3)
+        self.placed = Placed(
+            np.empty((nbody, 3, 3)), np.empty((nbody, 3)), np.empty((len(self._sites), 3)), np.empty((nbody, 3, 3))
+        )
+        weight = np.zeros((nbody, 3))
+        weight[2:] = model.rotation_sigma[6:].reshape(-1, 3) ** -2.0
+        self._prior = RotationPrior(weight, np.zeros((nbody, 3)))
         self.set_parameters(model.parameters if parameters is None else parameters)
 
     def set_parameters(self, parameters: Array) -> None:
@@ -169,49 +174,50 @@ class Kinematics:
         self.parameters = np.array(parameters, dtype=np.float64)
         split = 3 * len(self.model.joints)
         self.mj.body_pos[2:] = self.parameters[:split].reshape(-1, 3)
-        self.mj.site_pos[self._sites] = self.parameters[split:].reshape(-1, 3)
+        self.mj.site_pos[self._sites] = self.local
+        self.tree = Tree(
+            self.parent, np.array(self.mj.body_pos), np.array(self.mj.body_quat), self.body_of_marker, self.local,
+            self._dofs, self._count,
+        )  # fmt: skip
 
     @property
     def local(self) -> Array:
         """(m, 3) places of the markers in their bodies' axes [m]."""
         return self.parameters[3 * len(self.model.joints) :].reshape(-1, 3)
 
+    def prior(self, posture: Array | float, share: float) -> RotationPrior:
+        """Return the prior of the joints' rotation vectors about ``posture`` (nv,) with ``share`` of its weight."""
+        mean = np.zeros_like(self._prior.mean)
+        if np.ndim(posture):
+            mean[2:] = np.reshape(posture, -1)[6:].reshape(-1, 3)
+        return RotationPrior(share * self._prior.weight, mean)
+
     def pose(self, q: Array) -> None:
         """Take the pose ``q`` (nq,)."""
-        self.data.qpos[:] = q
-        mujoco.mj_kinematics(self.mj, self.data)
-        mujoco.mj_comPos(self.mj, self.data)
+        place(self.tree, np.array(q, dtype=np.float64), self.placed)
 
     def markers(self) -> Array:
         """Return the markers' places (m, 3) in the world [m] in the present pose."""
-        return np.array(self.data.site_xpos[self._sites])
+        return np.array(self.placed.marker)
 
     def joint_centres(self) -> Array:
         """Return the places (nbody - 1, 3) of all joints in the world [m], the root's first."""
-        return np.array(self.data.xpos[1:])
+        return np.array(self.placed.origin[1:])
 
     def rotations(self) -> Array:
         """Return world_from_body (nbody, 3, 3)."""
-        return np.array(self.data.xmat.reshape(-1, 3, 3))
-
-    def moving(self) -> Moving:
-        """Return what moves the markers in the present pose."""
-        axes, along = (np.ascontiguousarray(part) for part in np.split(self.data.cdof, 2, axis=1))
-        return Moving(self.body_of_marker, self._dofs, axes, along, self.data.subtree_com[1])
+        return np.array(self.placed.rotation)
 
     def by_pose(self, points: Array, bodies: Array) -> Array:
         """Return derivatives (n, 3, nv) of ``points`` (n, 3), fixed to ``bodies`` (n,), by the pose's tangent."""
-        axes, along = self.data.cdof[:, :3], self.data.cdof[:, 3:]
-        x, y, z = (points - self.data.subtree_com[1]).T[:, :, None]
-        turned = np.empty((len(points), 3, self.mj.nv))
-        turned[:, 0] = along[:, 0] + axes[:, 1] * z - axes[:, 2] * y
-        turned[:, 1] = along[:, 1] + axes[:, 2] * x - axes[:, 0] * z
-        turned[:, 2] = along[:, 2] + axes[:, 0] * y - axes[:, 1] * x
-        return turned * self.moved_by[bodies][:, None, :]
+        slopes = np.zeros((len(points), 3, self.mj.nv))
+        fill_slopes(self.tree, self.placed, np.array(bodies), np.array(points, dtype=np.float64), slopes)
+        return slopes
 
     def turned_by_pose(self, bodies: Array) -> Array:
         """Return derivatives (n, 3, nv) of the bodies' rotation vectors in world axes by the pose's tangent."""
-        return np.asarray(self.data.cdof[:, :3].T * self.moved_by[bodies][:, None, :])
+        axes = np.concatenate([np.zeros((3, 3)), *self.placed.rotation[1:].transpose(0, 2, 1)]).T
+        return np.asarray(axes * self.moved_by[bodies][:, None, :])
 
     def by_parameters(self, bodies: Array) -> Array:
         """Return derivatives (n, 3, 3 b) of points fixed to ``bodies`` (n,) by joints' places in their parents."""
@@ -230,13 +236,6 @@ class Kinematics:
 
     def rotation_vectors(self, q: Array) -> tuple[Array, Array]:
         """Return the ball joints' rotation vectors (b, 3) [rad] and their derivatives (b, 3, 3) by their tangent."""
-        ball = np.array(q[7:]).reshape(-1, 4)
-        ball = np.where(ball[:, :1] < 0, -ball, ball)
-        sine = np.linalg.norm(ball[:, 1:], axis=1)
-        angle = 2 * np.arctan2(sine, ball[:, 0])
-        vector = ball[:, 1:] * np.where(sine > 1e-9, angle / np.maximum(sine, 1e-12), 2.0)[:, None]
-        # Inverse of the right Jacobian of the rotation group (Sola et al. 2018, eq. 144).
-        half = np.maximum(angle / 2, 1e-9)
-        factor = np.where(angle > 1e-4, (1 - half / np.tan(half)) / (2 * half) ** 2, 1 / 12)
-        cross = cross_matrices(vector)
-        return vector, np.eye(3) + cross / 2 + factor[:, None, None] * (cross @ cross)
+        vectors, slopes = np.empty((self.mj.njnt - 1, 3)), np.empty((self.mj.njnt - 1, 3, 3))
+        rotation_vectors(np.array(q, dtype=np.float64), vectors, slopes)
+        return vectors, slopes

@@ -1,13 +1,13 @@
-"""The pose of one instant from its markers: damped Gauss-Newton on MuJoCo's kinematics (inverse kinematics)."""
+"""The pose of one instant from its markers: damped Gauss-Newton (inverse kinematics)."""
 
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
 
 from mosca.data.arrays import Array
-from mosca.skeleton.kernels import PoseEquations, fill_equations
+from mosca.skeleton.kernels import unpack
 from mosca.skeleton.model import Kinematics
+from mosca.skeleton.pose_kernels import fit_pose
 
 LARGEST_TURN = 0.6
 """Largest rotation of a joint in one iteration [rad]: linearised, a step beyond it is not to be trusted."""
@@ -21,16 +21,19 @@ ROBUST = 3.0
 
 @dataclass(frozen=True, eq=False)
 class PoseSolution:
-    """A pose ``q`` (nq,), its normal matrix (nv, nv); of the markers weights (m,), residuals (m, 3) [m], derivatives
-    (m, 3, nv) and ``weighted`` information (m, 3, 3).
+    """A pose ``q`` (nq,) and the equations there: ``normal`` (nv, nv) ``step`` = ``gradient`` (nv,), with the joints'
+    prior; ``cost``. Of the markers ``weight`` (m,), ``residual`` (m, 3) [m], derivatives ``slopes`` (m, 3, nv) and
+    ``weighted`` information (m, 3, 3). ``converged``: whether the last step was below SETTLED.
     """
 
     q: Array
     normal: Array
+    gradient: Array
     weight: Array
     residual: Array
     slopes: Array
     weighted: Array
+    cost: float
     converged: bool
 
 
@@ -43,43 +46,28 @@ def solve_pose(
     posture: Array | float = 0.0,
     robust: float = ROBUST,
     iterations: int = 30,
+    share: float = 1.0,
 ) -> PoseSolution:
-    """Return the pose that fits markers ``xyz`` (m, 3) best, starting from ``q`` (nq,).
+    """Return the pose that fits markers ``xyz`` (m, 3) best, starting from ``q`` (nq,); ``kinematics`` takes it.
 
     ``information`` (m, 3, 3): inverse covariance of each marker against the model [1/m^2]; 0 for one not measured.
-    The joints' prior about ``posture`` (nv,) holds what the markers leave open.
+    The joints' prior about ``posture`` (nv,), mean of their rotation vectors, holds what the markers leave open, with
+    ``share`` of its weight. LinAlgError where neither holds it.
     """
-    damping, settled = 0.0, False
-    best = linearised(kinematics, q, xyz, information, robust, posture)
-    for _ in range(iterations):
-        step = _step(best, damping)
-        trial = linearised(kinematics, kinematics.moved(best.q, step), xyz, information, robust, posture)
-        settled = bool(np.abs(step).max() < SETTLED)
-        if trial.cost <= best.cost * (1 + 1e-9):
-            best = trial
-            damping = damping / 10 if damping > 1e-3 else 0.0
-        else:
-            damping = max(10 * damping, 1e-3)
-        if settled:
-            break
+    tree, prior = kinematics.tree, kinematics.prior(posture, share)
+    start, limits = np.array(q, dtype=np.float64), (SETTLED, LARGEST_TURN, TINY)
+    # copies: kernels are compiled once more for arrays that are read-only
+    given = np.array(xyz, dtype=np.float64), np.array(information, dtype=np.float64, order="C")
+    best, cost, settled = fit_pose(tree, kinematics.placed, prior, start, *given, float(robust), iterations, limits)
+    if not np.isfinite(cost):
+        raise np.linalg.LinAlgError("the pose's normal matrix is not positive definite")
+    normal = np.zeros((kinematics.mj.nv, kinematics.mj.nv))
+    unpack(tree, best.rows, normal)
+    slopes = kinematics.by_pose(kinematics.placed.marker, kinematics.body_of_marker)
     weighted = best.weight[:, None, None] * information
-    return PoseSolution(best.q, best.normal, best.weight, best.residual, best.slopes, weighted, settled)
-
-
-@dataclass(frozen=True, eq=False)
-class Linearised:
-    """Equations of a pose: ``normal`` (nv, nv) ``step`` = ``gradient`` (nv,), with the joints' prior.
-
-    ``weight`` (m,) and ``residual`` (m, 3) of the markers, ``slopes`` (m, 3, nv) their derivatives.
-    """
-
-    q: Array
-    normal: Array
-    gradient: Array
-    weight: Array
-    residual: Array
-    slopes: Array
-    cost: float
+    return PoseSolution(
+        best.q, normal, best.gradient, best.weight, best.residual, slopes, weighted, float(cost), settled
+    )
 
 
 def linearised(
@@ -90,28 +78,12 @@ def linearised(
     robust: float = ROBUST,
     posture: Array | float = 0.0,
     share: float = 1.0,
-) -> Linearised:
+) -> PoseSolution:
     """Return the equations at the pose ``q`` (nq,), which ``kinematics`` takes; see ``solve_pose``.
 
-    ``posture`` (nv,): mean of the joints' rotation vectors, about which the prior holds them with ``share`` of its
-    weight: a take's frames share one, for its postures are not drawn anew in each.
+    ``share``: a take's frames share one prior, for its postures are not drawn anew in each.
     """
-    kinematics.pose(q)
-    m, nv = len(xyz), kinematics.mj.nv
-    filled = PoseEquations(
-        np.empty((m, 3, nv)), np.empty(m), np.empty((m, 3)), np.empty((nv, nv)), np.empty(nv)
-    )  # fmt: skip
-    cost = fill_equations(kinematics.markers(), xyz, information, robust, kinematics.moving(), filled)
-    slopes, weight, residual, normal, gradient = filled
-    prior = share * kinematics.model.rotation_sigma[6:].reshape(-1, 3) ** -2.0
-    vectors, turned = kinematics.rotation_vectors(q)
-    off = vectors - np.reshape(posture, -1)[6:].reshape(-1, 3) if np.ndim(posture) else vectors
-    normal[kinematics.ball_rows[:, :, None], kinematics.ball_rows[:, None, :]] += turned.transpose(0, 2, 1) @ (
-        prior[:, :, None] * turned
-    )
-    gradient[6:] -= np.einsum("kij,ki->kj", turned, prior * off).ravel()
-    cost += float(np.sum(prior * off**2))
-    return Linearised(np.array(q), normal, gradient, weight, residual, slopes, cost)
+    return solve_pose(kinematics, q, xyz, information, posture=posture, robust=robust, iterations=0, share=share)
 
 
 def pose_by_parameters(kinematics: Kinematics, slopes: Array, weighted: Array) -> Array:
@@ -125,11 +97,6 @@ def pose_by_parameters(kinematics: Kinematics, slopes: Array, weighted: Array) -
     shaped = weighted @ slopes
     of_markers = (shaped.transpose(0, 2, 1) @ of_body).transpose(1, 0, 2).reshape(nv, 3 * m)
     return np.concatenate([shaped.reshape(3 * m, nv).T @ by_joints.reshape(3 * m, -1), of_markers], axis=1)
-
-
-def _step(at: Linearised, damping: float) -> Array:
-    normal = at.normal + damping * np.diag(np.diag(at.normal)) + TINY * np.eye(len(at.normal))
-    return limited(np.asarray(cho_solve(cho_factor(normal), at.gradient)))
 
 
 def limited(step: Array) -> Array:

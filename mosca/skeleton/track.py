@@ -4,7 +4,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
 
 from mosca.data.arrays import Array
 from mosca.data.joint_motion import JointMotion
@@ -14,8 +13,9 @@ from mosca.skeleton.fit import LEAST_SIGMA_M, FittedSubject
 from mosca.skeleton.joints import JointReader
 from mosca.skeleton.marker_frames import MarkerFrames
 from mosca.skeleton.model import Kinematics
-from mosca.skeleton.pose import TINY, PoseSolution, pose_by_parameters, solve_pose
-from mosca.skeleton.skin import common_m, common_modes
+from mosca.skeleton.pose import PoseSolution, solve_pose
+from mosca.skeleton.pose_kernels import information_of
+from mosca.skeleton.skin import common_m
 from mosca.skeleton.start import starting_pose
 
 FEWEST_MARKERS = 6
@@ -43,8 +43,7 @@ class SkeletonTracker:
         self.kinematics = Kinematics(subject.model, subject.parameters)
         common = common_m(subject.skin_m, self.kinematics.body_of_marker)
         self.reader = JointReader(self.kinematics, subject.axes, subject.covariance, common)
-        self._modes = common_modes(self.kinematics.local, self.kinematics.body_of_marker, common)
-        self._skin = np.maximum(subject.skin_m, LEAST_SIGMA_M)[:, None, None] ** 2 * np.eye(3)
+        self._skin_m = np.maximum(subject.skin_m, LEAST_SIGMA_M)
         self._q: Array | None = None
 
     def step(self, xyz: Array, covariance: Array) -> PoseSolution | None:
@@ -56,7 +55,8 @@ class SkeletonTracker:
         if seen.sum() < FEWEST_MARKERS:
             self._q = None
             return None
-        information = np.where(seen[:, None, None], np.linalg.inv(covariance + self._skin), 0.0)
+        information = np.empty((len(xyz), 3, 3))
+        information_of(np.array(xyz), np.array(covariance, order="C"), self._skin_m, information)
         start = self._q if self._q is not None else starting_pose(self.kinematics, xyz).q
         solution = solve_pose(self.kinematics, start, xyz, information, posture=self.subject.posture)
         if self._q is not None and solution.weight[seen].mean() < LOST:
@@ -68,17 +68,7 @@ class SkeletonTracker:
 
     def joints(self, solution: PoseSolution) -> tuple[Array, Array, Array, Array]:
         """Return what ``JointReader.read`` does, of a pose that ``step`` has returned."""
-        kinematics = self.kinematics
-        kinematics.pose(solution.q)
-        m, _, nv = solution.slopes.shape
-        mixed = pose_by_parameters(kinematics, solution.slopes, solution.weighted)
-        inverse = np.asarray(cho_solve(cho_factor(solution.normal + TINY * np.eye(nv)), np.eye(nv)))
-        by_parameters = -inverse @ mixed
-        modes = kinematics.rotations()[kinematics.body_of_marker] @ self._modes
-        shaped = (solution.weighted @ solution.slopes).reshape(3 * m, nv)
-        moved = inverse @ (shaped.T @ modes.reshape(3 * m, -1))
-        noise = inverse + moved @ moved.T
-        return self.reader.read(noise, by_parameters)
+        return self.reader.read(solution)
 
 
 def track_subject(

@@ -1,5 +1,8 @@
 """The skeleton's equations, fit and covariances, on takes made from parameters drawn from the model's own prior."""
 
+from dataclasses import replace
+
+import mujoco
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -8,10 +11,13 @@ from mosca.data.motion.motion import forward_kinematics, matrices_from_quaternio
 from mosca.data.tracks import Tracks
 from mosca.skeleton.anatomical_axes import axes_from
 from mosca.skeleton.fit import fit_subject
-from mosca.skeleton.kernels import PoseEquations, fill_equations
+from mosca.skeleton.joint_kernels import read_joints
+from mosca.skeleton.joints import JointReader, SegmentAxes
+from mosca.skeleton.kernels import fill_slopes, place, unpack
 from mosca.skeleton.marker_frames import MarkerFrames, marker_frames
 from mosca.skeleton.model import HUMAN, Kinematics, read_skeleton_model
-from mosca.skeleton.pose import solve_pose
+from mosca.skeleton.pose import TINY, linearised, pose_by_parameters, solve_pose
+from mosca.skeleton.pose_kernels import fit_pose, information_of
 from mosca.skeleton.skin import common_modes
 from mosca.skeleton.start import starting_pose
 from mosca.skeleton.track import motion_of, track_subject
@@ -55,7 +61,7 @@ def take(model, seed, n, noise=NOISE_M):
     for k, q in enumerate(posed(kinematics, rng, n)):
         kinematics.pose(q)
         xyz[k] = kinematics.markers()
-        centres[k] = [kinematics.data.body(kinematics.mj.jnt_bodyid[kinematics.mj.joint(j).id]).xpos for j in CENTRES]
+        centres[k] = kinematics.joint_centres()[[kinematics.mj.joint(joint).id for joint in CENTRES]]
     xyz += rng.normal(0, noise, xyz.shape)
     covariance = np.broadcast_to(noise**2 * np.eye(3), (*xyz.shape, 3))
     frame = np.arange(n)
@@ -105,29 +111,119 @@ def test_derivatives_are_those_of_differences(model):
     np.testing.assert_allclose(by_tangent, blocks, atol=1e-8)
 
 
+def test_places_and_derivatives_are_mujocos():
+    model = read_skeleton_model(HUMAN, (*LEGS, "C7", "LELB", "RFIN", "LFHD"))
+    turned = model.mjcf.replace('<body name="l_shank"', '<body quat="0.9 0.1 -0.3 0.2" name="l_shank"')
+    assert turned != model.mjcf
+    kinematics = Kinematics(replace(model, mjcf=turned), model.parameters * 1.1)
+    mj, data = kinematics.mj, mujoco.MjData(kinematics.mj)
+    for q in posed(kinematics, np.random.default_rng(2), 4):
+        data.qpos[:] = np.concatenate([3 * q[:3], q[3:]])
+        mujoco.mj_kinematics(mj, data)
+        mujoco.mj_comPos(mj, data)
+        kinematics.pose(np.concatenate([3 * q[:3], 5 * q[3:]]))  # quaternions of any length
+        np.testing.assert_allclose(kinematics.joint_centres(), data.xpos[1:], atol=1e-12)
+        np.testing.assert_allclose(kinematics.rotations().reshape(-1, 9), data.xmat, atol=1e-12)
+        slopes = kinematics.by_pose(kinematics.markers(), kinematics.body_of_marker)
+        turns = kinematics.turned_by_pose(kinematics.body_of_marker)
+        for k, label in enumerate(model.labels):
+            site = mj.site(label).id
+            np.testing.assert_allclose(kinematics.markers()[k], data.site_xpos[site], atol=1e-12)
+            by_place, by_turn = np.empty((2, 3, mj.nv))
+            mujoco.mj_jacSite(mj, data, by_place, by_turn, site)
+            np.testing.assert_allclose(slopes[k], by_place, atol=1e-12)
+            np.testing.assert_allclose(turns[k], by_turn, atol=1e-12)
+
+
 @pytest.mark.parametrize("robust", [3.0, 1e9])
 def test_equations_are_those_of_whole_matrices(model, robust):
-    kinematics, rng = Kinematics(model), np.random.default_rng(5)
-    kinematics.pose(posed(kinematics, rng, 3)[2])
+    free = replace(model, rotation_sigma=np.full_like(model.rotation_sigma, np.inf))
+    kinematics, rng = Kinematics(free), np.random.default_rng(5)
+    q = posed(kinematics, rng, 3)[2]
+    kinematics.pose(q)
     places = kinematics.markers()
-    m, nv = len(places), kinematics.mj.nv
+    m = len(places)
     half = rng.normal(size=(m, 3, 3))
     information = half @ half.transpose(0, 2, 1) + np.eye(3)
     target = places + rng.normal(size=places.shape) * 3
     target[4] = np.nan
-    filled = PoseEquations(np.empty((m, 3, nv)), np.empty(m), np.empty((m, 3)), np.empty((nv, nv)), np.empty(nv))
-    cost = fill_equations(places, target, information, robust, kinematics.moving(), filled)
+    found = linearised(kinematics, q, target, information, robust)
     slopes = kinematics.by_pose(places, kinematics.body_of_marker)
     seen = np.isfinite(target[:, 0])
     residual = np.where(seen[:, None], target - places, 0.0)
     distance = np.sqrt(np.einsum("mi,mij,mj->m", residual, information, residual))
     weight = np.minimum(1.0, robust / np.maximum(distance, 1e-9))
     weighted = (weight * seen)[:, None, None] * information
-    np.testing.assert_allclose(filled.slopes, slopes, atol=1e-12)
-    np.testing.assert_allclose(filled.normal, np.einsum("mia,mij,mjb->ab", slopes, weighted, slopes), atol=1e-9)
-    np.testing.assert_allclose(filled.gradient, np.einsum("mia,mij,mj->a", slopes, weighted, residual), atol=1e-9)
+    np.testing.assert_allclose(found.slopes, slopes, atol=1e-12)
+    np.testing.assert_allclose(found.normal, np.einsum("mia,mij,mjb->ab", slopes, weighted, slopes), atol=1e-9)
+    np.testing.assert_allclose(found.gradient, np.einsum("mia,mij,mj->a", slopes, weighted, residual), atol=1e-9)
     huber = np.where(distance > robust, robust * (2 * distance - robust), distance**2)
-    assert cost == pytest.approx(huber.sum(), rel=1e-12)
+    assert found.cost == pytest.approx(huber[seen].sum(), rel=1e-12)
+
+
+def test_the_prior_is_that_of_rotation_vectors(model):
+    """Without markers: cost, gradient and normal matrix of (vector - mean) / sigma, by differences of SciPy's."""
+    kinematics, rng = Kinematics(model), np.random.default_rng(6)
+    q, mean = posed(kinematics, rng, 3)[2], rng.normal(0, 0.1, kinematics.mj.nv)
+    nothing = np.full((len(model.labels), 3), np.nan), np.zeros((len(model.labels), 3, 3))
+    found = linearised(kinematics, q, *nothing, posture=mean, share=0.5)
+
+    def off(step):
+        balls = kinematics.moved(q, step)[7:].reshape(-1, 4)
+        vectors = Rotation.from_quat(balls[:, [1, 2, 3, 0]]).as_rotvec().ravel()
+        return np.sqrt(0.5) * (vectors - mean[6:]) / model.rotation_sigma[6:]
+
+    zero = np.zeros(kinematics.mj.nv)
+    slopes = differences(off, zero)
+    assert found.cost == pytest.approx(off(zero) @ off(zero), rel=1e-12)
+    np.testing.assert_allclose(found.gradient, -slopes.T @ off(zero), atol=1e-6)
+    np.testing.assert_allclose(found.normal, slopes.T @ slopes, rtol=1e-6, atol=1e-5)
+
+
+def test_covariances_of_joints_are_those_of_whole_matrices(model):
+    """Of the pose's noise, of movement over skin and of the parameters, each by its own matrices."""
+    kinematics, rng = Kinematics(model), np.random.default_rng(7)
+    p, bodies = len(model.parameters), [kinematics.mj.body(k).name for k in range(kinematics.mj.nbody)]
+    half = rng.normal(0, 1e-3, (p, p))
+    common = np.full(len(model.labels), 2e-3)
+    known = [name for name in bodies[1:] if name != "r_foot"]
+    axes = {name: Rotation.random(random_state=k).as_matrix() for k, name in enumerate(known)}
+    turns = {name: rng.normal(0, 3.0, (3, p)) for name in axes}
+    q = posed(kinematics, rng, 3)[1]
+    kinematics.pose(q)
+    xyz = kinematics.markers() + rng.normal(0, 0.01, (len(common), 3))
+    xyz[3] = np.nan
+    at = solve_pose(kinematics, q, xyz, np.tile(1e5 * np.eye(3), (len(xyz), 1, 1)))
+    reader = JointReader(kinematics, SegmentAxes(axes, turns), half @ half.T, common)
+    centre, centre_covariance, rotation, rotation_covariance = reader.read(at)
+
+    inverse = np.linalg.inv(at.normal + TINY * np.eye(len(at.normal)))
+    by_parameters = -inverse @ pose_by_parameters(kinematics, at.slopes, at.weighted)
+    modes = kinematics.rotations()[kinematics.body_of_marker] @ common_modes(
+        kinematics.local, kinematics.body_of_marker, common
+    )
+    moved = inverse @ np.einsum("miv,mij,mjk->vk", at.slopes, at.weighted, modes)
+    noise = inverse + moved @ moved.T
+    place, world_from = kinematics.joint_centres(), kinematics.rotations()
+    for joint, near, far in (("l_knee", "l_thigh", "l_shank"), ("r_hip", "pelvis", "r_thigh")):
+        k, body, near, far = reader.joints.index(joint), bodies.index(far), bodies.index(near), bodies.index(far)
+        np.testing.assert_allclose(centre[k], place[body - 1], atol=1e-12)
+        slopes = kinematics.by_pose(place[[body - 1]], np.array([body]))[0]
+        direct = np.zeros((3, p))
+        direct[:, : 3 * len(model.joints)] = kinematics.by_parameters(np.array([body]))[0]
+        total = direct + slopes @ by_parameters
+        np.testing.assert_allclose(centre_covariance[k], slopes @ noise @ slopes.T + total @ half @ half.T @ total.T)
+        near_axes, far_axes = (world_from[b] @ axes[bodies[b]] for b in (near, far))
+        np.testing.assert_allclose(rotation[k], near_axes.T @ far_axes, atol=1e-12)
+        turned = kinematics.turned_by_pose(np.array([far]))[0] - kinematics.turned_by_pose(np.array([near]))[0]
+        own = turns[bodies[far]] - rotation[k].T @ turns[bodies[near]]
+        total, landmarks = own + far_axes.T @ turned @ by_parameters, 2e-3 * own[:, 3 * len(model.joints) :]
+        expected = far_axes.T @ turned @ noise @ turned.T @ far_axes + total @ half @ half.T @ total.T
+        np.testing.assert_allclose(rotation_covariance[k], expected + landmarks @ landmarks.T)
+    hips = [bodies.index(f"{side}_thigh") for side in "lr"]
+    np.testing.assert_allclose(centre[0], place[[b - 1 for b in hips]].mean(axis=0), atol=1e-12)
+    assert np.isnan(rotation_covariance[reader.joints.index("r_ankle")]).all()
+    assert np.isfinite(centre_covariance[0]).all()
 
 
 def test_a_pose_is_found_without_knowing_one(model):
@@ -263,6 +359,13 @@ def test_frames_with_too_few_markers_have_no_pose(model, fitted):
     assert np.isfinite(found.q[[0, 2]]).all()
     assert np.isnan(found.q[1]).all()
     assert np.isnan(found.joints.centre[1]).all()
+
+
+def test_kernels_are_compiled_once(fitted):
+    """Frames are read-only and poses are not: kernels given both as they are would be compiled for each."""
+    assert not fitted[0][1].xyz.flags.writeable
+    for one in (fit_pose, information_of, place, fill_slopes, unpack, read_joints):
+        assert len(one.signatures) == 1, one.py_func.__name__
 
 
 def test_no_tracks_are_no_frames():
