@@ -7,6 +7,7 @@ import numpy as np
 from mosca.data.arrays import Array, read_only_image, set_read_only
 from mosca.data.detections import Detections
 from mosca.data.joint_angles import JointAngles
+from mosca.data.joint_motion import JointMotion
 from mosca.data.rig import Rig
 from mosca.data.tracks import Tracks
 
@@ -96,6 +97,9 @@ class Evidence:
     angles: JointAngles | None = None
     """Joint angles of a person."""
     true_angles: JointAngles | None = None
+    joints: JointMotion | None = None
+    """Joints of a person."""
+    true_joints: JointMotion | None = None
 
     def __post_init__(self) -> None:
         set_read_only(self, working_space_center=(3,), working_space_size=(3,))

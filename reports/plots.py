@@ -7,6 +7,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
 from mosca.data.arrays import Array
+from reports.biped_plots import biped_picture
+from reports.bones import strips
 from reports.evidence import ErrorTable, Evidence, true_positions
 from reports.images import camera_picture
 from reports.joint_plots import angles_picture
@@ -62,6 +64,8 @@ def _pictures(record: RunRecord, evidence: Evidence) -> Iterator[Picture]:
         yield volume
     if evidence.errors is not None and len(evidence.truth_names):
         yield completeness_picture(record, evidence)
+    if evidence.joints is not None and any(strips(evidence.joints.joints, one) for one in evidence.joints.centre):
+        yield biped_picture(evidence.joints, evidence.true_joints, evidence.tracks)
     if evidence.angles is not None and evidence.angles.names and len(evidence.angles):
         yield angles_picture(evidence.angles, evidence.true_angles)
     for i, view in enumerate(evidence.views[:MOST_VIEWS]):

@@ -7,6 +7,8 @@ The only importer of rerun, and only inside functions: everything else runs with
     world/cameras/NAME               pose; .../image: pinhole, JPEG frames; .../image/detections: 2D points
     world/points                     reconstructed points, one colour a track
     world/truth                      where markers really were
+    world/skeleton/joints, bones     a person's joint centres, and lines between them
+    world/true_skeleton/...          where they really were
 
 Rerun knows pinholes only. Images and detections are shown as the camera gave them, distorted, so that 3D
 points seen through a camera are off by its distortion (exact in the 3D view).
@@ -22,8 +24,11 @@ import numpy as np
 
 from mosca.data.arrays import Array
 from mosca.data.detections import Detections
+from mosca.data.files.whole_file import check_writable
+from mosca.data.joint_motion import JointMotion
 from mosca.data.rig import Camera, Rig, principal_distances_px, principal_point_px
 from mosca.errors import InputError
+from reports.bones import strips
 
 APPLICATION = "mosca"
 JPEG_QUALITY = 75
@@ -87,6 +92,22 @@ class RerunLog:
         points = self._rr.Points3D(there, radii=0.004, colors=[(120, 130, 140)])
         self._stream.log("world/truth", points)
 
+    def log_skeleton(self, frame: int, time_ns: int, joints: JointMotion | None, true: bool = False) -> None:
+        """Log a person's joint centres and bones at one pulse, the first instant of ``joints``; None clears them.
+
+        ``true``: where they really were, in grey.
+        """
+        self._set_time(frame, time_ns)
+        entity, colour = ("true_skeleton", (120, 130, 140)) if true else ("skeleton", (0, 158, 115))
+        centre = np.empty((0, 3)) if joints is None else joints.centre[0]
+        names = () if joints is None else joints.joints
+        known = np.flatnonzero(np.isfinite(centre).all(axis=1))
+        there = [names[k] for k in known]
+        points = self._rr.Points3D(centre[known], radii=0.012, colors=[colour], labels=there, show_labels=False)
+        self._stream.log(f"world/{entity}/joints", points)
+        lines = self._rr.LineStrips3D(strips(names, centre), radii=0.006, colors=[colour])
+        self._stream.log(f"world/{entity}/bones", lines)
+
     def close(self) -> None:
         """Write what is left and finish the file; may be called twice."""
         if not self._closed:
@@ -132,6 +153,16 @@ class RerunLog:
 
     def _compressed(self, image: Array) -> Any:
         return self._rr.Image(_eight_bits(image)).compress(jpeg_quality=JPEG_QUALITY)
+
+
+def check_rrd(path: Path | None) -> None:
+    """Raise InputError where ``path`` is no .rrd file that can be written, or rerun is missing; None is none."""
+    if path is None:
+        return
+    if path.suffix.lower() != ".rrd":
+        raise InputError(f"{path}: suffix '{path.suffix}' given; a recording for the Rerun viewer is an .rrd file")
+    check_writable(path)
+    _rerun()
 
 
 def _rerun() -> Any:

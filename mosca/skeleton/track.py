@@ -70,6 +70,17 @@ class SkeletonTracker:
         """Return what ``JointReader.read`` does, of a pose that ``step`` has returned."""
         return self.reader.read(solution)
 
+    def joints_at(self, solution: PoseSolution, frame: int, time_ns: int) -> JointMotion:
+        """Return the joints of a pose that ``step`` has returned, as the motion of one instant."""
+        centre, centre_covariance, matrices, rotation_covariance = self.joints(solution)
+        rotation = np.full((len(matrices), 4), np.nan)
+        known = np.isfinite(matrices[:, 0, 0])
+        rotation[known] = [quaternion_from_rotation(matrix) for matrix in matrices[known]]
+        return JointMotion(
+            np.array([frame]), np.array([time_ns]), self.reader.joints, centre[None], centre_covariance[None],
+            rotation[None], rotation_covariance[None],
+        )  # fmt: skip
+
 
 def track_subject(
     subject: FittedSubject,

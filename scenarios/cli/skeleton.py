@@ -24,10 +24,17 @@ def skeleton() -> None:
 @click.option("--out", required=True, type=OUT_FILE, help="the subject: .npz, for 'skeleton track'")
 @click.option("--model", type=FILE, help="MJCF of bodies and markers  [default: a person, mosca/skeleton/human.xml]")
 @click.option("--mjcf", type=OUT_FILE, help="also write the fitted model as MJCF (.xml)")
+@click.option("--osim-scale", type=OUT_FILE, help="also write factors that scale OpenSim's gait2354 (.xml)")
 @FRAMES
 @PERSON
 def skeleton_fit(
-    tracks: Path, out: Path, model: Path | None, mjcf: Path | None, frames: str | None, person: str | None
+    tracks: Path,
+    out: Path,
+    model: Path | None,
+    mjcf: Path | None,
+    osim_scale: Path | None,
+    frames: str | None,
+    person: str | None,
 ) -> None:
     """Fit a skeleton to labelled tracks: segment lengths, joint centres and markers of one person.
 
@@ -41,7 +48,7 @@ def skeleton_fit(
     from scenarios.commands.skeleton import Selection, fit_take
 
     with Progress("skeleton fit") as shown:
-        lines = fit_take(tracks, out, model, mjcf, Selection(person, frames), shown)
+        lines = fit_take(tracks, out, model, mjcf, Selection(person, frames), shown, osim_scale)
     echo_lines(lines)
 
 
@@ -54,6 +61,7 @@ def skeleton_fit(
 @click.option("--mot", type=OUT_FILE, help="OpenSim's coordinates: .mot")
 @click.option("--c3d", type=OUT_FILE, help="markers, joint centres and angles: .c3d")
 @click.option("--plot", type=OUT_FILE, help="picture of the joint angles, over gait cycles where there are: .svg")
+@click.option("--rrd", type=OUT_FILE, help="markers and bones for the Rerun viewer ('mosca view'): .rrd")
 @FRAMES
 @PERSON
 @click.option(

@@ -17,10 +17,13 @@ from mosca.diagnostics.sensor import Sensors
 from mosca.errors import InputError
 from mosca.formats.tracks.tracks_file import TracksLog
 from mosca.live import run_live
+from mosca.pipeline import Step
 from mosca.precompile import warm_up
+from mosca.skeleton.live import LivePose
 from mosca.smoothing.fixed_lag import FixedLag, LagSettings
 from mosca.synchronisation import Assembly
 from reports.record import RunRecord, write_record
+from scenarios.commands.live_skeleton import LivePerson, LiveShow, check_show
 from scenarios.commands.live_sources import LiveOptions, LiveSource, opened_live
 from scenarios.run.interrupt import first_ctrl_c
 from scenarios.run.provenance import provenance
@@ -61,10 +64,13 @@ def run_live_command(options: LiveOptions, report: Callable[[str], None]) -> lis
         raise InputError(f"{options.record}: suffix '{options.record.suffix}' given; a record is a .json file")
     if options.record is not None:
         check_writable(options.record)
+    check_show(options)
     smoother = None if options.lag is None else FixedLag(LagSettings(lag=options.lag))
     with ExitStack() as stack:
         log = None if options.out is None else stack.enter_context(_log(options.out, stack))
+        person = None if options.skeleton is None else LivePerson(options.skeleton, options.joints, stack)
         source = opened_live(options, stack)
+        show = LiveShow(options, source.rig, stack) if options.rrd is not None or options.view else None
         for note in source.notes:
             report(note)
         warm_up()  # a compiler's seconds would count as latency
@@ -73,17 +79,69 @@ def run_live_command(options: LiveOptions, report: Callable[[str], None]) -> lis
         assembly, health = (Assembly(), Health.of(source.rig, source.settings.match))
         sensors = Sensors(source.frames.cameras, source.settings.detection)
         steps = stack.enter_context(_Steps(source, assembly, health, sensors, options))
-        stages, elapsed = _follow(steps, assembly, smoother, log, options, report)
+        sinks = _Sinks(smoother, person, show, log)
+        stages, elapsed = _follow(steps, assembly, sinks, options, report)
         lines = _summary(steps.count, elapsed, stages, assembly)
         if log is not None:
             tracks = log.finish(source.frames.cameras[0].frame_rate_hz)
             lines.append(f"{tracks} tracks with {log.samples} samples in {options.out}")
+        if person is not None:
+            lines += person.finish()
         lines += [*health.findings(), *sensors.lines(), *sensors.findings()]
         if options.record is not None:
             record = _record(options, steps.count, elapsed, stages, assembly, (health, sensors), log)
             write_record(record, options.record)
             lines.append(f"{options.record}")
     return lines
+
+
+@dataclass(frozen=True)
+class _Sinks:
+    """What the samples of a live run go through, in this order: smoother, person, viewer, log."""
+
+    smoother: FixedLag | None
+    person: LivePerson | None
+    show: LiveShow | None
+    log: TracksLog | None
+
+    def take(self, step: Step) -> tuple[Step, Samples]:
+        """Return a step with the times that this took, and the samples that left the smoother."""
+        seconds, start = dict(step.seconds), time.perf_counter()
+        samples = step.samples
+        poses: list[LivePose] = []
+        label_of: Mapping[tuple[int, int], str] = {}
+
+        def timed(stage: str) -> None:
+            nonlocal start
+            now = time.perf_counter()
+            seconds[stage], start = now - start, now
+
+        if self.smoother is not None:
+            samples = self.smoother.step(step.frame_set.pulse, samples)
+            timed("smooth")
+        if self.person is not None:
+            poses, label_of = self.person.step(samples)
+            timed("skeleton")
+        if self.show is not None:
+            self.show.show(step.frame_set.pulse, step.frame_set.time_ns, step.samples, poses)
+            timed("show")
+        if self.log is not None:
+            self.log.write(samples, label_of)
+        return replace(step, seconds=seconds), samples
+
+    def flush(self) -> None:
+        """Hand what was written to the operating system."""
+        if self.log is not None:
+            self.log.flush()
+
+    def rest(self) -> None:
+        """Take what the smoother still holds."""
+        if self.smoother is None:
+            return
+        samples = self.smoother.rest()
+        label_of = {} if self.person is None else self.person.step(samples)[1]
+        if self.log is not None:
+            self.log.write(samples, label_of)
 
 
 class _Steps:
@@ -116,12 +174,7 @@ class _Steps:
 
 
 def _follow(
-    steps: _Steps,
-    assembly: Assembly,
-    smoother: FixedLag | None,
-    log: TracksLog | None,
-    options: LiveOptions,
-    report: Callable[[str], None],
+    steps: _Steps, assembly: Assembly, sinks: _Sinks, options: LiveOptions, report: Callable[[str], None]
 ) -> tuple[dict[str, list[float]], float]:
     """Follow the run to its end; return each stage's times, ``latency`` their sum, and how long it took."""
     stages: dict[str, list[float]] = {"latency": []}
@@ -131,11 +184,7 @@ def _follow(
         if steps.count == 0:  # the source needed its time to start
             begin = second.start = time.perf_counter()
         steps.count += 1
-        samples = step.samples
-        if smoother is not None:
-            start = time.perf_counter()
-            samples = smoother.step(step.frame_set.pulse, samples)
-            step = replace(step, seconds={**step.seconds, "smooth": time.perf_counter() - start})
+        step, samples = sinks.take(step)
         for stage, seconds in step.seconds.items():
             stages.setdefault(stage, []).append(seconds)
         latency = sum(step.seconds.values())
@@ -144,18 +193,14 @@ def _follow(
         second.points += len(step.points)
         second.latency.append(latency)
         second.tracks.update(samples.track.tolist())
-        if log is not None:
-            log.write(samples)
         now = time.perf_counter()
         if now - second.start >= EVERY_S:
             report(second.line(now, now - begin, assembly.skipped_sets))
             second = _Second(now, skipped=assembly.skipped_sets)
-            if log is not None:
-                log.flush()
+            sinks.flush()
         if steps.over.is_set() or (options.seconds is not None and now - begin >= options.seconds):
             break
-    if smoother is not None and log is not None:
-        log.write(smoother.rest())
+    sinks.rest()
     return stages, time.perf_counter() - begin
 
 
@@ -188,6 +233,9 @@ def _summary(sets: int, elapsed: float, stages: Mapping[str, list[float]], assem
         lines.append(f"latency {p50:.1f} ms, p99 {p99:.1f} ms, at most {most:.1f} ms")
         means = {stage: 1e3 * float(np.mean(v)) for stage, v in stages.items() if stage != "latency"}
         lines.append("a set takes " + ", ".join(f"{stage} {value:.2f}" for stage, value in means.items()) + " ms")
+        if skeleton := stages.get("skeleton"):
+            p50, p99 = 1e3 * np.quantile(skeleton, [0.5, 0.99])
+            lines.append(f"skeleton {p50:.1f} ms, p99 {p99:.1f} ms")
     return lines + [f"{kind}: {note}" for kind, note in assembly.notes.items()]
 
 

@@ -43,6 +43,10 @@ class LiveOptions:
     lag: int | None = None
     settings: Path | None = None
     overrides: tuple[str, ...] = ()
+    skeleton: Path | None = None
+    joints: Path | None = None
+    rrd: Path | None = None
+    view: bool = False
     workers: int | None = None
     """Rendering threads of a scenario; default: all cores."""
 

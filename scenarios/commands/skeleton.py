@@ -10,8 +10,9 @@ import numpy as np
 
 from mosca.data.arrays import Array
 from mosca.data.files.bounded import read_text
-from mosca.data.files.whole_file import check_writable, write_text
+from mosca.data.files.whole_file import check_writable, whole_file, write_text
 from mosca.data.joint_angles import JointAngles
+from mosca.data.rig import Rig
 from mosca.data.tracks import Tracks
 from mosca.errors import InputError
 from mosca.formats.bodies.bvh_writer import write_bvh
@@ -20,7 +21,7 @@ from mosca.formats.bodies.subject_file import check_subject_file, read_subject, 
 from mosca.formats.joints.angles_csv import write_angles_csv
 from mosca.formats.joints.joints_c3d import write_joints_c3d
 from mosca.formats.joints.joints_csv import write_joints_csv
-from mosca.formats.joints.opensim import COORDINATES, write_mot
+from mosca.formats.joints.opensim import COORDINATES, write_mot, write_scale_set
 from mosca.formats.tracks.marker_table import MOST_CELLS
 from mosca.formats.tracks.tracks_file import read_tracks
 from mosca.skeleton.fit import FittedSubject, fit_subject
@@ -29,12 +30,15 @@ from mosca.skeleton.isb_angles import isb_angles
 from mosca.skeleton.marker_frames import MarkerFrames, labels_of, marker_frames, short_label
 from mosca.skeleton.mjcf import MOST_BYTES, compiled
 from mosca.skeleton.model import HUMAN, SkeletonModel, model_from_mjcf
+from mosca.skeleton.opensim_scales import gait2354_scales, scaled_bodies
 from mosca.skeleton.start import size_of
 from mosca.skeleton.track import FEWEST_MARKERS, SkeletonTake, motion_of, track_subject
 from reports.joint_plots import angles_picture
 from reports.plot_style import svg_file
+from reports.viewer import RerunLog, check_rrd
 from scenarios.commands.labels import between, rate_of
 from scenarios.commands.skeleton_words import check_bodies, lengths, sigmas, untold
+from scenarios.run.people import show_person
 
 Report = Callable[[int, int | None], None]
 
@@ -49,19 +53,30 @@ class Outputs:
     mot: Path | None = None
     c3d: Path | None = None
     plot: Path | None = None
+    rrd: Path | None = None
 
     def check(self) -> None:
         """Raise InputError where there is none, one has a wrong suffix, stands twice or cannot be written."""
-        suffixes = {"out": ".csv", "angles": ".csv", "bvh": ".bvh", "mot": ".mot", "c3d": ".c3d", "plot": ".svg"}
+        suffixes = {
+            "out": ".csv",
+            "angles": ".csv",
+            "bvh": ".bvh",
+            "mot": ".mot",
+            "c3d": ".c3d",
+            "plot": ".svg",
+            "rrd": ".rrd",
+        }
         given = {name: path for name in suffixes if (path := getattr(self, name)) is not None}
         if not given:
             raise InputError(
-                "skeleton track: nothing to write; give --out, --angles, --bvh, --mot, --c3d or --plot with a file"
+                "skeleton track: nothing to write; give --out, --angles, --bvh, --mot, --c3d, --plot or --rrd with a "
+                "file"
             )
         for name, path in given.items():
             if path.suffix.lower() != suffixes[name]:
                 raise InputError(f"{path}: suffix '{path.suffix}' given; {suffixes[name]} is wanted here")
             check_writable(path)
+        check_rrd(self.rrd)
         if len({path.resolve() for path in given.values()}) < len(given):
             raise InputError(
                 f"{', '.join(map(str, given.values()))}: a file stands twice; each has a name of its own"
@@ -102,21 +117,36 @@ class Selection:
 
 
 def fit_take(
-    path: Path, out: Path, model_path: Path | None, mjcf: Path | None, selection: Selection, progress: Report
+    path: Path,
+    out: Path,
+    model_path: Path | None,
+    mjcf: Path | None,
+    selection: Selection,
+    progress: Report,
+    osim_scale: Path | None = None,
 ) -> list[str]:
     """Fit a skeleton to the labelled tracks in ``path``, write the subject to ``out``; return the lines to print.
 
     ``model_path``: MJCF of the model, None for that of a person; ``mjcf``: where the fitted model goes, None for
-    nowhere.
+    nowhere; ``osim_scale``: where the scale set for OpenSim's gait2354 goes.
     """
     check_subject_file(out)
-    if mjcf is not None:
-        if mjcf.suffix.lower() != ".xml":
-            raise InputError(f"{mjcf}: suffix '{mjcf.suffix}' given; a model is an .xml file")
-        check_writable(mjcf)
+    for file, kind in ((mjcf, "a model"), (osim_scale, "a scale set")):
+        if file is None:
+            continue
+        if file.suffix.lower() != ".xml":
+            raise InputError(f"{file}: suffix '{file.suffix}' given; {kind} is an .xml file")
+        check_writable(file)
+    if mjcf is not None and osim_scale is not None and mjcf.resolve() == osim_scale.resolve():
+        raise InputError(f"{mjcf}: stands twice; each file has a name of its own")
     tracks = selection.read(path)
     model, unknown = _model(model_path or HUMAN, labels_of(tracks), path)
     _check_single(tracks, model.labels, path)
+    if osim_scale is not None and not scaled_bodies(model):
+        raise InputError(
+            f"{osim_scale}: the model has no hips, knees or ankles (l_hip, ...) that would scale "
+            "gait2354; leave --osim-scale out"
+        )
     frames = marker_frames(tracks, model.labels)
     subject = fit_subject(model, frames, str(path), progress)
     lines = [f"{len(model.labels)} markers used: {', '.join(model.labels)}"]
@@ -131,6 +161,11 @@ def fit_take(
     if mjcf is not None:
         write_mjcf(subject, mjcf)
         lines.append(f"fitted model in {mjcf}")
+    if osim_scale is not None:
+        scales = gait2354_scales(subject)
+        write_scale_set(scales, osim_scale)
+        factors = ", ".join(f"{body} {one[0]:.3f}" for body, one in scales.items())
+        lines.append(f"scale set for OpenSim's gait2354 in {osim_scale}: {factors}")
     return [*lines, f"subject in {out}"]
 
 
@@ -205,12 +240,23 @@ class _Writer:
         if outputs.angles:
             write_angles_csv(angles, outputs.angles)
             lines.append(f"joint angles in {outputs.angles}")
+        if outputs.rrd:
+            self._rrd(outputs.rrd)
+            lines.append(f"markers and bones in {outputs.rrd}, for 'mosca view'")
         if outputs.plot:
             strikes = self._strikes()
             write_text(outputs.plot, svg_file(angles_picture(angles, strikes=strikes)))
             over = "time" if strikes is None else "the gait cycle"
             lines.append(f"joint angles over {over} in {outputs.plot}")
         return lines
+
+    def _rrd(self, out: Path) -> None:
+        """Write markers and bones for the Rerun viewer."""
+        with whole_file(out) as temporary, RerunLog(temporary, Rig(())) as log:
+            for k, (frame, time_ns) in enumerate(zip(self.frames.frame, self.frames.time_ns, strict=True)):
+                seen = np.flatnonzero(self.frames.seen[k])
+                log.log_step(int(frame), int(time_ns), points_xyz=self.frames.xyz[k, seen], track_ids=seen)
+            show_person(log, self.take.joints)
 
     def _mot(self, out: Path, opensim: str) -> list[str]:
         """Write OpenSim's coordinates of the frames in which all that are ever known are known."""

@@ -217,7 +217,8 @@ def _view(
     if not request.view and request.view_log is None:
         return None
     from reports.viewer import RerunLog
-    from scenarios.lab.live_view import LiveView, log_in_viewer, uncalibrated
+    from reports.viewer_process import log_in_viewer
+    from scenarios.lab.live_view import LiveView, uncalibrated
 
     rig = _calibrated(request.rig)
     shown = rig or uncalibrated(source.cameras)

@@ -19,8 +19,9 @@ from mosca.skeleton.isb_angles import isb_angles
 from mosca.skeleton.marker_frames import MarkerFrames, labels_of, marker_frames
 from mosca.skeleton.model import HUMAN, read_skeleton_model
 from mosca.skeleton.track import SkeletonTake, motion_of, track_subject
+from reports.viewer import RerunLog
 from scenarios.run.calibration_take import with_labels
-from scenarios.score.people import with_labels_swapped
+from scenarios.score.people import true_motion, with_labels_swapped
 from scenarios.spec.scenario import LabelFault, Scenario
 
 
@@ -50,6 +51,19 @@ class Person:
             moved = motion_of(self.subject, self.take.q, self.frame_rate_hz)
             files["skeleton.bvh"] = lambda path: write_bvh(moved, path)
         return files
+
+
+def show_person(log: RerunLog | None, joints: JointMotion, truth: Truth | None = None) -> None:
+    """Log a person's joints and bones, and the true ones where the truth knows them; without a log do nothing."""
+    if log is None:
+        return
+    motions = [(joints, False)]
+    if truth is not None and truth.joints is not None:
+        motions.append((true_motion(truth), True))
+    for motion, true in motions:
+        for k in range(len(motion)):
+            one = motion.select(np.array([k]))
+            log.log_skeleton(int(motion.frame[k]), int(motion.time_ns[k]), one, true)
 
 
 def person_of(spec: Scenario, tracks: Tracks, truth: Truth, movement: MarkerFrames | None) -> Person:

@@ -14,10 +14,12 @@ from mosca.data.rig import Rig
 from mosca.data.tracks import Samples, table
 from mosca.diagnostics.camera_health import Health
 from mosca.diagnostics.sensor import Sensors
+from mosca.errors import InputError
 from mosca.pipeline import PipelineSettings, Step, run
 from mosca.recording import RecordingWriter
 from mosca.synchronisation import Assembly
 from reports.evidence import CameraView
+from reports.viewer import RerunLog
 from scenarios.build.frame_sources import Recorded, SelectedCameras
 from scenarios.build.robot_commands import write_commands
 from scenarios.run.interrupt import between_steps
@@ -39,10 +41,11 @@ def collected_of(
     spec: Scenario,
     options: RunOptions,
     stack: ExitStack,
+    shown: RerunLog | None = None,
 ) -> Collected:
     """Run the pipeline to its end and keep what the record, the page and the viewer need.
 
-    ``twin``: the same source where it has ground truth.
+    ``twin``: the same source where it has ground truth; ``shown``: where each step is logged.
     """
     assembly = Assembly()
     samples: list[Samples] = []
@@ -52,7 +55,7 @@ def collected_of(
     latency: list[float] = []
     bound_pulses = set(pulses_asked(pulses).tolist()) if needs_bound(spec.limits) else set()
     detections: dict[int, Mapping[str, Detections]] = {}
-    log = _rerun_log(options.rrd, rig, spec, twin, stack)
+    log = _step_log(shown, twin)
     read = recorded(source, twin, options, spec, stack)
     if any(info.name not in rig.names for info in read.cameras):
         read = SelectedCameras(read, rig.names)
@@ -100,16 +103,20 @@ def collected_of(
     return Collected(tracks, views, view_pulse, assembly, seconds, detections, cameras, sensors.cameras())
 
 
-def _rerun_log(
-    path: Path | None, rig: Rig, spec: Scenario, twin: TruthSource | None, stack: ExitStack
-) -> Callable[[Step], None]:
-    """Return what writes a step into the Rerun log at ``path``; without a path it does nothing."""
+def rerun_log(path: Path | None, rig: Rig, spec: Scenario, stack: ExitStack) -> RerunLog | None:
+    """Return the Rerun log at ``path``, which ends with the stack; None without a path."""
     if path is None:
-        return lambda step: None
-    from reports.viewer import RerunLog
-
+        return None
+    if spec.continuous is not None:
+        raise InputError("--rrd shows frame sets, which a [continuous] scenario has none of; leave it out")
     space = spec.working_space
-    log = stack.enter_context(RerunLog(path, rig, (np.array(space.center_m), np.array(space.size_m))))
+    return stack.enter_context(RerunLog(path, rig, (np.array(space.center_m), np.array(space.size_m))))
+
+
+def _step_log(log: RerunLog | None, twin: TruthSource | None) -> Callable[[Step], None]:
+    """Return what writes a step into a Rerun log; without one it does nothing."""
+    if log is None:
+        return lambda step: None
 
     def write(step: Step) -> None:
         pulse, time_ns = step.frame_set.pulse, step.frame_set.time_ns

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from mosca.data.arrays import Array
-from mosca.data.joint_angles import JointAngles
 from mosca.data.rig import Rig
 from mosca.data.truth import Truth
 from mosca.diagnostics.camera_health import CameraHealth
@@ -18,6 +17,7 @@ from reports.evidence import CameraView, ErrorTable, Evidence, MarkerCounts
 from reports.metrics import METRICS
 from reports.record import Metric, MetricBlocks, RunRecord
 from scenarios.build.cameras import Calibrated, deliveries
+from scenarios.run.people import Person
 from scenarios.run.provenance import provenance
 from scenarios.score.controls import control_verdict
 from scenarios.score.delivery import expected_sets, expected_share, frame_losses, losses, weakest
@@ -198,8 +198,8 @@ def health_record(one: CameraHealth) -> dict[str, Any]:
     }
 
 
-def evidence_of(spec: Scenario, rig: Rig, worth: Scored, angles: JointAngles | None = None) -> Evidence:
-    """Return what the page shows; without a truth the tracks alone. ``angles``: of the scene's person."""
+def evidence_of(spec: Scenario, rig: Rig, worth: Scored, person: Person | None = None) -> Evidence:
+    """Return what the page shows; without a truth the tracks alone. ``person``: the scene's."""
     collected, truth, pairs = worth.collected, worth.truth, worth.pairs
     base = Evidence(
         rig,
@@ -207,11 +207,12 @@ def evidence_of(spec: Scenario, rig: Rig, worth: Scored, angles: JointAngles | N
         np.array(spec.working_space.size_m),
         collected.tracks,
         collected.views,
-        angles=angles,
-        true_angles=None
-        if angles is None or truth is None or truth.joints is None
-        else isb_angles(true_motion(truth)),
     )
+    if person is not None:
+        base = replace(base, angles=person.angles, joints=person.take.joints)
+        if truth is not None and truth.joints is not None:
+            true = true_motion(truth)
+            base = replace(base, true_angles=isb_angles(true), true_joints=true)
     if truth is None or pairs is None:
         return base
     time_s = truth.time_ns * 1e-9

@@ -22,6 +22,7 @@ from mosca.skeleton.marker_frames import MarkerFrames
 from mosca.synchronisation import Assembly
 from reports.evidence import Evidence
 from reports.record import RunRecord
+from reports.viewer import RerunLog
 from scenarios.build.calibration_faults import with_fault
 from scenarios.build.cameras import Calibrated, calibrated, true_rig, twin_source, virtual_cameras
 from scenarios.build.frame_sources import account, device_notes, patient
@@ -31,8 +32,8 @@ from scenarios.build.worn_rig import worn_cameras, worn_rig, worn_settings
 from scenarios.run.calibration_take import calibration_take
 from scenarios.run.continuous import collect_continuous
 from scenarios.run.kept_calibrations import kept
-from scenarios.run.people import Person, person_of
-from scenarios.run.pipeline import collected_of, recorded
+from scenarios.run.people import Person, person_of, show_person
+from scenarios.run.pipeline import collected_of, recorded, rerun_log
 from scenarios.run.postprocess import with_gaps_filled
 from scenarios.run.precompile import PIPELINE, compile_side_by_side, compiling
 from scenarios.run.record import evidence_of, record_of
@@ -117,9 +118,9 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
             with _timed(timings, "compile"):
                 compile_side_by_side(opened.twin)
         with _timed(timings, "frames_to_tracks"):
-            collected, continuous = _tracked(opened, believed, spec, options, stack)
-            collected = replace(collected, account=account(opened.source))
-        collected = _beside_data_sheets(collected, spec, built)
+            shown = rerun_log(options.rrd, believed, spec, stack)
+            collected, continuous = _tracked(opened, believed, spec, options, stack, shown)
+        collected = _beside_data_sheets(replace(collected, account=account(opened.source)), spec, built)
         if continuous is not None:
             gathered = (continuous.reconstructed if isinstance(continuous, Worn) else continuous).gathered
             nominal = opened.twin is not None
@@ -144,6 +145,7 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
         if spec.skeleton is not None and isinstance(truth, Truth) and len(collected.tracks):
             with _timed(timings, "skeleton"):
                 person = person_of(spec, collected.tracks, truth, movement)
+            show_person(shown, person.take.joints, truth)
 
         def synchronous() -> Tracks:
             again = replace(options, record_to=None)
@@ -166,7 +168,7 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
             written, collected.assembly.notes["filled"] = with_gaps_filled(written, spec.pipeline.fill_s)
     timings |= collected.seconds
     record = record_of(spec, name, options.source, replace(worth, scores=scores), timings, built.known)
-    evidence = evidence_of(spec, believed, worth, None if person is None else person.angles)
+    evidence = evidence_of(spec, believed, worth, person)
     if continuous is not None:
         evidence = as_worn(evidence, spec, continuous)
     commands = None if built.scene is None else built.scene.commands
@@ -245,13 +247,11 @@ def _opened(spec: Scenario, built: _Built, options: RunOptions) -> _Opened:
 
 
 def _tracked(
-    opened: _Opened, rig: Rig, spec: Scenario, options: RunOptions, stack: ExitStack
+    opened: _Opened, rig: Rig, spec: Scenario, options: RunOptions, stack: ExitStack, shown: RerunLog | None
 ) -> tuple[Collected, Reconstructed | Worn | None]:
     """Return the pipeline's result, and the continuous reconstruction where the scenario has one."""
     if spec.continuous is None:
-        return collected_of(opened.source, opened.twin, rig, opened.settings, spec, options, stack), None
-    if options.rrd is not None:
-        raise InputError("--rrd shows frame sets, which a [continuous] scenario has none of; leave it out")
+        return collected_of(opened.source, opened.twin, rig, opened.settings, spec, options, stack, shown), None
     read = recorded(opened.source, opened.twin, options, spec, stack)
     return collect_continuous(read, rig, opened.settings, spec, options.progress)
 

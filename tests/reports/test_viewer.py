@@ -9,6 +9,7 @@ import pytest
 from reports_examples import example_evidence, example_rig, example_view
 
 from mosca.data.detections import Detections
+from mosca.data.joint_motion import JointMotion
 from mosca.data.rig import MoscaLens
 from mosca.errors import InputError
 from reports.viewer import RerunLog
@@ -105,3 +106,26 @@ def test_step_by_step_with_any_lens_depth_and_name(tmp_path: Path) -> None:
 def test_a_missing_folder_is_said_in_one_line(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no folder"):
         RerunLog(tmp_path / "none" / "run.rrd", example_rig())
+
+
+def test_a_person_is_joints_and_lines_between_them_until_it_is_gone(tmp_path: Path) -> None:
+    joints = ("pelvis", "l_hip", "l_knee", "l_ankle", "neck")
+    centre = np.array([[[0, 0, 1.0], [0, 0.1, 1.0], [0, 0.1, 0.5], [0, 0.1, 0.1], [np.nan] * 3]])
+    nothing = np.zeros((1, 5, 3, 3))
+    motion = JointMotion(np.array([7]), np.array([70]), joints, centre, nothing, np.zeros((1, 5, 4)), nothing)
+    path = tmp_path / "person.rrd"
+    with RerunLog(path, type(example_rig())(())) as log:
+        log.log_skeleton(7, 70, motion)
+        log.log_skeleton(7, 70, motion, true=True)
+        log.log_skeleton(8, 80, None)
+    points = columns(path, "/world/skeleton/joints")
+    assert points["frame"] == [7, 8]
+    np.testing.assert_allclose(points["Points3D:positions"][0], centre[0, :4], atol=1e-7)
+    assert points["Points3D:labels"][0] == list(joints[:4])
+    assert points["Points3D:positions"][1] == []
+    bones = columns(path, "/world/skeleton/bones")["LineStrips3D:strips"]
+    np.testing.assert_allclose(bones[0], centre[:, :4], atol=1e-7)
+    assert bones[1] == []
+    np.testing.assert_allclose(
+        columns(path, "/world/true_skeleton/bones")["LineStrips3D:strips"][0], centre[:, :4], atol=1e-7
+    )

@@ -16,11 +16,11 @@ from mosca.data.files.rig_file import read_rig
 from mosca.data.frames import CameraInfo, Frame
 from mosca.errors import InputError
 from mosca.pipeline import PipelineSettings
-from reports import viewer_program
+from reports import viewer_process, viewer_program
 from reports.viewer import RerunLog
-from scenarios.lab import live_view
+from reports.viewer_process import log_in_viewer
 from scenarios.lab.capture import CaptureRequest, capture
-from scenarios.lab.live_view import LiveView, log_in_viewer, uncalibrated
+from scenarios.lab.live_view import LiveView, uncalibrated
 
 pytest.importorskip("rerun", reason="rerun is not installed: pip install rerun-sdk")
 RERUN = str(Path(sys.executable).parent / "rerun")
@@ -101,7 +101,7 @@ def test_the_viewer_reads_the_log_from_a_pipe_while_it_grows(tmp_path):
 def test_a_viewer_that_cannot_start_is_one_line(monkeypatch):
     rig = uncalibrated([CameraInfo("a", *SIZE, 8, RATE)])
     # the time that a viewer is given to end: until it has, on however slow a machine
-    monkeypatch.setattr(live_view, "VIEWER_STARTS_S", 120.0)
+    monkeypatch.setattr(viewer_process, "VIEWER_STARTS_S", 120.0)
     with pytest.raises(InputError, match="ended at once; is there a display"):
         log_in_viewer(rig, ("--no-such-option",))
     monkeypatch.setattr(viewer_program.sys, "executable", "/nowhere/python")

@@ -41,6 +41,7 @@ def fitted(tmp_path_factory):
     written(folder / "anna.npz", tracks)
     written(folder / "plain.npz", relabelled(tracks, lambda label: label.removeprefix("Anna:")))
     words = ["skeleton", "fit", "anna.npz", "--out", "s.npz", "--model", "legs.xml", "--mjcf", "fitted.xml"]
+    words += ["--osim-scale", "scale.xml"]
     done = mosca(*words, cwd=folder)
     assert done.returncode == 0, done.stderr
     return folder, done.stdout, centres
@@ -72,6 +73,16 @@ def test_what_a_fit_says(fitted):
         assert float(wide) == pytest.approx(1960 * spread, rel=0.1, abs=0.06), (a, b)
     assert "not told by this take: l_hip" not in told
     assert (folder / "fitted.xml").is_file()
+    scales = {
+        one.findtext("segment"): float(one.findtext("scales").split()[1])
+        for one in ElementTree.parse(folder / "scale.xml").iter("Scale")
+    }
+    # gait2354 has 0.43 m from knee to ankle; the lengths that were printed
+    printed = {pair[:2]: float(pair[2]) for pair in found}
+    for side in "lr":
+        length = 1e-3 * printed[f"{side}_knee", f"{side}_ankle"]
+        assert scales[f"tibia_{side}"] == pytest.approx(length / 0.43, abs=2e-4)
+    assert f"tibia_l {scales['tibia_l']:.3f}" in told
 
 
 def test_a_take_that_moves_nothing_says_so(tmp_path):
@@ -85,7 +96,15 @@ def test_a_take_that_moves_nothing_says_so(tmp_path):
 
 def test_all_files_of_a_take(fitted, tmp_path):
     folder, _, centres = fitted
-    files = {"out": "j.csv", "angles": "a.csv", "bvh": "t.bvh", "mot": "t.mot", "c3d": "t.c3d", "plot": "a.svg"}
+    files = {
+        "out": "j.csv",
+        "angles": "a.csv",
+        "bvh": "t.bvh",
+        "mot": "t.mot",
+        "c3d": "t.c3d",
+        "plot": "a.svg",
+        "rrd": "t.rrd",
+    }
     options = [word for name, file in files.items() for word in (f"--{name}", tmp_path / file)]
     done = mosca("skeleton", "track", "anna.npz", "--subject", "s.npz", *options, cwd=folder)
     assert done.returncode == 0, done.stderr
@@ -120,6 +139,7 @@ def test_all_files_of_a_take(fitted, tmp_path):
     assert "13 coordinates in" in told  # three of the pelvis, ten of the legs
     labels = ezc3d.c3d(str(tmp_path / "t.c3d"))["parameters"]["POINT"]["LABELS"]["value"]
     assert {"Anna:LKNE", "l_hip", "LHipAngles"} <= set(labels)
+    assert (tmp_path / "t.rrd").read_bytes()[:4] == b"RRF2"  # what is in it: tests/reports/test_viewer.py
     picture = ElementTree.parse(tmp_path / "a.svg").getroot()
     assert picture.tag == "{http://www.w3.org/2000/svg}svg"
     assert not [value for one in picture.iter() for value in one.attrib.values() if "var(" in value]

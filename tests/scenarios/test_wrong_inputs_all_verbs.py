@@ -107,6 +107,8 @@ FIND = "bodies find left.csv --out new.csv "
         ("skeleton fit none.csv --out new.npz", "none.csv: no such file"),
         ("skeleton fit left.csv --out new.csv", "new.csv: suffix '.csv' given; a subject is a .npz file"),
         ("skeleton fit left.csv --out new.npz", "left.csv: "),
+        ("skeleton fit left.csv --out new.npz --osim-scale s.toml", "s.toml: suffix '.toml' given; a scale set is"),
+        ("skeleton track left.csv --subject none.npz --rrd x.csv", "x.csv: suffix '.csv' given; .rrd is wanted"),
         ("skeleton track left.csv --subject none.npz --out new.csv", "none.npz: no such file"),
         ("skeleton track left.csv --subject rig.toml --out new.csv", "rig.toml: holds no skeleton subject"),
         ("skeleton track left.csv --subject none.npz", "nothing to write; give --out, --angles"),

@@ -6,12 +6,14 @@ rotation vector in the distal segment's axes [rad^2]. Empty where unknown. Each 
 order.
 """
 
+import csv
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from mosca.data.arrays import Array
+from mosca.data.files.whole_file import check_writable
 from mosca.data.joint_motion import JointMotion
 from mosca.errors import InputError
 from mosca.formats.tracks.csv_columns import integers, parsed, read_columns, reals, write_columns
@@ -29,8 +31,53 @@ _LARGEST_NORM_ERROR = 1e-6
 
 def write_joints_csv(motion: JointMotion, path: Path) -> None:
     """Write ``motion`` to ``path``, whole or not at all. Raises InputError where that cannot be."""
+    write_columns(path, COLUMNS, _cells(motion))
+
+
+class JointsLog:
+    """Joints on the disk while they are found: appended to ``PATH.part.csv``; ``finish`` gives it its name.
+
+    InputError for another suffix than .csv, and where a part file of an earlier run still lies there.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = Path(path)
+        if self.path.suffix.lower() != ".csv":
+            raise InputError(f"{path}: suffix '{self.path.suffix}' given; joints are a .csv file")
+        check_writable(self.path)
+        self.part = self.path.with_name(f"{self.path.name}.part.csv")
+        try:
+            self._file = open(self.part, "x", encoding="utf-8", newline="")  # noqa: SIM115  (closed by close)
+        except FileExistsError:
+            raise InputError(f"{self.part}: left by a run that was cut short; move it away or remove it") from None
+        except OSError as error:
+            raise InputError(f"{self.part}: cannot be written: {error.strerror}") from None
+        self._writer = csv.writer(self._file, lineterminator="\n")
+        self._writer.writerow(COLUMNS)
+        self.frames = 0
+
+    def write(self, motion: JointMotion) -> None:
+        """Append joints, of the same names each time."""
+        self._writer.writerows(zip(*_cells(motion), strict=True))
+        self.frames += len(motion)
+
+    def close(self) -> None:
+        """Close the part file; it stays where it holds joints. May be called twice."""
+        self._file.close()
+        if not self.frames:
+            self.part.unlink(missing_ok=True)
+
+    def finish(self) -> int:
+        """Give the file its name; return how many frames it has. Without any there is no file."""
+        self.close()
+        if self.frames:
+            self.part.replace(self.path)
+        return self.frames
+
+
+def _cells(motion: JointMotion) -> list[Sequence[str]]:
     n, j = len(motion), len(motion.joints)
-    columns = [
+    return [
         integers(np.repeat(motion.frame, j)),
         integers(np.repeat(motion.time_ns, j)),
         list(motion.joints) * n,
@@ -39,7 +86,6 @@ def write_joints_csv(motion: JointMotion, path: Path) -> None:
         *(reals(motion.rotation[..., k].ravel()) for k in range(4)),
         *(reals(motion.rotation_covariance[..., a, b].ravel()) for a, b in _ELEMENTS),
     ]
-    write_columns(path, COLUMNS, columns)
 
 
 def read_joints_csv(path: Path) -> JointMotion:

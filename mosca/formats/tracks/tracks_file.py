@@ -1,6 +1,8 @@
 """Tracks from and to a file, in the format that its suffix names; and written while they are measured."""
 
 import csv
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Self
 
@@ -92,10 +94,14 @@ class TracksLog:
     def __exit__(self, *exc: object) -> None:
         self.close()
 
-    def write(self, samples: Samples) -> None:
-        """Append samples."""
+    def write(self, samples: Samples, label_of: Mapping[tuple[int, int], str] | None = None) -> None:
+        """Append samples; ``label_of``: (frame, track) -> label of those that have one."""
         if len(samples):
-            self._writer.writerows(zip(*cells_of(table([samples])), strict=True))
+            tracks = table([samples])
+            if label_of:
+                keys = zip(tracks.frame.tolist(), tracks.track.tolist(), strict=True)
+                tracks = replace(tracks, label=np.array([label_of.get(key, "") for key in keys], dtype=np.str_))
+            self._writer.writerows(zip(*cells_of(tracks), strict=True))
             self.samples += len(samples)
 
     def flush(self) -> None:

@@ -1,0 +1,106 @@
+"""A person followed in a live run: labels for its tracks, joints in a file, bones in the viewer."""
+
+import time
+from collections.abc import Mapping
+from contextlib import ExitStack
+from pathlib import Path
+
+import numpy as np
+
+from mosca.data.rig import Rig
+from mosca.data.tracks import Samples
+from mosca.errors import InputError
+from mosca.formats.bodies.subject_file import read_subject
+from mosca.formats.joints.joints_csv import JointsLog
+from mosca.skeleton.live import LivePose, LiveSkeleton
+from mosca.skeleton.model import Kinematics
+from mosca.skeleton.track import SkeletonTracker
+from reports.viewer import RerunLog, check_rrd
+from reports.viewer_process import SHOWN_HZ, log_in_viewer
+from scenarios.commands.live_sources import LiveOptions
+from scenarios.commands.skeleton_words import check_bodies
+
+
+class LivePerson:
+    """A subject in a live run; names of its tracks in ``label_of``, (frame, track) -> label, until they are taken."""
+
+    def __init__(self, path: Path, joints: Path | None, stack: ExitStack) -> None:
+        subject = read_subject(path)
+        check_bodies(subject, path)
+        self._labels = subject.model.labels
+        self._log = None if joints is None else JointsLog(joints)
+        if self._log is not None:
+            stack.callback(self._log.close)
+        kinematics = Kinematics(subject.model, subject.parameters)
+        kinematics.pose(subject.q)
+        # compiles what would else count as latency
+        SkeletonTracker(subject).step(kinematics.markers(), np.zeros((len(self._labels), 3, 3)))
+        self._live = stack.enter_context(LiveSkeleton(subject, background=True))
+        self._frame = -1
+        self.posed = self.frames = self._named = 0
+        self._first_ns = self._found_ns = None  # type: int | None
+
+    def step(self, samples: Samples) -> tuple[list[LivePose], Mapping[tuple[int, int], str]]:
+        """Follow the frames of ``samples`` that are later than those before; return poses, and the labels."""
+        poses = []
+        label_of: dict[tuple[int, int], str] = {}
+        for frame in np.unique(samples.frame[samples.frame > self._frame]).tolist():
+            time_ns = int(samples.time_ns[samples.frame == frame][0])
+            pose = self._live.step(frame, time_ns, samples)
+            self._frame = frame
+            self.frames += 1
+            self._first_ns = time_ns if self._first_ns is None else self._first_ns
+            named = np.flatnonzero(pose.label != "")
+            self._named += len(named)
+            label_of |= {(frame, int(pose.track[k])): str(pose.label[k]) for k in named}
+            if pose.joints is not None:
+                self.posed += 1
+                self._found_ns = time_ns if self._found_ns is None else self._found_ns
+                if self._log is not None:
+                    self._log.write(pose.joints)
+            poses.append(pose)
+        return poses, label_of
+
+    def finish(self) -> list[str]:
+        """Write what is left; return the lines to print."""
+        if self._found_ns is None or self._first_ns is None:
+            lines = ["skeleton: the person was not found; is the whole body seen, with the markers of the fit?"]
+        else:
+            lines = [
+                f"skeleton: first after {1e-9 * (self._found_ns - self._first_ns):.1f} s, in {self.posed} of "
+                f"{self.frames} frames, {self._named / max(self.posed, 1):.1f} of {len(self._labels)} markers; "
+                f"lost {self._live.losses} times"
+            ]
+        if self._log is not None:
+            frames = self._log.finish()
+            lines.append(f"joints of {frames} frames in {self._log.path}" if frames else "no joints to write")
+        return lines
+
+
+class LiveShow:
+    """Points and bones of a live run in Rerun: in a file every frame, in the viewer some a second."""
+
+    def __init__(self, options: LiveOptions, rig: Rig, stack: ExitStack) -> None:
+        self._file = None if options.rrd is None else stack.enter_context(RerunLog(options.rrd, rig))
+        self._viewer = stack.enter_context(log_in_viewer(rig)) if options.view else None
+        self._due = 0.0
+
+    def show(self, frame: int, time_ns: int, samples: Samples, poses: list[LivePose]) -> None:
+        """Log the samples of one frame, and the poses."""
+        logs = [] if self._file is None else [self._file]
+        now = time.monotonic()
+        if self._viewer is not None and now >= self._due:
+            self._due = now + 1 / SHOWN_HZ
+            logs.append(self._viewer)
+        tracked = samples.select(samples.frame == frame)
+        for log in logs:
+            log.log_step(frame, time_ns, points_xyz=tracked.xyz, track_ids=tracked.track)
+            for pose in poses:
+                log.log_skeleton(pose.frame, pose.time_ns, pose.joints)
+
+
+def check_show(options: LiveOptions) -> None:
+    """Raise InputError for options of a person without one, and for a recording that cannot be written."""
+    if options.joints is not None and options.skeleton is None:
+        raise InputError(f"--joints {options.joints}: whose joints? give --skeleton with what 'skeleton fit' wrote")
+    check_rrd(options.rrd)
