@@ -170,17 +170,29 @@ def apply(tracks: Path, model: Path, out: Path, fps: float | None) -> None:
     metavar="NAME|FILE.toml",
     help="marker set: plug-in-gait, cmu, or a template file  [default: which of many markers there are is not known]",
 )
+@click.option(
+    "--static", type=FILE, help="labelled take of this person with these markers, a static pose for instance"
+)
 @click.option("--model", type=OUT_FILE, help="write the marker model of this person: .toml, for 'mosca labels apply'")
+@click.option("--probabilities", type=OUT_FILE, help="write the probability of each sample's label: .csv")
 @click.option("--fps", type=POSITIVE, help="frame rate to state in .c3d and .trc  [default: from the samples' times]")
-def auto(tracks: Path, out: Path, set_name: str | None, model: Path | None, fps: float | None) -> None:
-    """Name the tracks of a person by a template of the marker set, without training or a static pose.
+def auto(
+    tracks: Path,
+    out: Path,
+    set_name: str | None,
+    static: Path | None,
+    model: Path | None,
+    probabilities: Path | None,
+    fps: float | None,
+) -> None:
+    """Name the tracks of a person by a template of the marker set, without training or, at need, a static pose.
 
     \b
     Example:  mosca labels auto take2.c3d --set plug-in-gait --out named.c3d
     """
     from scenarios.commands.labels_auto import label_auto
 
-    echo_lines(label_auto(tracks, out, set_name, model, fps))
+    echo_lines(label_auto(tracks, out, set_name, static, model, probabilities, fps))
 
 
 @labels.command()

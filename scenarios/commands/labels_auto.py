@@ -1,5 +1,6 @@
-"""Labels from a template of a marker set: no training, no static pose."""
+"""Labels from a template of a marker set, or of a person by a labelled take of theirs: no training."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,29 +8,49 @@ import numpy as np
 from mosca.data.files.whole_file import check_writable
 from mosca.errors import InputError
 from mosca.formats.bodies.model_file import write_model
+from mosca.formats.tracks.csv_columns import integers, write_columns
 from mosca.formats.tracks.tracks_file import check_tracks_file, read_tracks, write_tracks
 from mosca.labelling.automatic.label import AutomaticLabels, label_automatically
+from mosca.labelling.automatic.personal import personal_template
 from mosca.labelling.automatic.template import MarkerTemplate, read_template
 from mosca.labelling.marker_model import learn_model
 from scenarios.commands.labels import rate_of
 
+PROBABILITIES = ("frame", "track", "label", "probability")
+"""Columns of the file of probabilities."""
 
-def label_auto(path: Path, out: Path, set_name: str | None, model: Path | None, fps: float | None) -> list[str]:
+
+def label_auto(
+    path: Path,
+    out: Path,
+    set_name: str | None,
+    static: Path | None,
+    model: Path | None,
+    probabilities: Path | None,
+    fps: float | None,
+) -> list[str]:
     """Name the tracks in ``path`` by a template, write them to ``out`` and return the lines to print.
 
-    ``set_name``: a set of the template that comes with mosca, or a template file. ``model``: where to write this
-    person's marker model. InputError where that cannot be.
+    ``set_name``: a set of the template that comes with mosca, or a template file. ``static``: a labelled take of the
+    same person and markers. ``model``: where to write this person's marker model; ``probabilities``: those of the
+    labels, sample by sample. InputError where that cannot be.
     """
     check_tracks_file(out)
-    if model is not None:
-        if model.suffix.lower() != ".toml":
-            raise InputError(f"{model}: suffix '{model.suffix}' given; a marker model is a .toml file")
-        check_writable(model)
+    for file, what, suffix in (
+        (model, "a marker model", ".toml"),
+        (probabilities, "a file of probabilities", ".csv"),
+    ):
+        if file is not None:
+            if file.suffix.lower() != suffix:
+                raise InputError(f"{file}: suffix '{file.suffix}' given; {what} is a {suffix} file")
+            check_writable(file)
     template = _template(set_name)
+    if static is not None:
+        template = personal_template(read_tracks(static), template, str(static))
     tracks = read_tracks(path)
-    done = label_automatically(tracks, template)
+    done = _in_the_sets_names(label_automatically(tracks, template), template)
     rate = rate_of(done.tracks, fps, path)
-    found = [name for name in template.names if (done.tracks.label == name).any()]
+    found = np.unique(done.tracks.label[done.tracks.label != ""]).tolist()
     if not found:
         raise InputError(
             f"{path}: no track can be named; z must be up and the person stand in some frame, with ten or more "
@@ -38,7 +59,27 @@ def label_auto(path: Path, out: Path, set_name: str | None, model: Path | None, 
     write_tracks(done.tracks, out, rate)
     if model is not None:
         write_model(learn_model(done.tracks, None), model)
+    if probabilities is not None:
+        _write_probabilities(done, probabilities)
     return _lines(done, template, found, out)
+
+
+def _in_the_sets_names(done: AutomaticLabels, template: MarkerTemplate) -> AutomaticLabels:
+    """Return labels as the set that was found calls them."""
+    called = dict(zip(template.names, template.called(done.set_name), strict=True))
+    names = np.array([called.get(name, name) for name in done.tracks.label.tolist()], dtype=np.str_)
+    return replace(done, tracks=replace(done.tracks, label=names))
+
+
+def _write_probabilities(done: AutomaticLabels, path: Path) -> None:
+    tracks, given = done.tracks, done.tracks.label != ""
+    columns = (
+        integers(tracks.frame[given]),
+        integers(tracks.track[given]),
+        tracks.label[given].tolist(),
+        [f"{p:.6f}" for p in done.probability[given]],
+    )
+    write_columns(path, PROBABILITIES, columns)
 
 
 def _template(set_name: str | None) -> MarkerTemplate:
@@ -48,13 +89,17 @@ def _template(set_name: str | None) -> MarkerTemplate:
 
 
 def _lines(done: AutomaticLabels, template: MarkerTemplate, found: list[str], out: Path) -> list[str]:
-    labelled = done.tracks.label != ""
-    least = {name: float(done.probability[done.tracks.label == name].min()) for name in found}
+    label = done.tracks.label
+    least = sorted((float(done.probability[label == name].min()), name) for name in found)
     lines = [
-        f"{len(found)} of {len(template.names)} markers of the set found: {', '.join(found)}",
-        f"{np.count_nonzero(labelled)} of {len(done.tracks)} samples have a label, in {out}",
+        f"{len(found)} of {len(template.names)} markers of the set found, with the least probability of each:",
+        ", ".join(f"{name} {_stated(p)}" for p, name in least),
+        f"{np.count_nonzero(label != '')} of {len(label)} samples have a label, in {out}",
     ]
-    doubtful = sorted((p, name) for name, p in least.items() if p < 0.99)
-    if doubtful:
-        lines.append("less sure than 0.99 somewhere: " + ", ".join(f"{name} {p:.2f}" for p, name in doubtful))
+    if done.set_name:
+        lines.insert(1, f"the set is {done.set_name}: these are its names")
     return lines
+
+
+def _stated(probability: float) -> str:
+    return "> 0.999" if probability > 0.999 else f"{probability:.3f}"

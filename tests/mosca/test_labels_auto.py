@@ -1,5 +1,6 @@
 """Labels without training: the template's person, tracklets of points, and a walker of another lab."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +12,13 @@ from mosca.data.tracks import Tracks
 from mosca.errors import InputError
 from mosca.labelling.automatic.body import TemplateBody, turned
 from mosca.labelling.automatic.label import AutomaticSettings, label_automatically
+from mosca.labelling.automatic.matching import Matching
+from mosca.labelling.automatic.naming import posed
+from mosca.labelling.automatic.personal import personal_template
+from mosca.labelling.automatic.refine import alternatives
 from mosca.labelling.automatic.template import STANDARD, BodyVariation, drawn_poses, expectation, read_template
 from mosca.labelling.automatic.tracklets import tracklets_of
-from tests.studies.labels_auto import Take, measured, real_take, score, spoiled, twin_take
+from tests.studies.labels_auto import CMU, Take, measured, real_take, score, spoiled, twin_take
 
 
 def test_the_right_side_mirrors_the_left_one() -> None:
@@ -31,7 +36,7 @@ def test_the_right_side_mirrors_the_left_one() -> None:
 def test_sets_have_their_own_names() -> None:
     names = read_template(set_name="cmu").names
     assert len(names) == 41
-    assert {"LFWT", "RBAC", "RSHN"} <= set(names)
+    assert {"LFWT", "RBAC", "RSHN", "LSHN"} <= set(names)
     assert not {"LASI", "RBAK", "LTIB", "LBAC", "LBAK"} & set(names)
 
 
@@ -42,7 +47,8 @@ def test_sets_have_their_own_names() -> None:
         ('parent = "l_forearm"', 'parent = "wing"', "parent 'wing' is not listed before it"),
         ('other_side = "RFHD"', 'other_side = "C7"', "'C7' is named twice"),
         ("height_m = 1.75", "height_m = -1", "key 'height_m': -1 given"),
-        ('"LKNE", "LSHN"', '"LKNE", "LSHX"', "set 'cmu': marker 'LSHX' is not listed"),
+        ('"LTOE", "LMT5"', '"LTOE", "LSHX"', "set 'cmu': marker 'LSHX' is not listed"),
+        ('beside = "LTOE"', 'beside = "LTOX"', "marker 'LMT5': beside 'LTOX', which is not listed"),
         ('kind = "marker-template"', 'kind = "marker-model"', "is a marker model, not a marker template"),
     ],
 )
@@ -152,6 +158,121 @@ def test_the_twins_walker_is_labelled_and_ghosts_are_not() -> None:
     assert reached.precision > 0.99
     assert reached.f1 > 0.97
     assert len(done.tracks) == len(tracks)
+
+
+def test_a_marker_that_is_worn_with_another_is_hardly_there_alone() -> None:
+    template = read_template()
+    problem = Matching(
+        np.random.default_rng(0).normal(size=(9, 4, 3)), [0], TemplateBody(template), expectation(template)
+    )
+    back, spine, left, right = (template.names.index(name) for name in ("RBAK", "C7", "LTIB", "RTIB"))
+
+    def odds(*there: int) -> float:
+        chosen = np.full(problem.m, -1)
+        chosen[list(there)] = np.arange(len(there))
+        return problem.presence(chosen)
+
+    # by hand, from the shares 0.3 and 0.97 of RBAK and C7, 0.8 of TIB, and 0.97 of worn markers that are seen
+    pair = [0.3 * 0.97**2 + 0.7 * 0.03**2, 0.3 * 0.03 * 0.97 + 0.7 * 0.97 * 0.03, 0.3 * 0.03**2 + 0.7 * 0.97**2]
+    lonely = [0.03 * 0.03 * 0.97 + 0.97 * 0.97 * 0.03, 0.03 * 0.03**2 + 0.97 * 0.97**2]
+    assert odds() == 0.0
+    assert odds(back, spine) - odds(spine) == pytest.approx(np.log(pair[1] / pair[2]))
+    assert odds(back) == pytest.approx(np.log(lonely[0] / lonely[1]))
+    one = 0.8 * 0.97 * 0.03 + 0.2 * 0.03 * 0.97
+    assert odds(left, right) - odds(left) == pytest.approx(np.log((0.8 * 0.97**2 + 0.2 * 0.03**2) / one))
+
+
+def test_a_name_is_compared_with_absent_ones_of_either_order() -> None:
+    """A point of a foot without its other: TOE comes before MT5 in the template, and each is an alternative to it."""
+    take = twin_take("walk", 1.55, 41, 0.3)
+    template = read_template()
+    names = [name for name in take.names if name != "LTOE"]
+    xyz = take.xyz[:, [take.names.index(name) for name in names]]
+    problem = Matching(xyz, [10], TemplateBody(template), expectation(template))
+    chosen = np.full(problem.m, -1)
+    chosen[[template.names.index(name) for name in names]] = np.arange(len(names))
+    toe, fifth = (template.names.index(name) for name in ("LTOE", "LMT5"))
+    chosen[toe], chosen[fifth] = chosen[fifth], -1
+    others = alternatives(problem, chosen, posed(problem, chosen).poses)
+    assert any(other[fifth] == chosen[toe] and other[toe] < 0 for other in others)
+
+
+def test_linear_evidence_is_near_the_evidence() -> None:
+    take = twin_take("walk", 1.75, 32, 0.3)
+    template = read_template()
+    problem = Matching(take.xyz, [5, 20], TemplateBody(template), expectation(template))
+    chosen = np.full(problem.m, -1)
+    chosen[[template.names.index(name) for name in take.names]] = np.arange(len(take.names))
+    poses = [posed(problem.frame(f), chosen).poses[0] for f in range(2)]
+    value, poses = problem.evidence(chosen, poses, 10)
+    linear = problem.linear(poses)
+    assert linear.of(chosen) == pytest.approx(value, abs=0.5)
+    less = chosen.copy()
+    less[template.names.index("LKNE")] = -1
+    assert linear.of(less) == pytest.approx(problem.evidence(less, poses, 10)[0], abs=0.5)
+
+
+def test_an_early_name_is_corrected_by_later_evidence() -> None:
+    """A foot's second marker is hidden for the first half: alone, the other one is no sure LMT5."""
+    take = twin_take("walk", 1.55, 41, 2.0)
+    template = read_template()
+    hidden = take.xyz.copy()
+    hidden[:100, take.names.index("LTOE")] = np.nan
+    settings = AutomaticSettings(frames=1, further=1)
+
+    def labels(xyz: np.ndarray) -> set[str]:
+        tracks, what = spoiled(Take(take.names, xyz, 100.0), np.random.default_rng(0), 0.0, False)
+        done = label_automatically(tracks, template, settings).tracks
+        at = np.lexsort((*done.xyz.T, done.frame)), np.lexsort((*tracks.xyz.T, tracks.frame))
+        early = (what[at[1]] == "LMT5") & (done.frame[at[0]] < 100)
+        return set(done.label[at[0]][early].tolist())
+
+    assert labels(hidden[:100]) <= {"", "LTOE"}
+    assert labels(hidden) == {"LMT5"}
+
+
+def test_a_labelled_take_of_the_person_is_the_template() -> None:
+    static, take = twin_take("range_of_motion", 1.95, 32, 0.1), twin_take("walk", 1.95, 32, 1.0)
+    # names that no template has
+    own = {name: name for name in static.names} | {"LTHI": "wand"}
+    tracks, what = spoiled(static, np.random.default_rng(0), 0.0, False)
+    named = replace(tracks, label=np.array([own[name] for name in what.tolist()]))
+    template = personal_template(named, read_template(), "static")
+    assert set(template.names) == set(own.values())
+    assert template.segment_names[template.segment[template.names.index("wand")]] == "l_thigh"
+    # distances on a limb are this person's
+    expected = expectation(template)
+    first = [template.names.index(name) for name in ("LFHD", "RBHD")]
+    true = np.linalg.norm(static.xyz[0, static.names.index("LFHD")] - static.xyz[0, static.names.index("RBHD")])
+    assert expected.mean_m[first[0], first[1]] == pytest.approx(true, abs=0.005)
+    tracks, what = spoiled(take, np.random.default_rng(1), 0.05, False, 0.05)
+    what = np.array([own.get(name, "") for name in what.tolist()])
+    done = label_automatically(tracks, template, AutomaticSettings(frames=1, further=1))
+    reached = score(done, tracks, what, template)
+    assert reached.precision > 0.995
+    assert reached.f1 > 0.97
+
+
+def test_a_static_take_without_known_names_is_refused() -> None:
+    tracks, _ = spoiled(twin_take("walk", 1.75, 32, 0.1), np.random.default_rng(0), 0.0, False)
+    with pytest.raises(InputError, match=r"static\.csv: no sample has a label"):
+        personal_template(tracks, read_template(), "static.csv")
+    named = replace(tracks, label=np.array([f"m{k}" for k in tracks.track.tolist()]))
+    with pytest.raises(InputError, match=r"static\.csv: 0 labels that the template has, 8 or more are wanted"):
+        personal_template(named, read_template(), "static.csv")
+
+
+@pytest.mark.data
+def test_the_set_of_a_real_walker_is_found(data_dir: Path) -> None:
+    take = real_take(data_dir / "people/cmu_02_01.c3d", {})
+    tracks, what = spoiled(take, np.random.default_rng(0), 0.0, False)
+    template = read_template()
+    done = label_automatically(tracks, template, AutomaticSettings(frames=1, further=1))
+    assert done.set_name == "cmu"
+    what = np.array([CMU.get(name, name) for name in what.tolist()])
+    reached = score(done, tracks, what, template)
+    assert reached.precision > 0.995
+    assert reached.f1 > 0.98
 
 
 @pytest.mark.data

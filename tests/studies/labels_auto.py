@@ -19,7 +19,7 @@ from mosca.labelling.automatic.label import AutomaticLabels, AutomaticSettings, 
 from mosca.labelling.automatic.template import MarkerTemplate, read_template
 from twin.scenes.actor import build_actor
 
-CMU = {"LFWT": "LASI", "RFWT": "RASI", "LBWT": "LPSI", "RBWT": "RPSI", "RBAC": "RBAK"}
+CMU = {"LFWT": "LASI", "RFWT": "RASI", "LBWT": "LPSI", "RBWT": "RPSI", "RBAC": "RBAK", "LSHN": "LTIB", "RSHN": "RTIB"}
 GAIT2354 = {
     f"{side}.{theirs}": side + ours
     for side in "LR"

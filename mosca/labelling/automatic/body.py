@@ -9,14 +9,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from mosca.data.arrays import Array
-from mosca.labelling.automatic.template import BodyVariation, MarkerTemplate
+from mosca.labelling.automatic.template import MarkerTemplate
 
 END_RAD = 0.17
 """How far, softly, a joint goes beyond the end of its range [rad]: 10 deg."""
 SHIFT_M, YAW_RAD, TILT_RAD = 0.3, 0.6, 0.5
 """Standard deviations of where the person of a start is and looks to, and of how far from upright."""
+TAIL = 5.0
+"""Degrees of freedom of a place's distribution (Student's t): how far markers of a name are from its place is itself
+known from few laboratories, and some put one elsewhere altogether."""
 STILL_RAD = 0.02
 """Standard deviation of a turn that has no range [rad]."""
+LEAST_WEIGHT = 1e-3
+"""Of a place that is fitted."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,12 +49,17 @@ class FittedPose:
         return np.asarray(self.covariance + self.jacobian @ self.unknown @ self.jacobian.transpose(0, 2, 1))
 
 
+def trust(off: Array, information: Array) -> Array:
+    """Return the weights (k,) of places ``off`` (k, 3) by Student's t: (tail + 3) / (tail + squared distance)."""
+    squared = (off[:, None] @ information @ off[:, :, None])[:, 0, 0]
+    return np.asarray((TAIL + 3) / (TAIL + squared))
+
+
 class TemplateBody:
     """A template's person."""
 
-    def __init__(self, template: MarkerTemplate, variation: BodyVariation | None = None) -> None:
-        variation = variation or BodyVariation()
-        self.template = template
+    def __init__(self, template: MarkerTemplate) -> None:
+        self.template, variation = template, template.variation
         g = len(template.parent)
         self.g, self.p = g, 7 + 4 * g
         self.parents: list[int] = template.parent.tolist()
@@ -77,45 +87,56 @@ class TemplateBody:
         parameters = self.mean.copy()
         place = self._places(parameters, whole)[0]
         parameters[:3] += middle - np.median(place, axis=0)
-        weight = np.zeros(len(self.local))
-        return self.fit(FittedPose(parameters, whole, place, *(np.empty(0),) * 3, 0.0), place, weight, 0)
+        place, turns, jacobian = self._places(parameters, whole)
+        nothing = FittedPose(parameters, whole, place, self._covariance(turns), jacobian, np.empty(0), 0.0)
+        return self.fit(nothing, place, np.zeros(len(place)), 0)
 
-    def fit(self, pose: FittedPose, points: Array, weight: Array, steps: int = 3) -> FittedPose:
-        """Return the pose after ``steps`` towards ``points`` (m, 3), each of ``weight`` (m,) 0..1, from ``pose``."""
+    def fit(self, pose: FittedPose, points: Array, weight: Array, steps: int = 3, tails: bool = False) -> FittedPose:
+        """Return the pose after ``steps`` towards ``points`` (m, 3), each of ``weight`` (m,) 0..1, from ``pose``.
+
+        ``tails``: points far off draw less, by Student's t; without, they draw a pose that is far from them yet.
+        """
         parameters, whole = pose.parameters.copy(), pose.whole
-        use = weight > 1e-3
+        place, jacobian, covariance = pose.place, pose.jacobian, pose.covariance
+        use = weight > LEAST_WEIGHT
         for _ in range(steps):
-            place, turns, jacobian = self._places(parameters, whole)
-            hessian, gradient = self._priors(parameters)
-            rows, weighted = self._weighted(turns, jacobian, weight, use)
+            hessian, gradient = self.priors(parameters)
+            rows, weighted = self._weighted(covariance, jacobian, weight, points - place, tails)
             gradient = gradient + weighted.T @ (points - place)[use].ravel()
             step = np.linalg.solve(hessian + weighted.T @ rows, gradient)
             # a turn of more than half a radian is not linear
             parameters = parameters + step * min(1.0, 0.5 / max(np.abs(step[3 : 6 + 3 * self.g]).max(), 1e-9))
             whole = turned(parameters[3:6]) @ whole
             parameters[3:6] = 0.0
-        place, turns, jacobian = self._places(parameters, whole)
-        rows, weighted = self._weighted(turns, jacobian, weight, use)
-        hessian = self._priors(parameters)[0] + weighted.T @ rows
+            place, turns, jacobian = self._places(parameters, whole)
+            covariance = self._covariance(turns)
+        rows, weighted = self._weighted(covariance, jacobian, weight, points - place, tails)
+        hessian = self.priors(parameters)[0] + weighted.T @ rows
+        log_prior = self.log_prior(parameters, float(np.linalg.slogdet(hessian)[1]))
+        return FittedPose(parameters, whole, place, covariance, jacobian, np.linalg.inv(hessian), log_prior)
+
+    def log_prior(self, parameters: Array, information: float) -> float:
+        """Return the log of a pose's and size's prior times the volume that the log determinant leaves them."""
         off = (parameters - self.mean)[6:] / self.sigma[6:]
         over = self._over(parameters) / END_RAD
-        known = -0.5 * float(np.linalg.slogdet(hessian)[1]) - self.log_prior_volume
-        log_prior = -0.5 * float(off @ off + (over**2).sum()) + known
-        return FittedPose(
-            parameters, whole, place, self._covariance(turns), jacobian, np.linalg.inv(hessian), log_prior
-        )
+        known = -0.5 * information - self.log_prior_volume
+        return -0.5 * float(off @ off + (over**2).sum()) + known
 
-    def _weighted(self, turns: Array, jacobian: Array, weight: Array, use: Array) -> tuple[Array, Array]:
-        """Return the derivatives (3 u, p) of the places in ``use``, and those times their information."""
-        information = np.linalg.inv(self._covariance(turns)[use]) * weight[use, None, None]
+    def _weighted(
+        self, covariance: Array, jacobian: Array, weight: Array, off: Array, tails: bool
+    ) -> tuple[Array, Array]:
+        """Return the derivatives (3 u, p) of the places that have a ``weight``, and those times their information."""
+        use = weight > LEAST_WEIGHT
+        information = np.linalg.inv(covariance[use])
+        drawn = weight[use] * (trust(off[use], information) if tails else 1.0)
         rows = jacobian[use]
-        return rows.reshape(-1, self.p), (information @ rows).reshape(-1, self.p)
+        return rows.reshape(-1, self.p), (information @ rows * drawn[:, None, None]).reshape(-1, self.p)
 
     def _over(self, parameters: Array) -> Array:
         turn = parameters[6 : 6 + 3 * self.g].reshape(-1, 3)
         return np.asarray(np.maximum(turn - self.high, 0.0) + np.minimum(turn - self.low, 0.0))
 
-    def _priors(self, parameters: Array) -> tuple[Array, Array]:
+    def priors(self, parameters: Array) -> tuple[Array, Array]:
         """Return information (p, p) and gradient (p,) of what is known without points; of the whole: nothing new."""
         diagonal = 1.0 / self.sigma**2
         gradient = (self.mean - parameters) * diagonal
@@ -131,8 +152,13 @@ class TemplateBody:
         of = turns[self.template.segment]
         return np.asarray((of * self.template.spread_m[:, None] ** 2) @ of.transpose(0, 2, 1))
 
-    def _places(self, parameters: Array, whole: Array) -> tuple[Array, Array, Array]:
-        """Return places (m, 3), turns of the segments (g, 3, 3), and the places' derivatives (m, 3, p)."""
+    def frames(self, pose: FittedPose) -> tuple[Array, Array]:
+        """Return the segments' joints (g, 3) and turns (g, 3, 3) in a pose."""
+        origin, world, _ = self._segments(pose.parameters, pose.whole)
+        return origin, world
+
+    def _segments(self, parameters: Array, whole: Array) -> tuple[Array, Array, Array]:
+        """Return joints (g, 3), turns (g, 3, 3) and the axes of the own turns (g, 3, 3) of the segments."""
         g, template = self.g, self.template
         turn = parameters[6 : 6 + 3 * g].reshape(g, 3)
         size = np.exp(parameters[6 + 3 * g] + parameters[7 + 3 * g :])
@@ -149,7 +175,13 @@ class TemplateBody:
             world[k] = above[k] @ own[k]
             origin[k] = origin[parent] + above[k] @ bone[k]
         axes = np.stack([(above @ own_y)[:, :, 0], above[:, :, 1], (above @ own_yx)[:, :, 2]], axis=1)
-        of = template.segment
+        return origin, world, axes
+
+    def _places(self, parameters: Array, whole: Array) -> tuple[Array, Array, Array]:
+        """Return places (m, 3), turns of the segments (g, 3, 3), and the places' derivatives (m, 3, p)."""
+        g, of = self.g, self.template.segment
+        size = np.exp(parameters[6 + 3 * g] + parameters[7 + 3 * g :])
+        origin, world, axes = self._segments(parameters, whole)
         arm = (world[of] @ self.local[:, :, None])[:, :, 0] * size[of, None]
         place = origin[of] + arm
         jacobian = np.zeros((len(of), 3, self.p))

@@ -8,6 +8,7 @@ and than none; labels that do not fit what was learned later are taken back.
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import gammaln
 
 from mosca.data.arrays import Array
 from mosca.labelling.automatic.template import Expectation
@@ -15,16 +16,18 @@ from mosca.labelling.automatic.tracklets import TrackletSet
 
 SOFT_M = 0.005
 """Standard deviation of a distance on one limb, at least [m]."""
-UNSEEN_SHARE = 0.2
-"""Of what people's motions change a distance, that is not seen in a take yet."""
-TIGHTEST, FEWEST = 6, 3
-"""Distances that decide, the least changing; and how many there must be."""
+POSE_S = 0.5
+"""Poses of a person so far apart in time are taken as independent: half a stride [s]."""
+TIGHTEST, FEWEST = 4, 3
+"""Distances that decide, the least changing, and how many there must be: three leave a place and its mirror image."""
 ROOM_M = 0.3
 """Distances of a point of no marker are spread by this [m]."""
 DIMENSIONS = 3
 """A point's position has so many numbers, however many distances tell it."""
 BOUND = 25.0
 """Largest cost of one distance, in units of its variance: one wrong point does not decide."""
+CERTAIN = 1000.0
+"""Degrees of freedom of a normal distribution: for distances on one limb."""
 ROWS = 12
 """Frames of a tracklet that are compared."""
 RIVAL = 3.0
@@ -39,13 +42,15 @@ class PersonDistances:
 
     mean_m: Array
     sigma_m: Array
+    freedom: Array
+    """Degrees of freedom of Student's t: poses that were seen, and one that is known beforehand."""
 
 
 class Labelling:
     """Which tracklet has which label, while it changes."""
 
-    def __init__(self, tracklets: TrackletSet, expected: Expectation) -> None:
-        self.tracklets, self.expected = tracklets, expected
+    def __init__(self, tracklets: TrackletSet, expected: Expectation, frame_s: float) -> None:
+        self.tracklets, self.expected, self.frame_s = tracklets, expected, frame_s
         self.label = np.full(len(tracklets), -1)
         self.probability = np.zeros(len(tracklets))
         self.xyz = np.full((tracklets.frames, len(expected.mean_m), 3), np.nan)
@@ -59,6 +64,14 @@ class Labelling:
             self.xyz[self.tracklets.row[part], marker] = self.tracklets.xyz[part]
         self.label[k], self.probability[k] = marker, probability
 
+    def rename(self, names: Array) -> None:
+        """Give all tracklets of each label m the label ``names[m]``, -1 for none; no two the same."""
+        xyz = np.full_like(self.xyz, np.nan)
+        xyz[:, names[names >= 0]] = self.xyz[:, names >= 0]
+        self.xyz = xyz
+        self.label = np.where(self.label >= 0, names[self.label], -1)
+        self.probability = np.where(self.label >= 0, self.probability, 0.0)
+
     def busy(self, k: int) -> Array:
         """Return which markers (m,) another tracklet is in some frame of ``k``."""
         out = np.isfinite(self.xyz[self.tracklets.row[self.tracklets.part(k)], :, 0]).any(axis=0)
@@ -67,20 +80,27 @@ class Labelling:
         return np.asarray(out)
 
     def distances(self) -> PersonDistances:
-        """Return what the labelled tracklets show."""
-        some = self.xyz[:: max(1, len(self.xyz) // 400)]
+        """Return what the labelled tracklets show.
+
+        What the distance of two limbs has been says little of what it will be, after few poses: its variance is that
+        of people's motions counted as one pose, and that of the poses seen.
+        """
+        step = max(1, len(self.xyz) // 400)
+        some = self.xyz[::step]
         m = some.shape[1]
-        mean, sigma = np.full((m, m), np.nan), np.full((m, m), np.inf)
+        mean, sigma, poses = np.full((m, m), np.nan), np.full((m, m), np.inf), np.zeros((m, m))
         for k in range(m):
             away = np.linalg.norm(some - some[:, k : k + 1], axis=2)
             there = np.isfinite(away)
             count = np.where(there.any(axis=0), there.sum(axis=0), np.nan)
             mean[k] = np.where(there, away, 0.0).sum(axis=0) / count
             sigma[k] = np.sqrt(np.where(there, (away - mean[k]) ** 2, 0.0).sum(axis=0) / count)
-        sigma = np.where(self.expected.same, sigma, np.hypot(sigma, UNSEEN_SHARE * self.expected.moved_m))
+            poses[k] = there.sum(axis=0) * step * self.frame_s / POSE_S
+        of_all = np.sqrt((self.expected.moved_m**2 + poses * sigma**2) / (1 + poses))
+        sigma = np.where(self.expected.same, sigma, of_all)
         sigma = np.hypot(sigma, SOFT_M)
         sigma[np.isnan(mean) | np.eye(m, dtype=bool)] = np.inf
-        return PersonDistances(mean, sigma)
+        return PersonDistances(mean, sigma, np.where(self.expected.same, CERTAIN, np.minimum(1 + poses, CERTAIN)))
 
     def ratios(self, k: int, known: PersonDistances) -> Array:
         """Return the log likelihood ratio (m,) of tracklet ``k`` as each marker, against none; -inf where unknown."""
@@ -103,9 +123,18 @@ class Labelling:
         mean, sigma = np.take_along_axis(mean, tight, axis=1), np.take_along_axis(sigma, tight, axis=1)
         good = np.isfinite(sigma)
         cost = (second[tight] - 2 * mean * first[tight] + mean**2) / np.where(good, sigma, 1.0) ** 2
-        each = np.where(good, -0.5 * np.minimum(cost, BOUND) - np.log(np.where(good, sigma, 1.0) / ROOM_M), 0.0)
+        freedom = np.take_along_axis(known.freedom[:, seen], tight, axis=1)
+        fit = _log_t(np.minimum(cost, BOUND), freedom) - np.log(np.where(good, sigma, 1.0) / ROOM_M)
+        each = np.where(good, fit, 0.0)
         enough = good.sum(axis=1)
         return np.where(enough >= FEWEST, DIMENSIONS * each.sum(axis=1) / np.maximum(enough, 1), -np.inf)
+
+
+def _log_t(squared: Array, freedom: Array) -> Array:
+    """Return the log density of Student's t at a ``squared`` standardised distance, times the root of 2 pi."""
+    half = 0.5 * (freedom + 1)
+    constant = gammaln(half) - gammaln(0.5 * freedom) - 0.5 * np.log(0.5 * freedom)
+    return np.asarray(constant - half * np.log1p(squared / freedom))
 
 
 def spread(labelling: Labelling, sure: float) -> None:

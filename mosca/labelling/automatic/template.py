@@ -22,7 +22,7 @@ PERSONS, POSES = 60, 24
 """Drawn for an expectation: persons, and poses of each."""
 SEED = 0
 IN_A_SET = 0.97
-"""Share of takes that show a marker of a set that is named."""
+"""Share of takes that show a marker of a set that is worn; of those of other sets the rest do."""
 
 Name = Annotated[str, Field(min_length=1, max_length=100, pattern=r"^[^\x00-\x1f\x7f]+$")]
 Share = Annotated[float, Field(gt=0, lt=1)]
@@ -52,6 +52,7 @@ class TemplateMarker(Table):
         (0.02, 0.02, 0.02), description="standard deviation of its place along x, y, z [m]"
     )
     share: Share = Field(IN_A_SET, description="share of takes that show it")
+    beside: Name | None = Field(None, description="marker without which nobody wears it")
 
 
 class TemplateTable(Table):
@@ -85,11 +86,34 @@ class TemplateTable(Table):
                 )
         if unknown := next((one for one in self.marker if one.segment not in segments), None):
             raise ValueError(f"marker '{unknown.name}': its segment '{unknown.segment}' is not listed")
+        if alone := next((one for one in self.marker if one.beside not in (None, *markers)), None):
+            raise ValueError(f"marker '{alone.name}': beside '{alone.beside}', which is not listed")
         for where in (self.sets, self.names):
             for title, those in where.items():
                 if unknown_name := next((name for name in those if name not in markers), None):
                     raise ValueError(f"set '{title}': marker '{unknown_name}' is not listed")
         return self
+
+
+@dataclass(frozen=True)
+class BodyVariation:
+    """How people differ, as shares of a length (standard deviations)."""
+
+    stature: float = 0.07
+    """Statures of adults: 4 % within a sex, and 7 % between them (NHANES: 1.62 and 1.76 m, both 0.07 m)."""
+    segment: float = 0.05
+    """Of a segment's length, for one stature (Winter's lengths are means alone; textbooks give 4 to 6 %)."""
+
+
+@dataclass(frozen=True, eq=False)
+class TemplateSet:
+    """A marker set, as one of several that a person may wear."""
+
+    title: str
+    names: tuple[str, ...]
+    """(m) what it calls the template's markers."""
+    share: Array
+    """(m,) of takes that show each."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,6 +131,8 @@ class MarkerTemplate:
     """(m,) of takes that show it."""
     other_side: Array
     """(m,) index of its mirror image, or its own."""
+    beside: Array
+    """(m,) index of the marker without which it is not worn, -1 where there is none."""
     segment_names: tuple[str, ...]
     parent: Array
     """(g,) -1 of the first."""
@@ -114,6 +140,14 @@ class MarkerTemplate:
     """(g, 3)"""
     turn_rad: Array
     """(g, 3, 2) ranges about x, y, z."""
+    sets: tuple[TemplateSet, ...] = ()
+    """That the person may wear; none where the set is known."""
+    variation: BodyVariation = BodyVariation()
+    """How far the person's size may be from the template's."""
+
+    def called(self, set_name: str) -> tuple[str, ...]:
+        """Return what a set calls the markers; "" for the template's own names."""
+        return next((one.names for one in self.sets if one.title == set_name), self.names)
 
 
 def read_template(path: Path = STANDARD, set_name: str | None = None) -> MarkerTemplate:
@@ -143,8 +177,7 @@ def template_of(file: TemplateTable, set_name: str | None, where: str | Path) ->
     for mark in file.marker:
         markers += [(mark.name, mark, False)] + ([(mark.other_side, mark, True)] if mark.other_side else [])
     if set_name is not None:
-        both = {mark.name: mark.other_side for mark in file.marker}
-        chosen = {n for name in file.sets[set_name] for n in (name, both.get(name)) if n is not None}
+        chosen = _members(file, set_name)
         markers = [row for row in markers if row[0] in chosen]
         if len(markers) < 4:
             raise InputError(f"{where}: set '{set_name}' has {len(markers)} markers; 4 or more are wanted")
@@ -158,11 +191,32 @@ def template_of(file: TemplateTable, set_name: str | None, where: str | Path) ->
         np.array([m.spread_m for _, m, _ in markers]),
         np.array([m.share if set_name is None else IN_A_SET for _, m, _ in markers]),
         np.array([at.get(mate, k) for k, mate in enumerate(mates)]),
+        np.array([at.get(_mirrored(file, m.beside) if side else m.beside or "", -1) for _, m, side in markers]),
         tuple(name for name, _, _ in segments),
         np.array(parents),
         np.array([np.array(one.joint_m) * (flip if side else 1.0) for _, one, side in segments]),
         turns,
+        () if set_name is not None else tuple(_set_of(file, title, list(at)) for title in file.sets),
     )
+
+
+def _mirrored(file: TemplateTable, name: str | None) -> str:
+    """Return the mirror image of a marker."""
+    other = {mark.name: mark.other_side for mark in file.marker if mark.other_side is not None}
+    other |= {mate: own for own, mate in other.items()}
+    return other.get(name or "", name or "")
+
+
+def _members(file: TemplateTable, title: str) -> set[str]:
+    """Return the markers of a set, of both sides."""
+    both = {mark.name: mark.other_side for mark in file.marker}
+    return {n for name in file.sets[title] for n in (name, both.get(name)) if n is not None}
+
+
+def _set_of(file: TemplateTable, title: str, names: list[str]) -> TemplateSet:
+    members, called = _members(file, title), file.names.get(title, {})
+    share = np.where([name in members for name in names], IN_A_SET, 1 - IN_A_SET)
+    return TemplateSet(title, tuple(called.get(name, name) for name in names), share)
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,20 +233,10 @@ class Expectation:
     """(m, m) on one segment."""
 
 
-@dataclass(frozen=True)
-class BodyVariation:
-    """How people differ, as shares of a length (standard deviations)."""
-
-    stature: float = 0.07
-    """Statures of adults: 4 % within a sex, and 7 % between them (NHANES: 1.62 and 1.76 m, both 0.07 m)."""
-    segment: float = 0.05
-    """Of a segment's length, for one stature (Winter's lengths are means alone; textbooks give 4 to 6 %)."""
-
-
-def expectation(template: MarkerTemplate, variation: BodyVariation | None = None, seed: int = SEED) -> Expectation:
+def expectation(template: MarkerTemplate, seed: int = SEED) -> Expectation:
     """Return what is expected of the template's markers, drawn from PERSONS in POSES each."""
     rng = np.random.default_rng(seed)
-    xyz = drawn_poses(template, variation or BodyVariation(), PERSONS, POSES, rng)
+    xyz = drawn_poses(template, template.variation, PERSONS, POSES, rng)
     distances = np.linalg.norm(xyz[..., :, None, :] - xyz[..., None, :, :], axis=-1)
     mean, sigma = distances.mean(axis=(0, 1)), distances.std(axis=(0, 1))
     moved = np.sqrt(distances.var(axis=1).mean(axis=0))

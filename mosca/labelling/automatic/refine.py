@@ -1,0 +1,125 @@
+"""The best assignment of points to markers near one, and its probability against those near it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mosca.data.arrays import Array
+from mosca.labelling.automatic.body import FittedPose
+from mosca.labelling.automatic.matching import Matching
+from mosca.labelling.automatic.search import LEAST_GAIN, limbs
+
+TRIED, WORSE = 40, 12.0
+"""Alternatives that are looked into, and how much worse they look at most."""
+FAR = 8.0
+"""So much worse an alternative is in linear terms, that it is not looked into any further."""
+
+
+@dataclass(frozen=True, eq=False)
+class MatchedMarkers:
+    """An assignment of points (n) to markers (m)."""
+
+    chosen: Array
+    """(m,) index of the point, -1 for none."""
+    score: float
+    """Logarithm of its evidence, against points that are of no marker."""
+    probability: Array
+    """(m,) that it is right; 1 where there is none."""
+    poses: list[FittedPose]
+    """Of the frames."""
+
+
+def refine(problem: Matching, chosen: Array, poses: list[FittedPose]) -> MatchedMarkers:
+    """Return the assignment near ``chosen`` of the most evidence, with its probability against those near it."""
+    problem = problem.with_tails()
+    best, poses = problem.evidence(chosen, poses, 2)
+    values: list[tuple[float, Array]] = []
+    better = True
+    while better:
+        better, values, linear = False, [], problem.linear(poses)
+        for other in alternatives(problem, chosen, poses):
+            if (about := linear.of(other)) < best - FAR:
+                values.append((about, other))
+                continue
+            value, other_poses = problem.near(other, poses)
+            if value > best + LEAST_GAIN:
+                best, poses, chosen, better = value, other_poses, other, True
+                break
+            values.append((value, other))
+    odds = np.zeros(problem.m)
+    for value, other in values:
+        odds[other != chosen] += np.exp(min(value - best, 0.0))
+    return MatchedMarkers(chosen, best, np.where(chosen >= 0, 1.0 / (1.0 + odds), 1.0), poses)
+
+
+def alternatives(problem: Matching, chosen: Array, poses: list[FittedPose]) -> list[Array]:
+    """Return assignments that may be better, or nearly as good."""
+    gains = problem.gains(chosen, problem.places(poses))
+    moves, swaps = _moves(problem, chosen, gains), _exchanges(problem, chosen, gains)
+    out: list[Array] = []
+    absent = np.where(chosen < 0)[0]
+    for flat in np.argsort(-moves, axis=None)[:TRIED]:
+        i, k = divmod(int(flat), problem.n + 1)
+        if moves[i, k] > -WORSE and (chosen[i] >= 0 or k < problem.n):
+            other = chosen.copy()
+            other[i] = k if k < problem.n else -1
+            out.append(other)
+            if chosen[i] >= 0 and k < problem.n and len(absent):
+                # what the marker leaves may be one that nothing is yet
+                pushed = other.copy()
+                pushed[absent[gains[absent, chosen[i]].argmax()]] = chosen[i]
+                out.append(pushed)
+    for flat in np.argsort(-swaps, axis=None)[: 2 * TRIED]:
+        i, k = divmod(int(flat), problem.m)
+        if swaps[i, k] > -WORSE and (chosen[i] < 0 or i < k):
+            other = chosen.copy()
+            other[[i, k]] = chosen[[k, i]]
+            out.append(other)
+    for markers in limbs(problem.template):
+        other = chosen.copy()
+        other[markers] = chosen[problem.template.other_side[markers]]
+        out.append(other)
+    return out
+
+
+def _moves(problem: Matching, chosen: Array, gains: Array) -> Array:
+    """Return what is gained (m, n + 1) when a marker moves to a free point, or to none (last column)."""
+    now = _now(chosen, gains)
+    out = np.concatenate([gains, np.zeros((problem.m, 1))], axis=1) - now[:, None]
+    out[:, chosen[chosen >= 0]] = -np.inf
+    there = chosen >= 0
+    # what was never seen beside a marker's point may be that marker too: not instead of it
+    out[:, :-1][there] = np.where(problem.together[chosen[there]], out[:, :-1][there], -np.inf)
+    out[:, :-1][np.ix_(~there, problem.spare)] = -np.inf
+    return out
+
+
+def _now(chosen: Array, gains: Array) -> Array:
+    return np.where(chosen >= 0, gains[np.arange(len(chosen)), chosen], 0.0)
+
+
+def _exchanges(problem: Matching, chosen: Array, gains: Array) -> Array:
+    """Return what is gained (m, m) when two markers exchange their points, one of which may have none."""
+    m = problem.m
+    there = np.flatnonzero(chosen >= 0)
+    at = chosen[there]
+    out = np.full((m, m), -np.inf)
+    now = _now(chosen, gains)
+    # marker i at the point of j, without what j says of it from there
+    as_other = np.full((m, m), -np.inf)
+    as_other[:, there] = gains[:, at]
+    i, j = np.meshgrid(np.arange(m), there, indexing="ij")
+    out_of = problem.pairs.reshape(m, problem.n, m, problem.n)
+    as_other[:, there] -= out_of[i, chosen[j], j, chosen[j]]  # zero: a pair of one point
+    both = np.ix_(there, there)
+    cross = out_of[there[:, None], at[None], there[None], at[:, None]]
+    apart = out_of[there[:, None], at[:, None], there[None], at[None]]
+    # each gain counts the other where it was; exchanged, the pair counts once, and once less in what there is now
+    lost = out_of[there[:, None], at[None], there[None], at[None]]
+    lost = lost + lost.T
+    out[both] = as_other[both] + as_other[both].T - lost + cross - now[there][:, None] - now[there][None] + apart
+    for k in np.flatnonzero(chosen < 0):
+        # k takes the point of j, j has none
+        out[k, there] = gains[k, at] - out_of[k, at, there, at] - now[there]
+    np.fill_diagonal(out, -np.inf)
+    return out
