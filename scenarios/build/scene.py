@@ -26,6 +26,7 @@ from scenarios.spec.scenes import (
     BoardScene,
     CloudScene,
     DroneScene,
+    FaceScene,
     FieldScene,
     LFrameScene,
     LightScene,
@@ -90,6 +91,10 @@ def _subject(spec: Scenario, folder: Path) -> Scene:
         rest = scene.model_dump(exclude={"kind", "motion", "skeleton", "motion_rate_hz"})
         return build_actor(**where, **motion, **rest, frame_rate_hz=scene.motion_rate_hz, lamps=worn_lamps(spec))
     check_no_lamps(spec)
+    if isinstance(scene, FaceScene):
+        from twin.scenes.face import build_face
+
+        return build_face(**where, **scene.model_dump(exclude={"kind"}))
     if isinstance(scene, DroneScene):
         from twin.scenes.drone import build_drone
 

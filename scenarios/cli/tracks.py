@@ -168,7 +168,8 @@ def apply(tracks: Path, model: Path, out: Path, fps: float | None) -> None:
     "--set",
     "set_name",
     metavar="NAME|FILE.toml",
-    help="marker set: plug-in-gait, cmu, or a template file  [default: which of many markers there are is not known]",
+    help="marker set: plug-in-gait, cmu, face, or a file of a template or a surface model  [default: which of many "
+    "markers of a body there are is not known]",
 )
 @click.option(
     "--static", type=FILE, help="labelled take of this person with these markers, a static pose for instance"
@@ -185,7 +186,7 @@ def auto(
     probabilities: Path | None,
     fps: float | None,
 ) -> None:
-    """Name the tracks of a person by a template of the marker set, without training or, at need, a static pose.
+    """Name the tracks of a person, or of a face, by a template: no training and, unless given, no static pose.
 
     \b
     Example:  mosca labels auto take2.c3d --set plug-in-gait --out named.c3d

@@ -1,10 +1,12 @@
-"""Labels from a template of a marker set, or of a person by a labelled take of theirs: no training."""
+"""Labels from a template of a marker set, a labelled take of the person, or a surface model of a face: no training."""
 
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from mosca.data.files.file_kind import file_kind
+from mosca.data.files.toml import read_toml
 from mosca.data.files.whole_file import check_writable
 from mosca.errors import InputError
 from mosca.formats.bodies.model_file import write_model
@@ -14,6 +16,8 @@ from mosca.labelling.automatic.label import AutomaticLabels, label_automatically
 from mosca.labelling.automatic.personal import personal_template
 from mosca.labelling.automatic.template import MarkerTemplate, read_template
 from mosca.labelling.marker_model import learn_model
+from mosca.labelling.surface.label import label_surface
+from mosca.labelling.surface.model import LEAST_MARKERS, SurfaceModel, read_surface_model
 from scenarios.commands.labels import rate_of
 
 PROBABILITIES = ("frame", "track", "label", "probability")
@@ -31,9 +35,9 @@ def label_auto(
 ) -> list[str]:
     """Name the tracks in ``path`` by a template, write them to ``out`` and return the lines to print.
 
-    ``set_name``: a set of the template that comes with mosca, or a template file. ``static``: a labelled take of the
-    same person and markers. ``model``: where to write this person's marker model; ``probabilities``: those of the
-    labels, sample by sample. InputError where that cannot be.
+    ``set_name``: a set of the template that comes with mosca, "face", or a file of a template or a surface model.
+    ``static``: a labelled take of the same person and markers. ``model``: where to write this person's marker model;
+    ``probabilities``: those of the labels, sample by sample. InputError where that cannot be.
     """
     check_tracks_file(out)
     for file, what, suffix in (
@@ -46,15 +50,25 @@ def label_auto(
             check_writable(file)
     template = _template(set_name)
     if static is not None:
+        if isinstance(template, SurfaceModel):
+            raise InputError(f"{static}: a static pose is of a body; leave out --static with --set {set_name}")
         template = personal_template(read_tracks(static), template, str(static))
     tracks = read_tracks(path)
-    done = _in_the_sets_names(label_automatically(tracks, template), template)
+    on_surface = isinstance(template, SurfaceModel)
+    if isinstance(template, SurfaceModel):
+        done = label_surface(tracks, template)
+    else:
+        done = _in_the_sets_names(label_automatically(tracks, template), template)
     rate = rate_of(done.tracks, fps, path)
     found = np.unique(done.tracks.label[done.tracks.label != ""]).tolist()
     if not found:
+        wanted = (
+            f"{LEAST_MARKERS} or more markers of the model must be seen in some frame, in metres"
+            if on_surface
+            else "z must be up and the person stand in some frame, with ten or more markers of the set"
+        )
         raise InputError(
-            f"{path}: no track can be named; z must be up and the person stand in some frame, with ten or more "
-            "markers of the set (--set); or name tracks yourself: mosca labels learn"
+            f"{path}: no track can be named; {wanted} (--set); or name tracks yourself: mosca labels learn"
         )
     write_tracks(done.tracks, out, rate)
     if model is not None:
@@ -82,13 +96,18 @@ def _write_probabilities(done: AutomaticLabels, path: Path) -> None:
     write_columns(path, PROBABILITIES, columns)
 
 
-def _template(set_name: str | None) -> MarkerTemplate:
+def _template(set_name: str | None) -> MarkerTemplate | SurfaceModel:
+    if set_name is not None and set_name.lower() == "face":
+        return read_surface_model()
     if set_name is not None and set_name.lower().endswith(".toml"):
-        return read_template(Path(set_name))
+        path = Path(set_name)
+        if file_kind(read_toml(path)) == "surface-model":
+            return read_surface_model(path)
+        return read_template(path)
     return read_template(set_name=set_name)
 
 
-def _lines(done: AutomaticLabels, template: MarkerTemplate, found: list[str], out: Path) -> list[str]:
+def _lines(done: AutomaticLabels, template: MarkerTemplate | SurfaceModel, found: list[str], out: Path) -> list[str]:
     label = done.tracks.label
     least = sorted((float(done.probability[label == name].min()), name) for name in found)
     lines = [

@@ -32,6 +32,7 @@ from scenarios.build.worn_rig import worn_cameras, worn_rig, worn_settings
 from scenarios.run.calibration_take import calibration_take
 from scenarios.run.continuous import collect_continuous
 from scenarios.run.kept_calibrations import kept
+from scenarios.run.labels import surface_labels
 from scenarios.run.people import Person, person_of, show_person
 from scenarios.run.pipeline import collected_of, recorded, rerun_log
 from scenarios.run.postprocess import with_gaps_filled
@@ -147,6 +148,11 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
                 person = person_of(spec, collected.tracks, truth, movement)
             show_person(shown, person.take.joints, truth)
 
+        named: Tracks | None = None
+        if spec.labels is not None:
+            with _timed(timings, "labels"):
+                named = surface_labels(spec, folder, collected.tracks)
+
         def synchronous() -> Tracks:
             again = replace(options, record_to=None)
             return collected_of(opened.source, opened.twin, believed, opened.settings, spec, again, stack).tracks
@@ -154,7 +160,7 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
         with _timed(timings, "score"):
             calibration_m2 = None if own is None else own.covariance_m2
             names = built.known.rig.names
-            joints, labelled = (None, None) if person is None else person.scored(spec)
+            joints, labelled = (None, named) if person is None else person.scored(spec)
             measured = MeasuredTracks(
                 collected, believed, names, synchronous, continuous, bodies, poses, calibration_m2, joints,
                 labelled, built.known.rig,
@@ -162,7 +168,8 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
             worth = scored(spec, name, measured, truth, opened.twin, built.scene)
             collected = worth.collected
             scores = _all_scores(spec, worth, poses, timings, own)
-        written = collected.tracks
+        # identities are scored as the tracker gave them; a label may have split a track
+        written = collected.tracks if named is None else named
         if spec.pipeline.fill_s is not None:
             # scored and counted is what was measured; what is written has its gaps filled as well
             written, collected.assembly.notes["filled"] = with_gaps_filled(written, spec.pipeline.fill_s)

@@ -37,7 +37,7 @@ from scenarios.spec.cameras import (
 from scenarios.spec.continuous import ContinuousSpec
 from scenarios.spec.limits import breaks_schema, end_of, limits_schema, read_breaks, read_limits
 from scenarios.spec.scenes import ActorScene, GlowSpec, LampsSpec, SceneSpec
-from scenarios.spec.skeleton import SkeletonSpec
+from scenarios.spec.skeleton import LabelsSpec, SkeletonSpec
 from scenarios.spec.stages import StageTables
 
 
@@ -115,7 +115,7 @@ class MovedFault(Table):
 
 
 class LabelFault(Table):
-    """Labels are swapped, pair by pair, in the take; those that the skeleton was fitted to are right."""
+    """Labels are swapped, pair by pair, in the take; those that a skeleton was fitted to are right."""
 
     kind: Literal["swapped_labels"]
     pairs: tuple[tuple[str, str], ...] = Field(min_length=1, description="of markers; no marker twice")
@@ -230,6 +230,7 @@ class Scenario(Table):
     pipeline: PipelineSpec = PipelineSpec()
     continuous: ContinuousSpec | None = Field(None, description="cameras that are not synchronised")
     skeleton: SkeletonSpec | None = Field(None, description="the skeleton of the scene's person, fitted and scored")
+    labels: LabelsSpec | None = Field(None, description="labels from a surface model, found and scored")
     length: tuple[LengthSpec, ...] = Field(
         (), description="certified lengths that are seen, for length_rms and length_max; [[length]]"
     )
@@ -287,13 +288,21 @@ class Scenario(Table):
 
 
 def _check_skeleton(spec: Scenario) -> None:
+    if spec.continuous is not None and (spec.skeleton or spec.labels):
+        name = "skeleton" if spec.skeleton else "labels"
+        raise ValueError(f"[{name}] with [continuous]: it is of frame sets; leave one of them out")
     if spec.skeleton is None:
         for name in spec.limits:
-            if name.startswith(("joint_", "label_")):
-                raise ValueError(f"limits.{name} needs a skeleton; add [skeleton], or take the limit away")
-        if isinstance(spec.fault, LabelFault):
-            raise ValueError("fault.kind = 'swapped_labels' needs the labels of a skeleton; add [skeleton]")
+            if name.startswith("joint_") or (name.startswith("label_") and spec.labels is None):
+                more = " (or [labels])" if name.startswith("label_") else ""
+                raise ValueError(f"limits.{name} needs a skeleton; add [skeleton]{more}, or take the limit away")
+        if isinstance(spec.fault, LabelFault) and spec.labels is None:
+            raise ValueError(
+                "fault.kind = 'swapped_labels' needs the labels of a skeleton; add [skeleton] or [labels]"
+            )
         return
+    if spec.labels is not None:
+        raise ValueError("[labels] and [skeleton] given; a skeleton has labels of its own: leave one of them out")
     for name in spec.limits:
         if name.startswith("label_") and spec.skeleton.labels == "truth":
             raise ValueError(f"limits.{name} needs labels that are found; set skeleton.labels = 'auto'")
@@ -304,8 +313,6 @@ def _check_skeleton(spec: Scenario) -> None:
             f"skeleton.fit_to = 'range_of_motion' with scene.motion = '{spec.scene.motion}': the person of a motion "
             "file makes no other movement; say fit_to = 'take'"
         )
-    if spec.continuous is not None:
-        raise ValueError("[skeleton] with [continuous]: poses are those of frame sets; leave one of them out")
 
 
 def _check_control(spec: Scenario) -> None:

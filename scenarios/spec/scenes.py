@@ -63,6 +63,20 @@ class ActorScene(Table):
         return self
 
 
+class FaceScene(Table):
+    """A head that looks along +x and speaks, with 40 ball markers on its deforming face."""
+
+    kind: Literal["face"]
+    size: Annotated[float, Field(ge=0.7, le=1.3)] = Field(1.0, description="of the head, against the mean adult's")
+    seat_sigma_m: float = Field(
+        0.002,
+        ge=0,
+        le=0.01,
+        description="how far markers sit from their places, along the skin (standard deviation) [m]",
+    )
+    marker_diameter_m: Positive = Field(0.003, description="diameter of the ball markers [m]")
+
+
 class DroneScene(Table):
     """A quadrotor of AR.Drone 2.0 size and mass, flown along a path by a controller on MuJoCo's physics."""
 
@@ -175,6 +189,7 @@ class LightScene(Table):
 
 SceneSpec = Annotated[
     ActorScene
+    | FaceScene
     | DroneScene
     | RobotScene
     | CloudScene

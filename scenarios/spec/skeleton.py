@@ -10,6 +10,15 @@ ACTION = "range_of_motion"
 """The action of a calibration take."""
 
 
+class LabelsSpec(Table):
+    """``[labels]``: names of the tracks' markers from a surface model, as of 'mosca labels auto --set face'.
+
+    Scored against the truth: label_* in ``reports.metrics``.
+    """
+
+    model: str = Field(description="'face', or a surface model's file (.toml)")
+
+
 class SkeletonSpec(Table):
     """``[skeleton]``: a model of a person is fitted to labelled tracks, then the pose of each frame of the take.
 

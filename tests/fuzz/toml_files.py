@@ -22,6 +22,7 @@ from mosca.editing.edit_file import Edits, read_motion_edits, read_track_edits
 from mosca.formats.bodies.body_file import read_bodies, write_bodies
 from mosca.formats.bodies.model_file import read_model
 from mosca.labelling.automatic.template import STANDARD, read_template
+from mosca.labelling.surface.model import FACE, read_surface_model
 from scenarios.commands.lamp_file import read_lamps
 from scenarios.spec.scenario import load_scenario
 from twin.scenes.user_markers import read_marker_table
@@ -478,6 +479,20 @@ def _template_expected(folder: Path) -> Any:
     }
 
 
+def _surface(folder: Path) -> Any:
+    read = read_surface_model(folder / "a.toml")
+    return {"places": dict(zip(read.names, read.place_m, strict=True)), "size": read.size_sigma}
+
+
+def _surface_expected(folder: Path) -> Any:
+    read = document(folder / "a.toml")
+    places = {one["name"]: np.array(one["place_m"], float) for one in read["marker"]}
+    for one in read["marker"]:
+        if one.get("other_side") is not None:
+            places[one["other_side"]] = np.array(one["place_m"], float) * [1, -1, 1]
+    return {"places": places, "size": float(read["size_sigma"])}
+
+
 FILES = ("a.toml",)
 READERS = (
     Reader("rig", (_rig_seed,), FILES, lambda folder: values_of(read_rig(folder / "a.toml")), _rig_expected),
@@ -492,6 +507,7 @@ READERS = (
     Reader(
         "marker template", (toml_seed(STANDARD.read_text(encoding="utf-8")),), FILES, _template, _template_expected
     ),
+    Reader("surface model", (toml_seed(FACE.read_text(encoding="utf-8")),), FILES, _surface, _surface_expected),
     Reader("scenario", tuple(map(_scenario, ("spaces/space_1m", "delivery/bursts"))), FILES, *_models(load_scenario)),
     Reader("program", (toml_seed(PROGRAM),), FILES, *_models(read_program)),
     Reader("lamps", (toml_seed(LAMPS),), FILES, _lamps, _lamps_expected),

@@ -14,6 +14,7 @@ from test_targets_scenes import positions
 from twin.scenes.actor import build_actor
 from twin.scenes.cloud import build_cloud
 from twin.scenes.drone import build_drone
+from twin.scenes.face import build_face
 from twin.scenes.robot import build_robot
 from twin.scenes.scene import MARKER_GROUP, Scene
 from twin.scenes.user_model import OwnMotion, build_own
@@ -56,6 +57,7 @@ BUILDERS: dict[str, Builder] = {
     "back_and_forth": lambda s, _: build_actor(**COMMON, gait="back_and_forth", rng=np.random.default_rng(s)),
     "drone": lambda s, _: build_drone(**COMMON, rng=np.random.default_rng(s)).scene,
     "robot": lambda s, _: build_robot(**COMMON, rng=np.random.default_rng(s)),
+    "face": lambda s, _: build_face(**COMMON, rng=np.random.default_rng(s)),
     "cloud": lambda s, _: build_cloud(**COMMON, rng=np.random.default_rng(s)),
     "turntable": lambda s, f: _own(s, f, "turntable"),
     "physics": lambda s, f: _own(s, f, "physics"),

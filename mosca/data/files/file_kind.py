@@ -13,6 +13,10 @@ KINDS = {
         "a marker template",
         'a marker template goes to mosca labels auto --set and has kind = "marker-template"',
     ),
+    "surface-model": (
+        "a surface model",
+        'a surface model goes to mosca labels auto --set and has kind = "surface-model"',
+    ),
     "lamps": ("a lamp file", "a lamp file goes to --worn and has bit_s, known and [[lamp]]"),
     "program": ("a program", "a program goes to capture --program and has [[target]], [[event]] and [[program]]"),
     "edits": ("a file of edits", "a file of edits goes to mosca edit and has [[edit]] tables"),
@@ -27,7 +31,7 @@ def file_kind(document: Mapping[str, Any]) -> str:
     if keys & {"scene", "working_space"}:
         return "scenario"
     if isinstance(kind, str):
-        return kind if kind in ("bodies", "marker-model", "marker-template") else "target"
+        return kind if kind in ("bodies", "marker-model", "marker-template", "surface-model") else "target"
     for name, marks in (
         ("lamps", {"bit_s", "lamp"}),
         ("program", {"program", "target", "event"}),
