@@ -10,6 +10,7 @@ from mosca.data.joint_angles import JointAngles
 from mosca.data.joint_motion import JointMotion
 from mosca.data.rig import Rig
 from mosca.data.tracks import Tracks
+from reports.vibration_evidence import VibrationEvidence
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,6 +101,8 @@ class Evidence:
     joints: JointMotion | None = None
     """Joints of a person."""
     true_joints: JointMotion | None = None
+    vibration: VibrationEvidence | None = None
+    """Spectra and modes of a panel."""
 
     def __post_init__(self) -> None:
         set_read_only(self, working_space_center=(3,), working_space_size=(3,))

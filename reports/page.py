@@ -48,6 +48,7 @@ def write_page(path: Path, record: RunRecord, evidence: Evidence) -> None:
         premises=[_premise_row(name, value) for name, value in record.premises.items()],
         pictures=pictures(record, evidence),
         joints=[_joint_row(name, one) for name, one in record.joints.items()],
+        modes=[_mode_row(name, one) for name, one in record.modes.items()],
         counts=[(_words(name), _plain(value)) for name, value in {**record.counts, **record.source_account}.items()],
         cameras=[
             _camera_row(name, one, record.counts.get("expected_sets"))
@@ -89,6 +90,21 @@ def _joint_row(name: str, one: Mapping[str, Any]) -> tuple[str, ...]:
         "–" if turn is None else ", ".join(f"{math.degrees(value):.2f}" for value in turn) + " deg",
         _plain(one.get("angle_nees")),
         *(f"{100 * one[key]:.1f} %" if key in one else "–" for key in ("center_completeness", "angle_completeness")),
+    )
+
+
+def _mode_row(name: str, one: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return a row of the modes' table: name, true frequency, error, its bound, true damping, error, bound, MAC."""
+    found = "mac" in one
+    return (
+        name,
+        f"{one['true_hz']:.3f} Hz",
+        f"{100 * one['frequency_error']:+.4f} %" if found else "not found",
+        f"{100 * one['frequency_bound']:.4f} %",
+        f"{100 * one['true_damping']:.3f} %",
+        f"{100 * one['damping_error']:+.1f} %" if found else "–",
+        f"{100 * one['damping_bound']:.1f} %",
+        f"{one['mac']:.4f}" if found else "–",
     )
 
 

@@ -37,6 +37,7 @@ from reports.record import RunRecord
 from reports.recorded import longest_tracks_picture, points_picture, residuals_picture
 from reports.scene import scene_picture, volume_picture
 from reports.units import figure as number
+from reports.vibration_plots import shapes_picture, spectra_picture
 
 MOST_VIEWS = 3
 """Camera images on a page; each adds some hundred kilobytes."""
@@ -68,6 +69,10 @@ def _pictures(record: RunRecord, evidence: Evidence) -> Iterator[Picture]:
         yield biped_picture(evidence.joints, evidence.true_joints, evidence.tracks)
     if evidence.angles is not None and evidence.angles.names and len(evidence.angles):
         yield angles_picture(evidence.angles, evidence.true_angles)
+    if evidence.vibration is not None:
+        yield spectra_picture(evidence.vibration)
+        if len(evidence.vibration.modes_hz):
+            yield shapes_picture(evidence.vibration)
     for i, view in enumerate(evidence.views[:MOST_VIEWS]):
         yield camera_picture(view, f"camera{i}")
 

@@ -93,6 +93,8 @@ class RunRecord:
     joints: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     """Joint of a person -> rms error of its centre [m] and of its rotation's three components [rad], NEES, share of
     the errors in the 95 % ellipsoid, share of the frames in which it was found; empty where there is none."""
+    modes: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    """True mode of a panel -> true frequency [Hz] and damping, relative bounds, what was found, errors, MAC."""
     timings: Mapping[str, float] = field(default_factory=dict)
     """Seconds, the only part that differs between two runs of the same seed and code."""
     provenance: Mapping[str, Any] = field(default_factory=dict)

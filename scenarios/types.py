@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from mosca.diagnostics.camera_health import CameraHealth
     from mosca.diagnostics.sensor import LearnedSensor
     from mosca.synchronisation import Assembly
+    from mosca.vibration.analysis import Vibration
     from reports.evidence import CameraView
     from scenarios.score.sensor import StatedSensor
     from twin.cameras.expected_image import Expected
@@ -193,6 +194,8 @@ class MeasuredTracks:
     """Of the scene's person."""
     labelled: Tracks | None = None
     """Its tracks, where their labels were found and not the truth's."""
+    vibration: Vibration | None = None
+    """Of the scene's panel."""
     nominal: Rig | None = None
     """The standing cameras with the pipeline's lens model fitted to the true lenses, where these are known."""
 
@@ -210,5 +213,7 @@ class Scored:
     pairs: TruthPairs | None
     joints: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     """Joint -> its own figures (``scenarios.score.people.joint_table``)."""
+    modes: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    """True mode -> its own figures (``scenarios.score.vibration``)."""
     not_judged: tuple[str, ...] = ()
     """Limited metrics that need more than there is."""

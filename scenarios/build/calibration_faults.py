@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from mosca.data.files.toml import Table
 from mosca.data.rig import Camera, MoscaLens, Pose, Rig
-from scenarios.spec.scenario import LensFault, MovedFault, ScaleFault, SwapFault, TurnFault
+from scenarios.spec.faults import LensFault, MovedFault, ScaleFault, SwapFault, TurnFault
 from twin.cameras.exposure.mount import pixels_per_radian
 from twin.cameras.optics.lens import TwinLens
 

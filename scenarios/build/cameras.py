@@ -24,7 +24,8 @@ from scenarios.build.camera_ring import check_rig, ring, sees, windowed
 from scenarios.build.scene import beside
 from scenarios.build.worn_lamps import rider_pose
 from scenarios.spec.cameras import CameraSpec, ErrorsSpec
-from scenarios.spec.scenario import ClockFault, Scenario
+from scenarios.spec.faults import ClockFault
+from scenarios.spec.scenario import Scenario
 from scenarios.spec.unused_keys import check_no_unused_keys
 from twin.cameras.delivery import Delivery
 from twin.cameras.exposure.mount import Mount

@@ -31,6 +31,7 @@ from scenarios.spec.scenes import (
     LFrameScene,
     LightScene,
     OwnScene,
+    PanelScene,
     RobotScene,
     ScaleBarScene,
     WandScene,
@@ -117,6 +118,8 @@ def _subject(spec: Scenario, folder: Path) -> Scene:
         return build_cloud(
             **where, n=scene.markers, marker_diameter_m=scene.marker_diameter_m, speed_mps=scene.speed_mps
         )
+    if isinstance(scene, PanelScene):
+        return _panel(scene, where)
     if not isinstance(scene, OwnScene):
         return _target(scene, where, folder)
     from twin.scenes.user_model import build_own
@@ -127,6 +130,17 @@ def _subject(spec: Scenario, folder: Path) -> Scene:
     if scene.motion == "physics":
         return build_own(**where, **files, motion="physics")
     return build_own(**where, **files, motion="table", motion_file=beside(scene.motion, folder))
+
+
+def _panel(scene: PanelScene, where: dict[str, Any]) -> Scene:
+    from twin.scenes.panel import build_panel
+    from twin.scenes.plate import ThinPlate
+
+    rest = scene.model_dump(
+        exclude={"kind", "thickness_m", "youngs_pa", "poisson", "density_kg_m3", "marker_diameter_m"}
+    )
+    plate = ThinPlate(scene.size_m, scene.thickness_m, scene.youngs_pa, scene.poisson, scene.density_kg_m3)
+    return build_panel(**where, **rest, plate=plate, target_diameter_m=scene.marker_diameter_m)
 
 
 def _target(scene: TargetScene, where: dict[str, Any], folder: Path) -> Scene:

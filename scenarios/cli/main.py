@@ -26,6 +26,7 @@ from scenarios.cli import rig as cli_rig
 from scenarios.cli import skeleton as cli_skeleton
 from scenarios.cli import station as cli_station
 from scenarios.cli import tracks as cli_tracks
+from scenarios.cli import vibration as cli_vibration
 from scenarios.cli.options import FILE, OUT_FILE, OUT_FOLDER, OutFile, log_to_stderr, print_table, table
 from scenarios.cli.progress import Progress
 from scenarios.run.interrupt import EXIT_STOPPED, was_interrupted
@@ -280,6 +281,7 @@ cli.add_command(cli_tracks.labels)
 cli.add_command(cli_tracks.bodies)
 cli.add_command(cli_tracks.zones)
 cli.add_command(cli_skeleton.skeleton)
+cli.add_command(cli_vibration.vibration)
 cli.add_command(cli_edit.edit)
 cli.add_command(cli_live.live)
 cli.add_command(cli_motion.motion)

@@ -1,4 +1,4 @@
-"""Labels from a template of a marker set, a labelled take of the person, or a surface model of a face: no training."""
+"""Labels from a template of a marker set, from a labelled take of the person, or from a surface model of a face."""
 
 from dataclasses import replace
 from pathlib import Path

@@ -17,6 +17,7 @@ from reports.calibration_page import write_calibration_page
 from reports.page import write_page
 from reports.record import write_record
 from scenarios.run.scenario import RunResult
+from scenarios.run.vibration import vibration_files
 
 RECORD = "record.json"
 
@@ -71,6 +72,7 @@ def _files(result: RunResult, rrd: Path | None) -> dict[str, Callable[[Path], ob
         "bodies.csv": None if (poses := result.poses) is None else lambda path: write_bodies_csv(poses, path),
         "commands.csv": None if result.commands is None else lambda path: _write_commands(result.commands, path),
         **({} if result.person is None else result.person.files()),
+        **({} if result.vibration is None else vibration_files(result.vibration)),
         # of a refused calibration its page says why; nobody can measure with it
         "rig.toml": None
         if own is None or own.calibration.refused

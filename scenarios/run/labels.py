@@ -7,7 +7,8 @@ from mosca.labelling.surface.label import label_surface
 from mosca.labelling.surface.model import FACE, read_surface_model
 from scenarios.build.scene import beside
 from scenarios.score.people import with_labels_swapped
-from scenarios.spec.scenario import LabelFault, Scenario
+from scenarios.spec.faults import LabelFault
+from scenarios.spec.scenario import Scenario
 
 
 def surface_labels(spec: Scenario, folder: Path, tracks: Tracks) -> Tracks:

@@ -22,7 +22,8 @@ from mosca.skeleton.track import SkeletonTake, motion_of, track_subject
 from reports.viewer import RerunLog
 from scenarios.run.calibration_take import with_labels
 from scenarios.score.people import true_motion, with_labels_swapped
-from scenarios.spec.scenario import LabelFault, Scenario
+from scenarios.spec.faults import LabelFault
+from scenarios.spec.scenario import Scenario
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,12 +13,14 @@ from mosca.data.truth import Truth
 from mosca.diagnostics.camera_health import CameraHealth
 from mosca.diagnostics.sensor import Estimate, LearnedSensor
 from mosca.skeleton.isb_angles import isb_angles
+from mosca.vibration.analysis import Vibration
 from reports.evidence import CameraView, ErrorTable, Evidence, MarkerCounts
 from reports.metrics import METRICS
 from reports.record import Metric, MetricBlocks, RunRecord
 from scenarios.build.cameras import Calibrated, deliveries
 from scenarios.run.people import Person
 from scenarios.run.provenance import provenance
+from scenarios.run.vibration import vibration_evidence
 from scenarios.score.controls import control_verdict
 from scenarios.score.delivery import expected_sets, expected_share, frame_losses, losses, weakest
 from scenarios.score.limits import loose_limits
@@ -69,6 +71,7 @@ def record_of(
         counts=_counts(spec, collected),
         cameras=_cameras(collected),
         joints=worth.joints,
+        modes=worth.modes,
         source_account=collected.account,
         timings={key: float(value) for key, value in timings.items()},
         rig=_rig_words(spec),
@@ -198,8 +201,10 @@ def health_record(one: CameraHealth) -> dict[str, Any]:
     }
 
 
-def evidence_of(spec: Scenario, rig: Rig, worth: Scored, person: Person | None = None) -> Evidence:
-    """Return what the page shows; without a truth the tracks alone. ``person``: the scene's."""
+def evidence_of(
+    spec: Scenario, rig: Rig, worth: Scored, person: Person | None = None, vibration: Vibration | None = None
+) -> Evidence:
+    """Return what the page shows; without a truth the tracks alone. ``person`` and ``vibration``: the scene's."""
     collected, truth, pairs = worth.collected, worth.truth, worth.pairs
     base = Evidence(
         rig,
@@ -207,6 +212,7 @@ def evidence_of(spec: Scenario, rig: Rig, worth: Scored, person: Person | None =
         np.array(spec.working_space.size_m),
         collected.tracks,
         collected.views,
+        vibration=None if vibration is None else vibration_evidence(vibration),
     )
     if person is not None:
         base = replace(base, angles=person.angles, joints=person.take.joints)

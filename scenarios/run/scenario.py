@@ -1,7 +1,6 @@
 """One scenario from scene to score: build, calibrate, expose, run the pipeline, compare with the truth."""
 
 import logging
-import time
 from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
@@ -20,6 +19,7 @@ from mosca.rigid_bodies.ambiguity import check_bodies
 from mosca.rigid_bodies.tracker import body_poses, labelled_by_bodies
 from mosca.skeleton.marker_frames import MarkerFrames
 from mosca.synchronisation import Assembly
+from mosca.vibration.analysis import Vibration
 from reports.evidence import Evidence
 from reports.record import RunRecord
 from reports.viewer import RerunLog
@@ -29,11 +29,11 @@ from scenarios.build.frame_sources import account, device_notes, patient
 from scenarios.build.frame_sources import opened as opened_source
 from scenarios.build.scene import build_scene, pipeline_settings
 from scenarios.build.worn_rig import worn_cameras, worn_rig, worn_settings
+from scenarios.run.applications import applications, timed
 from scenarios.run.calibration_take import calibration_take
 from scenarios.run.continuous import collect_continuous
 from scenarios.run.kept_calibrations import kept
-from scenarios.run.labels import surface_labels
-from scenarios.run.people import Person, person_of, show_person
+from scenarios.run.people import Person, show_person
 from scenarios.run.pipeline import collected_of, recorded, rerun_log
 from scenarios.run.postprocess import with_gaps_filled
 from scenarios.run.precompile import PIPELINE, compile_side_by_side, compiling
@@ -72,6 +72,8 @@ class RunResult:
     """Poses of the scenario's rigid bodies."""
     person: Person | None = None
     """The scene's person, where the scenario has a skeleton."""
+    vibration: Vibration | None = None
+    """Of the scene's panel."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,12 +104,12 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
     given_truth = None if options.source == "twin" else requested_truth(options)
     LOG.info("%s: frames of %s", name, options.source)
     timings: dict[str, float] = {}
-    with ExitStack() as stack, _timed(timings, "total"):
-        with _timed(timings, "build"):
+    with ExitStack() as stack, timed(timings, "total"):
+        with timed(timings, "build"):
             built = _built(spec, folder, options)
         own: SessionCalibration | None = None
         if spec.session is not None:
-            with _timed(timings, "calibration"), compiling(PIPELINE):
+            with timed(timings, "calibration"), compiling(PIPELINE):
                 own, reported = _own_calibration(spec, name, built, options)
             if spec.expect == "caught":
                 return _refused(spec, name, options, built.known, timings, reported, own)
@@ -116,9 +118,9 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
         opened = _opened(spec, built, options)
         stack.enter_context(opened.source)
         if opened.twin is not None:
-            with _timed(timings, "compile"):
+            with timed(timings, "compile"):
                 compile_side_by_side(opened.twin)
-        with _timed(timings, "frames_to_tracks"):
+        with timed(timings, "frames_to_tracks"):
             shown = rerun_log(options.rrd, believed, spec, stack)
             collected, continuous = _tracked(opened, believed, spec, options, stack, shown)
         collected = _beside_data_sheets(replace(collected, account=account(opened.source)), spec, built)
@@ -133,7 +135,7 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
         bodies = rigid_bodies(built.scene or build_scene(spec, folder)) if spec.pipeline.bodies else ()
         poses = None
         if bodies:
-            with _timed(timings, "bodies"):
+            with timed(timings, "bodies"):
                 collected, poses = _with_bodies(collected, bodies)
         if own is not None:
             for k, one in enumerate(f for f in own.calibration.findings if f.severity == "warn"):
@@ -142,44 +144,37 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
         if opened.twin is not None and isinstance(truth, Truth) and options.record_to is not None:
             write_truth(truth, options.record_to / "truth.npz")
 
-        person: Person | None = None
-        if spec.skeleton is not None and isinstance(truth, Truth) and len(collected.tracks):
-            with _timed(timings, "skeleton"):
-                person = person_of(spec, collected.tracks, truth, movement)
-            show_person(shown, person.take.joints, truth)
-
-        named: Tracks | None = None
-        if spec.labels is not None:
-            with _timed(timings, "labels"):
-                named = surface_labels(spec, folder, collected.tracks)
+        done = applications(spec, folder, collected, truth, movement, timings)
+        if done.person is not None:
+            show_person(shown, done.person.take.joints, truth if isinstance(truth, Truth) else None)
 
         def synchronous() -> Tracks:
             again = replace(options, record_to=None)
             return collected_of(opened.source, opened.twin, believed, opened.settings, spec, again, stack).tracks
 
-        with _timed(timings, "score"):
+        with timed(timings, "score"):
             calibration_m2 = None if own is None else own.covariance_m2
             names = built.known.rig.names
-            joints, labelled = (None, named) if person is None else person.scored(spec)
+            joints, labelled = (None, done.named) if done.person is None else done.person.scored(spec)
             measured = MeasuredTracks(
                 collected, believed, names, synchronous, continuous, bodies, poses, calibration_m2, joints,
-                labelled, built.known.rig,
+                labelled, done.vibration, built.known.rig,
             )  # fmt: skip
             worth = scored(spec, name, measured, truth, opened.twin, built.scene)
             collected = worth.collected
             scores = _all_scores(spec, worth, poses, timings, own)
         # identities are scored as the tracker gave them; a label may have split a track
-        written = collected.tracks if named is None else named
+        written = collected.tracks if done.named is None else done.named
         if spec.pipeline.fill_s is not None:
             # scored and counted is what was measured; what is written has its gaps filled as well
             written, collected.assembly.notes["filled"] = with_gaps_filled(written, spec.pipeline.fill_s)
     timings |= collected.seconds
     record = record_of(spec, name, options.source, replace(worth, scores=scores), timings, built.known)
-    evidence = evidence_of(spec, believed, worth, person)
+    evidence = evidence_of(spec, believed, worth, done.person, done.vibration)
     if continuous is not None:
         evidence = as_worn(evidence, spec, continuous)
     commands = None if built.scene is None else built.scene.commands
-    return RunResult(record, evidence, written, worth.truth, commands, own, poses, person)
+    return RunResult(record, evidence, written, worth.truth, commands, own, poses, done.person, done.vibration)
 
 
 def _built(spec: Scenario, folder: Path, options: RunOptions) -> _Built:
@@ -200,7 +195,7 @@ def _movement(
     """Return the labelled markers of the take to which the skeleton is fitted; None where there is none before."""
     if spec.skeleton is None or spec.skeleton.fit_to == "take":
         return None
-    with _timed(timings, "calibration_take"):
+    with timed(timings, "calibration_take"):
         return calibration_take(spec, folder, built.cameras, believed, built.settings, options)
 
 
@@ -318,17 +313,3 @@ def _refused(
     record = replace(record, passed=caught is not None, verdict=verdict)
     rig = known.rig if own is None else own.calibration.rig
     return RunResult(record, evidence_of(spec, rig, worth), nothing.tracks, None, None, own)
-
-
-class _timed:
-    """Adds the seconds of a block to a dictionary, and logs them."""
-
-    def __init__(self, timings: dict[str, float], name: str) -> None:
-        self._timings, self._name = timings, name
-
-    def __enter__(self) -> None:
-        self._start = time.perf_counter()
-
-    def __exit__(self, *exc: object) -> None:
-        self._timings[self._name] = time.perf_counter() - self._start
-        LOG.info("%s: %.2f s", self._name, self._timings[self._name])

@@ -17,6 +17,7 @@ from scenarios.score.people import centre_errors, joint_scores, joint_table, lab
 from scenarios.score.premises import premises_met
 from scenarios.score.reference import JUDGED, ReferenceTrajectories
 from scenarios.score.tracks import BLOCKS, metrics, pair
+from scenarios.score.vibration import vibration_scores
 from scenarios.score.without_truth import NEED_NO_TRUTH
 from scenarios.spec.scenario import Scenario
 from scenarios.types import Collected, MeasuredTracks, Score, Scored, TruthPairs, TruthSource
@@ -65,11 +66,17 @@ def scored(
         joints = joint_table(centres, rotations)
     if measured.labelled is not None:
         scores |= label_scores(measured.labelled, truth, space)
+    modes: dict[str, dict[str, Any]] = {}
+    if measured.vibration is not None and scene is not None and scene.modes is not None:
+        own, modes = vibration_scores(measured.vibration, scene.modes, truth.xyz.mean(axis=0))
+        scores |= own
     if twin is not None and needs_bound(spec.limits):
         scores |= _efficiencies(twin, truth, measured.rig, pairs, collected)
     # a truth of an older file has no joints
     unjudged = tuple(name for name in spec.limits if name.startswith("joint_") and truth.joints is None)
-    return Scored(scores, premises_met(spec, truth, name, disturbed), collected, truth, pairs, joints, unjudged)
+    return Scored(
+        scores, premises_met(spec, truth, name, disturbed), collected, truth, pairs, joints, modes, unjudged
+    )
 
 
 def not_judged(spec: Scenario, judged: Collection[str]) -> tuple[str, ...]:

@@ -35,10 +35,12 @@ from scenarios.spec.cameras import (
     TimingSpec,
 )
 from scenarios.spec.continuous import ContinuousSpec
+from scenarios.spec.faults import FaultSpec, LabelFault, RateFault
 from scenarios.spec.limits import breaks_schema, end_of, limits_schema, read_breaks, read_limits
-from scenarios.spec.scenes import ActorScene, GlowSpec, LampsSpec, SceneSpec
+from scenarios.spec.scenes import ActorScene, GlowSpec, LampsSpec, PanelScene, SceneSpec
 from scenarios.spec.skeleton import LabelsSpec, SkeletonSpec
 from scenarios.spec.stages import StageTables
+from scenarios.spec.vibration import VibrationSpec
 
 
 class WorkingSpace(Table):
@@ -68,70 +70,6 @@ class Capture(Table):
     def pulses(self) -> int:
         """Number of trigger pulses."""
         return round(self.duration_s * self.frame_rate_hz)
-
-
-class SwapFault(Table):
-    """The calibrations of two cameras are swapped."""
-
-    kind: Literal["swap_cameras"]
-    cameras: tuple[str, str]
-
-
-class LensFault(Table):
-    """The pipeline believes in lenses without distortion."""
-
-    kind: Literal["no_distortion"]
-
-
-class ClockFault(Table):
-    """Some cameras expose late, without effect on their time stamps."""
-
-    kind: Literal["clock_shift"]
-    cameras: tuple[str, ...] = Field(min_length=1)
-    delay_s: float
-
-
-class TurnFault(Table):
-    """One camera was rotated since it was calibrated."""
-
-    kind: Literal["turned_camera"]
-    camera: str
-    turn_px: float = Field(description="how far its image moves [px]")
-
-
-class ScaleFault(Table):
-    """The rig was calibrated with a length that is wrong: everything is larger by a factor, rays still meet."""
-
-    kind: Literal["wrong_scale"]
-    factor: Positive = Field(description="measured over true lengths")
-
-
-class MovedFault(Table):
-    """Some cameras were calibrated in a frame that is shifted against the others': those of a zone, for example."""
-
-    kind: Literal["moved_cameras"]
-    cameras: tuple[str, ...] = Field(min_length=1)
-    shift_m: Vector = Field(description="where they are believed to stand minus where they do, world frame [m]")
-
-
-class LabelFault(Table):
-    """Labels are swapped, pair by pair, in the take; those that a skeleton was fitted to are right."""
-
-    kind: Literal["swapped_labels"]
-    pairs: tuple[tuple[str, str], ...] = Field(min_length=1, description="of markers; no marker twice")
-
-    @model_validator(mode="after")
-    def _names_each_once(self) -> "LabelFault":
-        names = [name for pair in self.pairs for name in pair]
-        if len(set(names)) < len(names):
-            twice = next(name for name in names if names.count(name) > 1)
-            raise ValueError(f"pairs name '{twice}' twice; give each marker once")
-        return self
-
-
-FaultSpec = Annotated[
-    SwapFault | LensFault | ClockFault | TurnFault | ScaleFault | MovedFault | LabelFault, Field(discriminator="kind")
-]
 
 
 class ZoneSpec(Table):
@@ -231,6 +169,7 @@ class Scenario(Table):
     continuous: ContinuousSpec | None = Field(None, description="cameras that are not synchronised")
     skeleton: SkeletonSpec | None = Field(None, description="the skeleton of the scene's person, fitted and scored")
     labels: LabelsSpec | None = Field(None, description="labels from a surface model, found and scored")
+    vibration: VibrationSpec | None = Field(None, description="modes of the scene's panel, found and scored")
     length: tuple[LengthSpec, ...] = Field(
         (), description="certified lengths that are seen, for length_rms and length_max; [[length]]"
     )
@@ -283,6 +222,7 @@ class Scenario(Table):
         if "rigidity_rms" in self.limits and not self.pipeline.bodies:
             raise ValueError("limits.rigidity_rms needs rigid bodies; set pipeline.bodies = true")
         _check_skeleton(self)
+        _check_vibration(self)
         _check_control(self)
         return self
 
@@ -313,6 +253,20 @@ def _check_skeleton(spec: Scenario) -> None:
             f"skeleton.fit_to = 'range_of_motion' with scene.motion = '{spec.scene.motion}': the person of a motion "
             "file makes no other movement; say fit_to = 'take'"
         )
+
+
+def _check_vibration(spec: Scenario) -> None:
+    if spec.vibration is None:
+        for name in spec.limits:
+            if name.startswith(("mode", "noise_floor")):
+                raise ValueError(f"limits.{name} needs modes that are found; add [vibration], or take the limit away")
+        if isinstance(spec.fault, RateFault):
+            raise ValueError("fault.kind = 'wrong_rate' is of the analysis of vibration; add [vibration]")
+        return
+    if not isinstance(spec.scene, PanelScene):
+        raise ValueError(f"[vibration] with scene.kind = '{spec.scene.kind}': only a 'panel' vibrates; leave it out")
+    if spec.continuous is not None:
+        raise ValueError("[vibration] with [continuous]: spectra are of frame sets; leave one of them out")
 
 
 def _check_control(spec: Scenario) -> None:

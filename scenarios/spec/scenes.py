@@ -187,6 +187,41 @@ class LightScene(Table):
     speed_mps: NotNegative = Field(0.3, description="how it is waved [m/s]")
 
 
+class PanelScene(Table):
+    """A vehicle's panel: a level sheet, simply supported at its rim, that vibrates in its lowest modes."""
+
+    kind: Literal["panel"]
+    size_m: tuple[Positive, Positive] = Field((0.6, 0.4), description="edges along x and y [m]")
+    thickness_m: Positive = Field(0.0009, description="of the sheet [m]")
+    youngs_pa: Positive = Field(210e9, description="Young's modulus; default: steel [Pa]")
+    poisson: Annotated[float, Field(ge=0, lt=0.5)] = Field(0.3, description="Poisson's ratio")
+    density_kg_m3: Positive = Field(7850.0, description="density [kg/m^3]")
+    damping: tuple[Annotated[float, Field(gt=0, lt=0.5)], ...] = Field(
+        (0.003, 0.003, 0.003, 0.003, 0.003),
+        min_length=1,
+        max_length=40,
+        description="of each of the lowest modes, share of critical; as many modes as numbers",
+    )
+    grid: tuple[Annotated[int, Field(ge=1, le=40)], Annotated[int, Field(ge=1, le=40)]] = Field(
+        (6, 5), description="targets along x and y"
+    )
+    marker_diameter_m: Positive = Field(0.01, description="diameter of the flat round targets [m]")
+    rms_m: Positive = Field(0.0002, le=0.001, description="deflection of all modes together, rms [m]")
+    band_hz: tuple[Positive, Positive] = Field((5.0, 95.0), description="band of the white random forces [Hz]")
+    shake_m: NotNegative = Field(0.0, le=0.05, description="rigid motion of the carrier, rms an axis [m]")
+    line_hz: NotNegative = Field(0.0, description="a steady line, such as an engine's order [Hz]")
+    line_m: NotNegative = Field(0.0, le=0.001, description="its amplitude, in the shape of the lowest mode [m]")
+
+    @model_validator(mode="after")
+    def _bands(self) -> "PanelScene":
+        low, high = self.band_hz
+        if not low < high <= 5000:
+            raise ValueError(f"band_hz = [{low:g}, {high:g}] given; the smaller first, up to 5000 Hz, is wanted")
+        if (self.line_hz > 0) != (self.line_m > 0):
+            raise ValueError(f"line_hz = {self.line_hz:g} and line_m = {self.line_m:g} given; they belong together")
+        return self
+
+
 SceneSpec = Annotated[
     ActorScene
     | FaceScene
@@ -199,7 +234,8 @@ SceneSpec = Annotated[
     | WandScene
     | ScaleBarScene
     | LFrameScene
-    | LightScene,
+    | LightScene
+    | PanelScene,
     Field(discriminator="kind"),
 ]
 

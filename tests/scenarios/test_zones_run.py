@@ -20,7 +20,8 @@ from mosca.stitching.stitch import stitched
 from scenarios.build.calibration_faults import with_fault
 from scenarios.run.zones import zones_of
 from scenarios.spec.catalog import find
-from scenarios.spec.scenario import MovedFault, load_scenario
+from scenarios.spec.faults import MovedFault
+from scenarios.spec.scenario import load_scenario
 
 PULSES, STEP_M = 90, 0.01
 SETTINGS = PipelineSettings(match=MatchSettings(judge_sizes=False, camera_sigma_px=0.05))

@@ -16,6 +16,7 @@ from mosca.data.arrays import Array, read_only
 from twin.scenes.emission import Glow
 from twin.scenes.figure import Figure
 from twin.scenes.joint_frames import JointFrames
+from twin.scenes.plate import PlateModes
 
 MARKER_GROUP = 4
 """Geom group of markers. Spheres are ball markers; cylinders are flat round targets facing their +z; thin boxes
@@ -70,6 +71,8 @@ class Scene:
     """Marker -> its light (default: ``Glow()``)."""
     joints: JointFrames | None = None
     """A person's joints; None where the subject is none."""
+    modes: PlateModes | None = None
+    """A panel's modes at its markers; None where the subject is none."""
 
     def __post_init__(self) -> None:
         for name in ("bodies", "figures", "glows"):

@@ -1,0 +1,164 @@
+"""Operational modal analysis of displacements: modes, spectra, noise floor, and what to beware of.
+
+Poles that stay from order to order (SSI-cov) give the modes and their shapes; each mode's displacement, by least
+squares over all shapes, gives frequency and damping by maximum likelihood.
+"""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.signal import butter, sosfiltfilt
+from scipy.stats import kurtosis
+
+from mosca.data.arrays import Array
+from mosca.errors import InputError
+from mosca.vibration.displacements import Displacements
+from mosca.vibration.findings import findings_of
+from mosca.vibration.likelihood import ModeFit, expected_periodogram, fit_mode
+from mosca.vibration.modal import Mode, looks_steady, mac, phase_collinearity, real_shape
+from mosca.vibration.spectra import NoiseFloor, Spectra, filled, noise_floor, spectra
+from mosca.vibration.subspace import Candidate, Poles, SubspaceSettings, candidates, correlations, poles_of
+
+_FILLED_BY = 8  # patterns: as many modes as a record of few targets tells apart
+_LEAST_EVIDENCE = 30.0
+"""Of a mode: chi squared of three parameters exceeds it once in 700,000 places without one."""
+_ALIKE = 0.8
+"""MAC from which two shapes are not told apart by a filter of shapes."""
+
+
+@dataclass(frozen=True)
+class VibrationSettings:
+    """How a record is analysed."""
+
+    lowest_hz: float = 1.0
+    """Lower poles are no modes: drift, and the rest of a rigid motion."""
+    exposure_s: float = 0.0
+    """Of the cameras: it averages, which takes sinc(f T) of an amplitude; 0 for unknown, nothing is corrected."""
+    segment_s: float = 8.0
+    """Length of a segment of the spectra: resolution 1.5 / segment."""
+    subspace: SubspaceSettings = field(default_factory=SubspaceSettings)
+
+
+@dataclass(frozen=True, eq=False)
+class Vibration:
+    """What a record tells."""
+
+    displacements: Displacements
+    modes: tuple[Mode, ...]
+    """Lowest first; steady lines among them."""
+    spectra: Spectra
+    poles: Poles
+    floor: NoiseFloor
+    findings: tuple[str, ...]
+    settings: VibrationSettings
+
+
+def analyse(record: Displacements, settings: VibrationSettings | None = None) -> Vibration:
+    """Return modes, spectra, noise floor and findings of ``record``."""
+    settings = settings or VibrationSettings()
+    if 2 * settings.exposure_s * record.rate_hz > 2.0:
+        raise InputError(
+            f"exposure {settings.exposure_s:g} s given; it does not fit between frames at {record.rate_hz:g} Hz"
+        )
+    whole = filled(record.values, min(_FILLED_BY, record.values.shape[1] // 2))
+    segment = min(round(settings.segment_s * record.rate_hz), len(whole) // 4)
+    averaged = spectra(whole, record.rate_hz, segment)
+    poles = _poles(record, whole, settings)
+    # a rigid motion that was taken out leaves no pole; a carrier's that was not is below the lowest mode
+    chosen = [
+        one for one in candidates(poles, settings.subspace)
+        if settings.lowest_hz <= one.frequency_hz < 0.5 * record.rate_hz
+    ]  # fmt: skip
+    modes = _modes(record, whole, chosen, settings)
+    modal = _modal_density(averaged.frequency_hz, modes, len(whole), record.rate_hz, settings.exposure_s)
+    floor = noise_floor(averaged, modal, record.variance, record.rate_hz, record.rigid)
+    found = Vibration(record, modes, averaged, poles, floor, (), settings)
+    told = findings_of(record, modes, averaged, floor, settings.exposure_s)
+    return replace(found, findings=told)
+
+
+def _poles(record: Displacements, whole: Array, settings: VibrationSettings) -> Poles:
+    """Return the poles of the strongest components of the channels."""
+    own = settings.subspace
+    size = min(own.components, whole.shape[1])
+    basis = np.linalg.eigh(np.cov(whole.T).reshape(whole.shape[1], -1))[1][:, ::-1][:, :size]
+    seen = np.isfinite(record.values)
+    components = (whole - whole.mean(axis=0)) @ basis
+    # an instant counts where most channels were measured; what is filled there comes from the others of the instant
+    components[seen.mean(axis=1) < 0.5] = np.nan
+    return poles_of(correlations(components, 2 * own.block_rows), record.rate_hz, basis, own)
+
+
+def _modes(
+    record: Displacements, whole: Array, chosen: list[Candidate], settings: VibrationSettings
+) -> tuple[Mode, ...]:
+    """Return the candidates that stand out of the spectrum, with frequency and damping by maximum likelihood."""
+    if not chosen:
+        return ()
+    # alone each: a false one must not take the others' band or shape
+    sure = _distinct([_fitted([one], record, whole, settings)[0] for one in chosen])
+    if not sure:
+        return ()
+    modes = []
+    for one, shape, q, fit in _fitted(sure, record, whole, settings):
+        peak = _kurtosis(q, fit.frequency_hz, record.rate_hz)
+        steady = looks_steady(peak, fit.frequency_hz, fit.damping, record.length_s)
+        modes.append(
+            Mode(
+                fit.frequency_hz, fit.frequency_sigma_hz, fit.damping, fit.damping_sigma, shape,
+                phase_collinearity(one.shape), fit.rms_m, peak, one.orders, steady,
+            )
+        )  # fmt: skip
+    return tuple(modes)
+
+
+_Fitted = tuple[Candidate, Array, Array, ModeFit]
+
+
+def _fitted(ones: list[Candidate], record: Displacements, whole: Array, settings: VibrationSettings) -> list[_Fitted]:
+    """Return of each candidate its real shape (c,), its displacement (t,) [m], and the fit to that."""
+    shapes = np.stack([real_shape(one.shape) for one in ones], axis=1)
+    frequencies = np.array([one.frequency_hz for one in ones])
+    moved = whole - whole.mean(axis=0)
+    rows = []
+    for k, one in enumerate(ones):
+        # what has nearly the same shape cannot be told apart by it, only by its frequency
+        apart = mac(shapes[:, [k]], shapes)[0] < _ALIKE
+        q = moved @ np.linalg.pinv(np.column_stack([shapes[:, k], shapes[:, apart]]))[0]
+        others = np.delete(frequencies, k)
+        fit = fit_mode(q, record.rate_hz, (one.frequency_hz, one.damping), others, settings.exposure_s)
+        rows.append((one, shapes[:, k], q, fit))
+    return rows
+
+
+def _distinct(rows: list[_Fitted]) -> list[Candidate]:
+    """Return the candidates that stand out of the spectrum; of those that found one peak, the one nearest to it."""
+    left = [row for row in rows if row[3].evidence > _LEAST_EVIDENCE]
+    left.sort(key=lambda row: abs(row[3].frequency_hz - row[0].frequency_hz) / row[0].frequency_hz)
+    kept: list[_Fitted] = []
+    for row in left:
+        peak = row[3]
+        if not any(
+            abs(peak.frequency_hz - its.frequency_hz) < 2 * max(peak.damping, its.damping) * its.frequency_hz
+            and mac(row[1][:, None], shape[:, None])[0, 0] > _ALIKE
+            for _, shape, _, its in kept
+        ):
+            kept.append(row)
+    return sorted((row[0] for row in kept), key=lambda one: one.frequency_hz)
+
+
+def _modal_density(frequency_hz: Array, modes: tuple[Mode, ...], n: int, rate_hz: float, exposure_s: float) -> Array:
+    """Return the mean over the channels of the modes' density (k,) [m^2/Hz]; a steady line has one place alone."""
+    total = np.zeros(len(frequency_hz))
+    for mode in modes:
+        if not mode.is_line:
+            power = mode.rms_m**2 * float(np.mean(mode.shape**2))
+            total += power * expected_periodogram(frequency_hz, mode.frequency_hz, mode.damping, n, rate_hz)
+    return np.asarray(total * np.sinc(frequency_hz * exposure_s) ** 2)
+
+
+def _kurtosis(values: Array, frequency_hz: float, rate_hz: float) -> float:
+    """Return the kurtosis of values (t,) within 5 % of a frequency."""
+    high = min(1.05 * frequency_hz, 0.499 * rate_hz)
+    sections = butter(2, (0.95 * frequency_hz, high), "bandpass", fs=rate_hz, output="sos")
+    return float(kurtosis(sosfiltfilt(sections, values), fisher=False))

@@ -1,0 +1,126 @@
+"""Spectra of displacements: averaged periodograms with intervals, singular values, and the floor of the noise."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.signal import get_window
+from scipy.stats import chi2
+
+from mosca.data.arrays import Array, set_read_only
+
+_PASSES = 4
+_QUIET = 0.25
+
+
+@dataclass(frozen=True, eq=False)
+class Spectra:
+    """One-sided cross spectra of c channels at k frequencies, averaged over segments (Welch 1967)."""
+
+    frequency_hz: Array
+    """(k,)"""
+    matrix: Array
+    """(k, c, c) complex [m^2/Hz]."""
+    averages: float
+    """Effective number of independent segments."""
+
+    def __post_init__(self) -> None:
+        k = len(np.asarray(self.frequency_hz))
+        set_read_only(self, frequency_hz=(k,))
+        set_read_only(self, np.complex128, matrix=(k, None, None))
+
+    @property
+    def densities(self) -> Array:
+        """Power spectral density of each channel (k, c) [m^2/Hz]."""
+        return np.asarray(np.einsum("kcc->kc", self.matrix).real)
+
+    @property
+    def singular_values(self) -> Array:
+        """Singular values of the matrices (k, c) [m^2/Hz], largest first (frequency domain decomposition)."""
+        return np.asarray(np.linalg.eigvalsh(self.matrix)[:, ::-1])
+
+    @property
+    def interval95(self) -> tuple[float, float]:
+        """Factors on a density that give the ends of its 95 % interval: chi squared of two degrees an average."""
+        freedom = 2 * self.averages
+        return float(freedom / chi2.ppf(0.975, freedom)), float(freedom / chi2.ppf(0.025, freedom))
+
+
+def spectra(values: Array, rate_hz: float, segment: int) -> Spectra:
+    """Return spectra of values (t, c) without gaps, over Hann-windowed ``segment``s that overlap by half."""
+    window = get_window("hann", segment)
+    starts = range(0, len(values) - segment + 1, max(segment // 2, 1))
+    total = np.zeros((segment // 2 + 1, values.shape[1], values.shape[1]), dtype=np.complex128)
+    for start in starts:
+        part = values[start : start + segment]
+        y = np.fft.rfft(window[:, None] * (part - part.mean(axis=0)), axis=0)
+        total += y[:, :, None] * y[:, None, :].conj()
+    total *= 2 / (len(starts) * rate_hz * np.sum(window**2))
+    total[0] /= 2
+    if segment % 2 == 0:
+        total[-1] /= 2
+    n = len(starts)
+    # neighbours that overlap by half are correlated by 1/6 in amplitude
+    effective = n / (1 + 2 / 36 * (n - 1) / n)
+    return Spectra(np.fft.rfftfreq(segment, 1 / rate_hz), total, effective)
+
+
+def filled(values: Array, rank: int) -> Array:
+    """Return values (t, c) with gaps (NaN) filled, for spectra alone: nothing filled is counted as measured.
+
+    Where more than ``rank`` channels were measured, by the ``rank`` strongest patterns of all channels, fitted to
+    those of the instant (the patterns are found anew from what was filled, some times over); other instants by a
+    cubic in time.
+    """
+    there = np.isfinite(values)
+    if there.all():
+        return values
+    mean = np.nanmean(values, axis=0)
+    y = np.where(there, values, mean)
+    some = there.sum(axis=1) > rank
+    holes = np.flatnonzero(some & ~there.all(axis=1))
+    seen, moved = there[holes].astype(np.float64), np.where(there[holes], values[holes] - mean, 0.0)
+    for _ in range(_PASSES):
+        patterns = np.linalg.eigh((y[some] - mean).T @ (y[some] - mean))[1][:, -rank:]
+        normal = np.einsum("tc,ci,cj->tij", seen, patterns, patterns)
+        size = np.linalg.solve(normal, (moved @ patterns)[..., None])[..., 0]
+        y[holes] = np.where(there[holes], values[holes], mean + size @ patterns.T)
+    if not some.all():
+        at = np.arange(len(y))
+        y[~some] = CubicSpline(at[some], y[some], axis=0)(at[~some])
+    return np.asarray(y)
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseFloor:
+    """Noise that the spectra show, beside the one that the tracks' covariances state."""
+
+    measured_m2_per_hz: float
+    """Mean over the channels of what no mode explains, where the modes have least."""
+    expected_m2_per_hz: float
+    """2 sigma^2 / rate; NaN where the tracks state no covariance."""
+
+    @property
+    def ratio(self) -> float:
+        """Measured over expected density."""
+        return self.measured_m2_per_hz / self.expected_m2_per_hz
+
+    def sigma_m(self, rate_hz: float) -> float:
+        """Return the standard deviation of one sample that the measured floor amounts to [m]."""
+        return float(np.sqrt(self.measured_m2_per_hz * rate_hz / 2))
+
+
+def noise_floor(averaged: Spectra, modal: Array, variance: Array, rate_hz: float, rigid: Array) -> NoiseFloor:
+    """Return the noise in ``averaged`` spectra beside that of ``variance`` (c,) [m^2].
+
+    Measured is the mean of the channels' mean density less ``modal`` (k,), that of the modes [m^2/Hz], over the
+    quarter of the frequencies where the modes have least, since their part is averaged over few independent values.
+    No median: noise that all targets share, of shaking cameras, has few independent values as well, and its median
+    lies below its mean. What ``rigid`` (c, r), the motions that were taken out, took of white noise is
+    allowed for. Samples that were filled have the noise of those that they come from; nothing is corrected for them.
+    """
+    keeps = 1 - np.sum(rigid**2, axis=1)
+    left = averaged.densities.sum(axis=1)[1:-1] - averaged.matrix.shape[1] * modal[1:-1]
+    quiet = modal[1:-1] <= np.quantile(modal[1:-1], _QUIET)
+    measured = float(np.mean(left[quiet])) / float(keeps.sum())
+    return NoiseFloor(measured, float(2 / rate_hz * np.sum(keeps * variance) / keeps.sum()))

@@ -1,0 +1,66 @@
+"""The vibration of a scenario's panel: found in its tracks, and what the page and the run folder show of it."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from mosca.errors import InputError
+from mosca.formats.vibration.modes_file import write_modes
+from mosca.vibration.analysis import Vibration, VibrationSettings, analyse
+from mosca.vibration.displacements import displacements
+from reports.vibration_evidence import VibrationEvidence
+from scenarios.spec.faults import RateFault
+from scenarios.spec.scenario import Scenario
+from scenarios.types import Collected
+
+_LARGEST = 3
+
+
+def vibration_of(spec: Scenario, collected: Collected) -> Vibration | None:
+    """Return the modes in the tracks; None where the scenario asks for none, or too little was measured.
+
+    What is wanting then goes into the notes, and no limit of a mode is met.
+    """
+    if spec.vibration is None:
+        return None
+    rate_hz = spec.capture.frame_rate_hz
+    if isinstance(spec.fault, RateFault):
+        rate_hz *= spec.fault.factor
+    rigid_by: Literal["all"] | None = "all" if spec.vibration.rigid == "all" else None
+    settings = VibrationSettings(exposure_s=spec.capture.exposure_s, segment_s=spec.vibration.segment_s)
+    try:
+        up = np.array([0.0, 0.0, 1.0])
+        found = analyse(displacements(collected.tracks, rate_hz, direction=up, rigid_by=rigid_by), settings)
+    except InputError as error:
+        collected.assembly.notes["vibration"] = str(error)
+        return None
+    for k, line in enumerate(found.findings):
+        collected.assembly.notes[f"vibration {k + 1}"] = line
+    return found
+
+
+def vibration_evidence(found: Vibration) -> VibrationEvidence:
+    """Return what the pictures show; a shape along several directions by the first of them."""
+    record, averaged = found.displacements, found.spectra
+    every = len(record.direction)
+    shapes = np.array([mode.shape[::every] for mode in found.modes]).reshape(len(found.modes), len(record.names))
+    return VibrationEvidence(
+        averaged.frequency_hz,
+        averaged.densities.mean(axis=1),
+        averaged.singular_values[:, :_LARGEST],
+        averaged.interval95,
+        found.floor.measured_m2_per_hz,
+        found.floor.expected_m2_per_hz,
+        np.array([mode.frequency_hz for mode in found.modes]),
+        tuple(mode.is_line for mode in found.modes),
+        record.place,
+        shapes,
+        record.rate_hz,
+    )
+
+
+def vibration_files(found: Vibration) -> dict[str, Callable[[Path], object]]:
+    """Return name of each file of a run folder -> what writes it there."""
+    return {"modes.json": lambda path: write_modes(found, path)}

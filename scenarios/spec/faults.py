@@ -1,0 +1,79 @@
+"""Keys of a scenario file: ``[fault]``, what is wrong with the rig, the labels or the clock that are believed in."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from mosca.data.files.toml import Positive, Table, Vector
+
+
+class SwapFault(Table):
+    """The calibrations of two cameras are swapped."""
+
+    kind: Literal["swap_cameras"]
+    cameras: tuple[str, str]
+
+
+class LensFault(Table):
+    """The pipeline believes in lenses without distortion."""
+
+    kind: Literal["no_distortion"]
+
+
+class ClockFault(Table):
+    """Some cameras expose late, without effect on their time stamps."""
+
+    kind: Literal["clock_shift"]
+    cameras: tuple[str, ...] = Field(min_length=1)
+    delay_s: float
+
+
+class TurnFault(Table):
+    """One camera was rotated since it was calibrated."""
+
+    kind: Literal["turned_camera"]
+    camera: str
+    turn_px: float = Field(description="how far its image moves [px]")
+
+
+class ScaleFault(Table):
+    """The rig was calibrated with a length that is wrong: everything is larger by a factor, rays still meet."""
+
+    kind: Literal["wrong_scale"]
+    factor: Positive = Field(description="measured over true lengths")
+
+
+class MovedFault(Table):
+    """Some cameras were calibrated in a frame that is shifted against the others': those of a zone, for example."""
+
+    kind: Literal["moved_cameras"]
+    cameras: tuple[str, ...] = Field(min_length=1)
+    shift_m: Vector = Field(description="where they are believed to stand minus where they do, world frame [m]")
+
+
+class LabelFault(Table):
+    """Labels are swapped, pair by pair, in the take; those that the skeleton was fitted to are right."""
+
+    kind: Literal["swapped_labels"]
+    pairs: tuple[tuple[str, str], ...] = Field(min_length=1, description="of markers; no marker twice")
+
+    @model_validator(mode="after")
+    def _names_each_once(self) -> "LabelFault":
+        names = [name for pair in self.pairs for name in pair]
+        if len(set(names)) < len(names):
+            twice = next(name for name in names if names.count(name) > 1)
+            raise ValueError(f"pairs name '{twice}' twice; give each marker once")
+        return self
+
+
+class RateFault(Table):
+    """The frame rate that the analysis of vibration is told is wrong; frames and stamps are right."""
+
+    kind: Literal["wrong_rate"]
+    factor: Positive = Field(description="told over true frame rate")
+
+
+FaultSpec = Annotated[
+    SwapFault | LensFault | ClockFault | TurnFault | ScaleFault | MovedFault | LabelFault | RateFault,
+    Field(discriminator="kind"),
+]
