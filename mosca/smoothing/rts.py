@@ -164,6 +164,22 @@ def smooth_one(xyz, covariance, measured, move, noise, speed2, variance):
     return position, spread, cost, nis
 
 
+@kernel
+def smooth_states(xyz, covariance, measured, move, noise, speed2, variance):
+    """Smooth one trajectory as ``smooth_one`` does.
+
+    Returns position, velocity and acceleration (t, 9), their covariances (t, 9, 9) and -2 log-likelihood.
+    """
+    t = xyz.shape[0]
+    filtered = _Filtered(
+        np.empty((t, 9, 9)), np.empty((t, 9)), np.empty((t, 9, 9)), np.zeros((t, 3, 3)), np.zeros((t, 3))
+    )
+    cost, _ = _forward(xyz, covariance, measured, move, noise, speed2, variance, filtered)
+    state, spread = np.empty((t, 9)), np.empty((t, 9, 9))
+    _backward(measured, move, filtered, state, spread)
+    return state, spread, cost
+
+
 @step
 def _forward(xyz, covariance, measured, move, noise, speed2, variance, filtered):
     """Kalman filter; fills ``filtered`` and returns -2 log-likelihood and mean normalised innovation squared."""
@@ -200,20 +216,20 @@ def _forward(xyz, covariance, measured, move, noise, speed2, variance, filtered)
 
 
 @step
-def _backward(measured, move, filtered, position, spread):
-    """Bryson and Frazier's recursion; fills positions (t, 3) and covariances (t, 3, 3)."""
+def _backward(measured, move, filtered, state, spread):
+    """Bryson and Frazier's recursion; fills the first s of the state's 9 values (t, s), and covariances (t, s, s)."""
     # lead, weight: adjoint of what is measured later, at the corrected state
     lead, weight, left, work = np.zeros(9), np.zeros((9, 9)), np.empty((9, 9)), np.empty((9, 9))
     f = np.empty((3, 3))
-    for k in range(position.shape[0] - 1, -1, -1):
-        for a in range(3):
-            position[k, a] = filtered.x[k, a]
+    for k in range(state.shape[0] - 1, -1, -1):
+        for a in range(state.shape[1]):
+            state[k, a] = filtered.x[k, a]
             for i in range(9):
-                position[k, a] -= filtered.p[k, a, i] * lead[i]
+                state[k, a] -= filtered.p[k, a, i] * lead[i]
                 work[a, i] = 0.0
                 for j in range(9):
                     work[a, i] += filtered.p[k, a, j] * weight[j, i]
-            for b in range(3):
+            for b in range(state.shape[1]):
                 spread[k, a, b] = filtered.p[k, a, b]
                 for i in range(9):
                     spread[k, a, b] -= work[a, i] * filtered.p[k, b, i]

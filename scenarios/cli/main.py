@@ -19,6 +19,7 @@ from mosca import __version__
 from mosca.errors import InputError, MoscaError
 from scenarios.cli import capture as cli_capture
 from scenarios.cli import edit as cli_edit
+from scenarios.cli import identify as cli_identify
 from scenarios.cli import lab as cli_lab
 from scenarios.cli import live as cli_live
 from scenarios.cli import motion as cli_motion
@@ -283,6 +284,7 @@ cli.add_command(cli_tracks.zones)
 cli.add_command(cli_skeleton.skeleton)
 cli.add_command(cli_vibration.vibration)
 cli.add_command(cli_edit.edit)
+cli.add_command(cli_identify.identify)
 cli.add_command(cli_live.live)
 cli.add_command(cli_motion.motion)
 cli.add_command(cli_rig.calibrate)

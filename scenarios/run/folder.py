@@ -13,6 +13,7 @@ from mosca.data.tracks import write_npz
 from mosca.errors import InputError
 from mosca.formats.bodies.bodies_csv import write_bodies_csv
 from mosca.formats.tracks.tracks_csv import write_tracks_csv
+from mosca.identification.model_file import write_model
 from reports.calibration_page import write_calibration_page
 from reports.page import write_page
 from reports.record import write_record
@@ -73,6 +74,7 @@ def _files(result: RunResult, rrd: Path | None) -> dict[str, Callable[[Path], ob
         "commands.csv": None if result.commands is None else lambda path: _write_commands(result.commands, path),
         **({} if result.person is None else result.person.files()),
         **({} if result.vibration is None else vibration_files(result.vibration)),
+        "model.json": None if (model := result.model) is None else lambda path: write_model(model, path),
         # of a refused calibration its page says why; nobody can measure with it
         "rig.toml": None
         if own is None or own.calibration.refused

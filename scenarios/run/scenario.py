@@ -14,6 +14,7 @@ from mosca.data.rig import Rig
 from mosca.data.tracks import Tracks, table
 from mosca.data.truth import Truth, write_truth
 from mosca.errors import CalibrationError, InputError
+from mosca.identification.identify import IdentifiedModel
 from mosca.pipeline import PipelineSettings
 from mosca.rigid_bodies.ambiguity import check_bodies
 from mosca.rigid_bodies.tracker import body_poses, labelled_by_bodies
@@ -32,6 +33,7 @@ from scenarios.build.worn_rig import worn_cameras, worn_rig, worn_settings
 from scenarios.run.applications import applications, timed
 from scenarios.run.calibration_take import calibration_take
 from scenarios.run.continuous import collect_continuous
+from scenarios.run.identification import check_source, identified
 from scenarios.run.kept_calibrations import kept
 from scenarios.run.people import Person, show_person
 from scenarios.run.pipeline import collected_of, recorded, rerun_log
@@ -74,6 +76,8 @@ class RunResult:
     """The scene's person, where the scenario has a skeleton."""
     vibration: Vibration | None = None
     """Of the scene's panel."""
+    model: IdentifiedModel | None = None
+    """Of the driven robot, where the scenario identifies one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,6 +151,7 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
         done = applications(spec, folder, collected, truth, movement, timings)
         if done.person is not None:
             show_person(shown, done.person.take.joints, truth if isinstance(truth, Truth) else None)
+        model, driven = _identified(spec, folder, poses, bodies, built.scene, timings)
 
         def synchronous() -> Tracks:
             again = replace(options, record_to=None)
@@ -162,7 +167,7 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
             )  # fmt: skip
             worth = scored(spec, name, measured, truth, opened.twin, built.scene)
             collected = worth.collected
-            scores = _all_scores(spec, worth, poses, timings, own)
+            scores = _all_scores(spec, worth, poses, timings, own) | driven
         # identities are scored as the tracker gave them; a label may have split a track
         written = collected.tracks if done.named is None else done.named
         if spec.pipeline.fill_s is not None:
@@ -174,10 +179,26 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
     if continuous is not None:
         evidence = as_worn(evidence, spec, continuous)
     commands = None if built.scene is None else built.scene.commands
-    return RunResult(record, evidence, written, worth.truth, commands, own, poses, done.person, done.vibration)
+    return RunResult(record, evidence, written, worth.truth, commands, own, poses, done.person, done.vibration, model)
+
+
+def _identified(
+    spec: Scenario,
+    folder: Path,
+    poses: BodyPoses | None,
+    bodies: tuple[RigidBody, ...],
+    scene: Scene | None,
+    timings: dict[str, float],
+) -> tuple[IdentifiedModel | None, dict[str, Score]]:
+    """Return the model of the scene's robot and its scores, where the scenario identifies one."""
+    if spec.identification is None or poses is None or scene is None:
+        return None, {}
+    with timed(timings, "identification"):
+        return identified(spec, folder, poses, bodies, scene)
 
 
 def _built(spec: Scenario, folder: Path, options: RunOptions) -> _Built:
+    check_source(spec, options.source)
     rig = true_rig(spec, folder)
     cameras = virtual_cameras(spec, rig)
     if spec.continuous is not None and spec.continuous.worn_on is not None:

@@ -73,7 +73,22 @@ class RateFault(Table):
     factor: Positive = Field(description="told over true frame rate")
 
 
+class LateCommandsFault(Table):
+    """The commands' clock is ahead of the frames': the motion is seen later than it was."""
+
+    kind: Literal["late_commands"]
+    delay_s: float = Field(description="how much earlier than they were the commands are believed to be [s]")
+
+
 FaultSpec = Annotated[
-    SwapFault | LensFault | ClockFault | TurnFault | ScaleFault | MovedFault | LabelFault | RateFault,
+    SwapFault
+    | LensFault
+    | ClockFault
+    | TurnFault
+    | ScaleFault
+    | MovedFault
+    | LabelFault
+    | RateFault
+    | LateCommandsFault,
     Field(discriminator="kind"),
 ]

@@ -36,6 +36,7 @@ from scenarios.spec.cameras import (
 )
 from scenarios.spec.continuous import ContinuousSpec
 from scenarios.spec.faults import FaultSpec, LabelFault, RateFault
+from scenarios.spec.identification import IdentificationSpec, check_identification
 from scenarios.spec.limits import breaks_schema, end_of, limits_schema, read_breaks, read_limits
 from scenarios.spec.scenes import ActorScene, GlowSpec, LampsSpec, PanelScene, SceneSpec
 from scenarios.spec.skeleton import LabelsSpec, SkeletonSpec
@@ -170,6 +171,9 @@ class Scenario(Table):
     skeleton: SkeletonSpec | None = Field(None, description="the skeleton of the scene's person, fitted and scored")
     labels: LabelsSpec | None = Field(None, description="labels from a surface model, found and scored")
     vibration: VibrationSpec | None = Field(None, description="modes of the scene's panel, found and scored")
+    identification: IdentificationSpec | None = Field(
+        None, description="the linear model from the robot's commands to its motion, identified and scored"
+    )
     length: tuple[LengthSpec, ...] = Field(
         (), description="certified lengths that are seen, for length_rms and length_max; [[length]]"
     )
@@ -223,6 +227,7 @@ class Scenario(Table):
             raise ValueError("limits.rigidity_rms needs rigid bodies; set pipeline.bodies = true")
         _check_skeleton(self)
         _check_vibration(self)
+        check_identification(self.identification, self.scene, self.limits, self.pipeline.bodies, self.fault)
         _check_control(self)
         return self
 

@@ -28,6 +28,7 @@ from mosca.formats.tracks.marker_table import MarkerTable
 from mosca.formats.tracks.tracks_file import read_tracks, write_tracks
 from mosca.formats.tracks.trc import read_trc
 from mosca.formats.wand_points import read_wand_points
+from mosca.identification.commands import read_commands
 from reports.record import read_record
 from scenarios.score.reference import read_reference_csv
 
@@ -531,6 +532,32 @@ def _edited(folder: Path) -> Any:
     return {name: getattr(take, name) for name in Tracks.__dataclass_fields__}
 
 
+COMMANDS_CSV = """time_s,left,right,note
+0.0,12.5,-3,a
+0.2,-7.25,4e1,b
+0.4,0,0,
+"""
+
+
+def _commands(folder: Path) -> Any:
+    rows = read_commands(folder / "a.csv")
+    return {"clock": rows.clock, "at": rows.at, "names": rows.names, "values": rows.values}
+
+
+def _commands_expected(folder: Path) -> Any:
+    header, *rows = _rows(folder / "a.csv")
+    (clock,) = [name for name in ("time_ns", "time_s", "frame") if name in header]
+    names = ("left", "right") if {"left", "right"} <= set(header) else ("pwm_left", "pwm_right")
+    if any(header.count(name) != 1 for name in (clock, *names)) or any(len(row) != len(header) for row in rows):
+        raise ValueError(header)
+    column = {name: [row[header.index(name)] for row in rows] for name in (clock, *names)}
+    at = plain(column[clock]) if clock == "time_s" else whole(column[clock])
+    values = np.array([plain(column[name]) for name in names]).T
+    if not len(at) or not np.isfinite(at).all() or not np.isfinite(values).all() or (np.diff(at) <= 0).any():
+        raise ValueError("values")
+    return {"clock": clock, "at": at, "names": names, "values": values}
+
+
 READERS = (
     Reader(
         "tracks.csv",
@@ -569,6 +596,7 @@ READERS = (
         _trc_expected,
     ),
     Reader("truth.csv", (toml_seed(TRUTH_CSV, "truth.csv"),), ("truth.csv",), _reference, _reference_expected),
+    Reader("commands csv", (toml_seed(COMMANDS_CSV, "a.csv"),), ("a.csv",), _commands, _commands_expected),
     Reader("points csv", (toml_seed(WIDE_CSV, "a.csv"),), ("a.csv",), _wide, _wide_expected),
     Reader("multicamselfcal points", (_light_seed,), ("*",), _light, _light_expected),
     Reader("wand points", (toml_seed(WAND_CSV, "a.csv"),), ("a.csv",), _wand_points, _wand_points_expected),

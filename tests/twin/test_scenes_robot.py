@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mosca.errors import InputError
-from twin.scenes.driving import FREE_SPEED_RAD_S
+from twin.scenes.driving import FREE_SPEED_RAD_S, true_velocities
 from twin.scenes.robot import build_robot
 from twin.scenes.scene import UNSEEN_GROUP, Scene
 
@@ -131,3 +131,18 @@ def test_errors_name_the_setting() -> None:
         _robot(target_diameter_m=0.2)
     with pytest.raises(InputError, match=r"hold_s = 0\.0 "):
         _robot(hold_s=0.0)
+
+
+def test_true_velocities_of_a_circle_are_those_of_its_closed_form() -> None:
+    """A body on a circle of 2 m at 0.5 rad/s; a point 0.3 m to its left is 0.3 m nearer to the centre."""
+    rate, radius = 0.5, 2.0
+
+    def path(t: float) -> np.ndarray:
+        angle = rate * t
+        turn = [np.cos(angle / 2), 0, 0, np.sin(angle / 2)]
+        return np.array([radius * np.sin(angle), radius * (1 - np.cos(angle)), 0.0, *turn, 7.0])
+
+    start = np.array([0.0, 1.0, 6.2 / rate])
+    found = true_velocities(path, start, start + 0.01, np.array([0.0, 0.3, 0.1]))
+    # a chord is shorter than its arc by (angle)^2 / 24 of it
+    np.testing.assert_allclose(found, np.tile([1.7 * rate, rate], (3, 1)), rtol=2e-6)

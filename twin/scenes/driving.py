@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from mosca.data.arrays import Array
 from mosca.data.files.bounded import parse_json
@@ -131,6 +132,35 @@ def drive(model: mujoco.MjModel, start_m: Array, heading_rad: float, duration_s:
     )
     first = begin + settled * PHYSICS_STEP_S
     return Drive(first, qpos[settled:], qvel[settled:], commands)
+
+
+def true_velocities(path: Callable[[float], Array], start_s: Array, end_s: Array, point_m: Array) -> Array:
+    """Return the mean speed forwards [m/s] of a point of a free body, and its mean yaw rate [rad/s]: (n, 2).
+
+    The displacement is taken along the mean of the headings, the horizontal directions of the body's x axis; the yaw
+    is about the world's z.
+
+    Parameters
+    ----------
+    path
+        Session time [s] -> qpos, of which the first seven are the body's free joint.
+    start_s, end_s
+        (n,) the means are from one to the other, less than half a turn apart.
+    point_m
+        (3,) in the body's axes.
+    """
+    places, headings = [], []
+    for times in (start_s, end_s):
+        qpos = np.array([path(float(t))[:7] for t in times])
+        world_from_body = Rotation.from_quat(qpos[:, 3:], scalar_first=True)
+        axis = world_from_body.apply([1.0, 0.0, 0.0])
+        places.append(qpos[:, :3] + world_from_body.apply(point_m))
+        headings.append(np.arctan2(axis[:, 1], axis[:, 0]))
+    turn = np.remainder(headings[1] - headings[0] + np.pi, 2 * np.pi) - np.pi
+    mean = headings[0] + turn / 2
+    move = places[1] - places[0]
+    forwards = np.cos(mean) * move[:, 0] + np.sin(mean) * move[:, 1]
+    return np.asarray(np.stack([forwards, turn], axis=1) / (end_s - start_s)[:, None])
 
 
 def _demand_inside(step: int, qpos: Array, box: Box) -> None:

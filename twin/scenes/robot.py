@@ -57,6 +57,8 @@ TARGET_XY_M: tuple[tuple[float, float], ...] = (
     *((x, -0.10) for x in (-0.15, -0.075, 0.0)),
 )
 """Targets #1..#13 on the deck, body axes [m]."""
+DECK_CENTRE_M = (0.0, 0.0, _DECK_TOP_M)
+"""Of target #8, body axes."""
 
 
 def build_robot(
