@@ -5,7 +5,7 @@ from typing import Literal, NamedTuple
 
 Sense = Literal["at_most", "at_least"]
 Combination = Literal["mean", "root_mean", "extreme"]
-Quantity = Literal["length", "share", "count", "ratio", "ppm", "image", "angle", "time", "rate"]
+Quantity = Literal["length", "share", "count", "ratio", "ppm", "image", "angle", "time", "rate", "speed", "turning"]
 
 LONGEST_M = 1000.0
 """As far as a rig file lets a camera stand from the origin: a larger one was given in millimetres."""
@@ -66,10 +66,10 @@ METRICS = {
     "joint_center_coverage95": MetricKind("1", "at_least", "share", wanted=0.95),
     "joint_angle_coverage95": MetricKind("1", "at_least", "share", wanted=0.95),
     "joint_completeness": MetricKind("1", "at_least", "share"),
-    "v_x_rms": MetricKind("m/s", "at_most", "rate", "root_mean"),
+    "v_x_rms": MetricKind("m/s", "at_most", "speed", "root_mean"),
     "v_x_nees": MetricKind("1", "at_most", "ratio", wanted=1.0),
     "v_x_fit_ratio": MetricKind("1", "at_least", "ratio"),
-    "yaw_rate_rms": MetricKind("rad/s", "at_most", "rate", "root_mean"),
+    "yaw_rate_rms": MetricKind("rad/s", "at_most", "turning", "root_mean"),
     "yaw_rate_nees": MetricKind("1", "at_most", "ratio", wanted=1.0),
     "yaw_rate_fit_ratio": MetricKind("1", "at_least", "ratio"),
     "label_f1": MetricKind("1", "at_least", "share"),

@@ -28,7 +28,7 @@ class HeldInputs:
 
 
 @dataclass(frozen=True)
-class SampleGrid:
+class IntervalGrid:
     """Instants start_s + i period_s for i = 0..n [s], and the n intervals between them."""
 
     start_s: float
@@ -56,7 +56,7 @@ class InputsOnGrid:
     """(j, k) by how much it changes the inputs."""
 
 
-def on_grid(inputs: HeldInputs, delay_s: float, grid: SampleGrid) -> InputsOnGrid:
+def on_grid(inputs: HeldInputs, delay_s: float, grid: IntervalGrid) -> InputsOnGrid:
     """Return the inputs, each command taking effect ``delay_s`` after its time."""
     place = (inputs.time_s + delay_s - grid.start_s) / grid.period_s
     row = np.ceil(place).astype(np.int64) - 1

@@ -13,7 +13,7 @@ from scipy.stats import t as student
 from mosca.data.arrays import Array
 from mosca.errors import InputError
 from mosca.identification.arx import arx_poles, continuous
-from mosca.identification.held_inputs import HeldInputs, SampleGrid
+from mosca.identification.held_inputs import HeldInputs, IntervalGrid
 from mosca.identification.modes import logs_of, poles_of
 from mosca.identification.output_error import (
     FEWEST_BLOCKS,
@@ -87,7 +87,7 @@ class IdentifiedModel:
     realization: Realization
     velocities: BodyVelocities
 
-    def response(self, inputs: HeldInputs, grid: SampleGrid, *, means: bool, from_rest: bool = False) -> Array:
+    def response(self, inputs: HeldInputs, grid: IntervalGrid, *, means: bool, from_rest: bool = False) -> Array:
         """Return v_x and yaw rate (n, 2) as ``OutputModel.response`` does."""
         models = [one.estimate.model for one in self.outputs]
         return np.stack([m.response(inputs, grid, means=means, from_rest=from_rest) for m in models], axis=1)
@@ -224,7 +224,7 @@ def _smallest_good(squares: list[Array], blocks: int) -> int:
     return best
 
 
-def _check_inputs(inputs: HeldInputs, grid: SampleGrid, settings: IdentifySettings) -> None:
+def _check_inputs(inputs: HeldInputs, grid: IntervalGrid, settings: IdentifySettings) -> None:
     end = grid.n * grid.period_s
     near = (inputs.time_s > -settings.most_delay_s) & (inputs.time_s < end + settings.most_delay_s)
     if near.sum() < 2 * FEWEST_BLOCKS:

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from mosca.data.arrays import Array
-from mosca.identification.held_inputs import InputsOnGrid, SampleGrid
+from mosca.identification.held_inputs import InputsOnGrid, IntervalGrid
 
 
 def poles_of(logs: Array) -> Array:
@@ -42,7 +42,7 @@ def logs_of(poles: Array) -> Array:
     return np.array(logs + [np.log(-p) for p in alone])
 
 
-def states(poles: Array, inputs: InputsOnGrid, grid: SampleGrid) -> Array:
+def states(poles: Array, inputs: InputsOnGrid, grid: IntervalGrid) -> Array:
     """Return the states (n + 1, l, k) of the modes of ``poles`` (l,) for each input, from 0 at the first instant."""
     result = np.zeros((grid.n + 1, len(poles), inputs.at_start.shape[1]), dtype=complex)
     for j, pole in enumerate(poles):
@@ -52,13 +52,13 @@ def states(poles: Array, inputs: InputsOnGrid, grid: SampleGrid) -> Array:
     return result
 
 
-def interval_means(poles: Array, inputs: InputsOnGrid, grid: SampleGrid) -> Array:
+def interval_means(poles: Array, inputs: InputsOnGrid, grid: IntervalGrid) -> Array:
     """Return the means (n, l, k) of the same states over the grid's intervals."""
     x = states(poles, inputs, grid)
     return np.asarray((np.diff(x, axis=0) / grid.period_s - inputs.mean[:, None, :]) / poles[:, None])
 
 
-def columns(poles: Array, of_inputs: Array, grid: SampleGrid, *, means: bool) -> Array:
+def columns(poles: Array, of_inputs: Array, grid: IntervalGrid, *, means: bool) -> Array:
     """Return the real regressors (n, c) of an output: what its linear coefficients multiply.
 
     For each pole its response to each input and to its own initial state (real and imaginary part of a complex one),

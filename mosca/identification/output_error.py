@@ -21,7 +21,7 @@ from scipy.optimize import least_squares
 from scipy.stats import t as student
 
 from mosca.data.arrays import Array, set_read_only
-from mosca.identification.held_inputs import HeldInputs, SampleGrid, on_grid
+from mosca.identification.held_inputs import HeldInputs, IntervalGrid, on_grid
 from mosca.identification.modes import columns, gains, interval_means, poles_of, states
 
 MOST_BLOCKS, FEWEST_BLOCKS = 30, 8
@@ -39,7 +39,7 @@ class OutputRecord:
     ``values`` (n,) means over the intervals of ``grid``, NaN where not measured; ``inputs`` on the same clock.
     """
 
-    grid: SampleGrid
+    grid: IntervalGrid
     values: Array
     inputs: HeldInputs
 
@@ -81,7 +81,7 @@ class OutputModel:
         """Return the DC gains (k,)."""
         return gains(poles_of(self.logs), self.coefficients, inputs)
 
-    def response(self, inputs: HeldInputs, grid: SampleGrid, *, means: bool, from_rest: bool = False) -> Array:
+    def response(self, inputs: HeldInputs, grid: IntervalGrid, *, means: bool, from_rest: bool = False) -> Array:
         """Return the output: means (n,) over the grid's intervals, or values (n + 1,) at its instants.
 
         ``from_rest``: without the initial state that belongs to the record that the model was fitted to.

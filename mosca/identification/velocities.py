@@ -17,7 +17,7 @@ from mosca.data.arrays import Array, set_read_only
 from mosca.data.bodies import BodyPoses
 from mosca.data.rotations import rotation_from_quaternion
 from mosca.errors import InputError
-from mosca.identification.held_inputs import SampleGrid
+from mosca.identification.held_inputs import IntervalGrid
 from mosca.smoothing.rts import axis_moves, smooth_states
 from mosca.tracking.motion_models import motion
 
@@ -59,9 +59,9 @@ class PlanarPath:
         return float((self.time_ns[-1] - self.time_ns[0]) * 1e-9 / (self.frame[-1] - self.frame[0]))
 
     @property
-    def grid(self) -> SampleGrid:
+    def grid(self) -> IntervalGrid:
         """Intervals between frames from the first pose to the last; its clock is 0 at the first."""
-        return SampleGrid(0.0, self.period_s, int(self.frame[-1] - self.frame[0]))
+        return IntervalGrid(0.0, self.period_s, int(self.frame[-1] - self.frame[0]))
 
 
 @dataclass(frozen=True, eq=False)

@@ -54,7 +54,6 @@ def label_auto(
             raise InputError(f"{static}: a static pose is of a body; leave out --static with --set {set_name}")
         template = personal_template(read_tracks(static), template, str(static))
     tracks = read_tracks(path)
-    on_surface = isinstance(template, SurfaceModel)
     if isinstance(template, SurfaceModel):
         done = label_surface(tracks, template)
     else:
@@ -64,7 +63,7 @@ def label_auto(
     if not found:
         wanted = (
             f"{LEAST_MARKERS} or more markers of the model must be seen in some frame, in metres"
-            if on_surface
+            if isinstance(template, SurfaceModel)
             else "z must be up and the person stand in some frame, with ten or more markers of the set"
         )
         raise InputError(

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mosca.data.arrays import Array, set_read_only
-from mosca.identification.held_inputs import HeldInputs, SampleGrid
+from mosca.identification.held_inputs import HeldInputs, IntervalGrid
 from mosca.identification.identify import IdentifiedModel, fit_percent
 from mosca.identification.output_error import OutputModel, OutputRecord, fit
 from mosca.identification.velocities import OUTPUTS, BodyVelocities
@@ -30,7 +30,7 @@ MOST_DELAY_S = 0.2
 class TrueDrive:
     """A drive from rest: the inputs that were held, and the true mean v_x and yaw rate (n, 2) over ``grid``."""
 
-    grid: SampleGrid
+    grid: IntervalGrid
     inputs: HeldInputs
     velocities: Array
 
@@ -47,7 +47,7 @@ def driven_inputs(scene: Scene, delay_s: float = 0.0) -> HeldInputs:
 
 def true_drive(scene: Scene, frame_rate_hz: float) -> TrueDrive:
     """Return what a robot did, at a frame rate."""
-    grid = SampleGrid(0.0, 1.0 / frame_rate_hz, int(scene.duration_s * frame_rate_hz))
+    grid = IntervalGrid(0.0, 1.0 / frame_rate_hz, int(scene.duration_s * frame_rate_hz))
     at = grid.instants()
     means = true_velocities(scene.configuration_at, at[:-1], at[1:], np.array(DECK_CENTRE_M))
     return TrueDrive(grid, driven_inputs(scene), means)
@@ -66,7 +66,7 @@ def best_linear(drives: Sequence[TrueDrive], output: int, start: OutputModel) ->
         settled = np.arange(drive.grid.n) * period >= SETTLED_S
         values.append(np.where(settled, drive.velocities[:, output], np.nan))
     inputs = HeldInputs(drives[0].inputs.names, np.concatenate(times), np.concatenate(commands))
-    record = OutputRecord(SampleGrid(0.0, period, int(ends[-1])), np.concatenate(values), inputs)
+    record = OutputRecord(IntervalGrid(0.0, period, int(ends[-1])), np.concatenate(values), inputs)
     return fit(record, start.logs, start.delay_s, MOST_DELAY_S)
 
 

@@ -26,6 +26,8 @@ UNITS: dict[Quantity, dict[str, float]] = {
     "angle": {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180, "°": math.pi / 180},
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6},
     "rate": {"1/s": 1.0, "Hz": 1.0, "hz": 1.0, "fps": 1.0},
+    "speed": {"m/s": 1.0, "mm/s": 1e-3},
+    "turning": {"rad/s": 1.0, "mrad/s": 1e-3, "deg/s": math.pi / 180},
 }
 """Units of a text or of a key's ending, and what one of them is in the metric's own unit."""
 _NAMED = {
@@ -38,6 +40,8 @@ _NAMED = {
     "angle": "an angle",
     "time": "a time",
     "rate": "a rate",
+    "speed": "a speed",
+    "turning": "a rate of turning",
 }
 _EXAMPLES = {
     "length": '0.5 mm is 0.0005, "0.5 mm" or {name}_mm = 0.5',
@@ -49,6 +53,8 @@ _EXAMPLES = {
     "angle": '2 mrad is 0.002, "2 mrad" or {name}_mrad = 2',
     "time": '5 ms is 0.005, "5 ms" or {name}_ms = 5',
     "rate": '100 frame sets a second are 100 or "100 Hz"',
+    "speed": '5 mm/s is 0.005 or "5 mm/s"',
+    "turning": '0.5 deg/s is 0.0087 or "0.5 deg/s"',
 }
 _WITH_UNIT = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(\S+)\s*")
 

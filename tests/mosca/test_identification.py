@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 
 from mosca.errors import InputError
 from mosca.identification.arx import arx_poles, continuous
-from mosca.identification.held_inputs import HeldInputs, SampleGrid, on_grid
+from mosca.identification.held_inputs import HeldInputs, IntervalGrid, on_grid
 from mosca.identification.identify import IdentifySettings, fit_on, fit_percent, identify
 from mosca.identification.model_file import transfer_function
 from mosca.identification.modes import interval_means, logs_of, poles_of, states
@@ -24,7 +24,7 @@ TWO_POLES = Known(((40.0,), (-60.0, 200.0)), (1.0, 14.0, 40.0))  # poles -4 and 
 def record_of(known: Known, seed: int, n: int = 1500, period_s: float = 0.02, delay_s: float = 0.0) -> OutputRecord:
     inputs = noise_inputs(seed, n * period_s)
     total = known.distance(inputs, n * period_s, delay_s)[:: round(period_s / FINE_S)]
-    return OutputRecord(SampleGrid(0.0, period_s, n), np.diff(total) / period_s, inputs)
+    return OutputRecord(IntervalGrid(0.0, period_s, n), np.diff(total) / period_s, inputs)
 
 
 @settings(max_examples=30, deadline=None)
@@ -32,7 +32,7 @@ def record_of(known: Known, seed: int, n: int = 1500, period_s: float = 0.02, de
 def test_a_command_at_any_time_gives_the_step_response_and_its_means(
     rate: float, at: float, delay: float, step: float
 ) -> None:
-    grid = SampleGrid(0.0, 0.05, 6)
+    grid = IntervalGrid(0.0, 0.05, 6)
     on = on_grid(HeldInputs(("u",), np.array([at]), np.array([[step]])), delay, grid)
     begun = at + delay
     rest = begun if begun > 0 else 0.0  # the mode is at rest at 0 whatever was given before
@@ -62,7 +62,7 @@ def test_poles_are_kept_by_their_logarithms(rates: list[float]) -> None:
 
 def test_an_arx_system_is_recovered_exactly() -> None:
     inputs = noise_inputs(1, 30.0)
-    grid = SampleGrid(0.0, 0.02, 1500)
+    grid = IntervalGrid(0.0, 0.02, 1500)
     u = on_grid(inputs, 0.0, grid).mean
     # (1 - 0.9 q)(1 - 0.5 q) y = 0.1 q u1 + (0.2 - 0.3 q) u2
     a = np.poly([0.9, 0.5])

@@ -10,6 +10,8 @@ from track_points import made_tracks
 
 from mosca.data.tracks import Tracks
 from mosca.errors import InputError
+from mosca.formats.tracks.csv_columns import read_columns
+from mosca.formats.tracks.tracks_file import read_tracks, write_tracks
 from mosca.labelling.automatic.body import TemplateBody, turned
 from mosca.labelling.automatic.label import AutomaticSettings, label_automatically
 from mosca.labelling.automatic.matching import Matching
@@ -18,6 +20,7 @@ from mosca.labelling.automatic.personal import personal_template
 from mosca.labelling.automatic.refine import alternatives
 from mosca.labelling.automatic.template import STANDARD, BodyVariation, drawn_poses, expectation, read_template
 from mosca.labelling.automatic.tracklets import tracklets_of
+from scenarios.commands.labels_auto import PROBABILITIES, label_auto
 from tests.studies.labels_auto import CMU, Take, measured, real_take, score, spoiled, twin_take
 
 
@@ -200,18 +203,21 @@ def test_a_name_is_compared_with_absent_ones_of_either_order() -> None:
 def test_linear_evidence_is_near_the_evidence() -> None:
     take = twin_take("walk", 1.75, 32, 0.3)
     template = read_template()
-    problem = Matching(take.xyz, [5, 20], TemplateBody(template), expectation(template))
+    problem = Matching(take.xyz, [5, 20], TemplateBody(template), expectation(template)).with_tails()
     chosen = np.full(problem.m, -1)
     chosen[[template.names.index(name) for name in take.names]] = np.arange(len(take.names))
     poses = [posed(problem.frame(f), chosen).poses[0] for f in range(2)]
     value, poses = problem.evidence(chosen, poses, 10)
     linear = problem.linear(poses)
-    assert linear.of(chosen) == pytest.approx(value, abs=0.5)
-    less = chosen.copy()
-    less[template.names.index("LKNE")] = -1
-    assert linear.of(less) == pytest.approx(problem.evidence(less, poses, 10)[0], abs=0.5)
+    for name in ("LKNE", "C7"):
+        less = chosen.copy()
+        less[template.names.index(name)] = -1
+        lost = problem.evidence(less, poses, 10)[0] - value
+        assert linear.of(less) - linear.of(chosen) == pytest.approx(lost, abs=0.7)
+        assert abs(lost) > 2.0
 
 
+@pytest.mark.slow
 def test_an_early_name_is_corrected_by_later_evidence() -> None:
     """A foot's second marker is hidden for the first half: alone, the other one is no sure LMT5."""
     take = twin_take("walk", 1.55, 41, 2.0)
@@ -231,6 +237,7 @@ def test_an_early_name_is_corrected_by_later_evidence() -> None:
     assert labels(hidden) == {"LMT5"}
 
 
+@pytest.mark.slow
 def test_a_labelled_take_of_the_person_is_the_template() -> None:
     static, take = twin_take("range_of_motion", 1.95, 32, 0.1), twin_take("walk", 1.95, 32, 1.0)
     # names that no template has
@@ -253,6 +260,26 @@ def test_a_labelled_take_of_the_person_is_the_template() -> None:
     assert reached.f1 > 0.97
 
 
+@pytest.mark.slow
+def test_the_verb_writes_names_with_their_probabilities(tmp_path: Path) -> None:
+    static, take = twin_take("walk", 1.75, 32, 0.1), twin_take("walk", 1.75, 32, 1.0)
+    tracks, what = spoiled(static, np.random.default_rng(0), 0.0, False)
+    write_tracks(replace(tracks, label=what), tmp_path / "static.csv", 100.0)
+    tracks, _ = spoiled(take, np.random.default_rng(1), 0.05, False)
+    write_tracks(tracks, tmp_path / "take.csv", 100.0)
+    out, sure = tmp_path / "named.c3d", tmp_path / "sure.csv"
+    lines = label_auto(tmp_path / "take.csv", out, None, tmp_path / "static.csv", None, sure, None)
+    assert lines[0].startswith("32 of 32 markers of the set found")
+    named = read_tracks(out)
+    cells = read_columns(sure, PROBABILITIES, "file of probabilities")
+    assert set(cells["label"]) == set(named.label.tolist()) - {""}
+    stated = np.array(cells["probability"], dtype=float)
+    assert ((stated >= 0.95) & (stated <= 1)).all()
+    # the list is of the least of each, lowest first
+    least = {name: stated[np.array(cells["label"]) == name].min() for name in set(cells["label"])}
+    assert lines[1].split()[0] == min(sorted(least), key=lambda name: least[name])
+
+
 def test_a_static_take_without_known_names_is_refused() -> None:
     tracks, _ = spoiled(twin_take("walk", 1.75, 32, 0.1), np.random.default_rng(0), 0.0, False)
     with pytest.raises(InputError, match=r"static\.csv: no sample has a label"):
@@ -263,6 +290,7 @@ def test_a_static_take_without_known_names_is_refused() -> None:
 
 
 @pytest.mark.data
+@pytest.mark.slow
 def test_the_set_of_a_real_walker_is_found(data_dir: Path) -> None:
     take = real_take(data_dir / "people/cmu_02_01.c3d", {})
     tracks, what = spoiled(take, np.random.default_rng(0), 0.0, False)
@@ -279,7 +307,7 @@ def test_the_set_of_a_real_walker_is_found(data_dir: Path) -> None:
 def test_a_real_walker_shuffled_in_each_frame(data_dir: Path) -> None:
     take = real_take(data_dir / "people/cmu_02_01.c3d", {})
     assert len(take.names) == 41
-    reached, _ = measured(take, read_template(set_name="cmu"), 0, gaps=0.1, shuffled=True)
+    reached = measured(take, read_template(set_name="cmu"), 0, gaps=0.1, shuffled=True).score
     assert reached.f1 > 0.98
     assert reached.precision > 0.995
 

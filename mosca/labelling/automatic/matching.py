@@ -182,7 +182,7 @@ class LinearEvidence:
         self.solved: dict[bytes, tuple[float, Array]] = {}
 
     def of(self, chosen: Array) -> float:
-        """Return the logarithm of an assignment's evidence, as ``Matching.evidence`` does."""
+        """Return the logarithm of an assignment's evidence, but for a constant, as ``Matching.evidence`` does."""
         problem, body = self.problem, self.problem.body
         each, count, prior = np.zeros(problem.m), np.zeros(problem.m), 0.0
         for f, pose in enumerate(self.poses):

@@ -37,8 +37,10 @@ def refine(problem: Matching, chosen: Array, poses: list[FittedPose]) -> Matched
     better = True
     while better:
         better, values, linear = False, [], problem.linear(poses)
+        base = linear.of(chosen)
         for other in alternatives(problem, chosen, poses):
-            if (about := linear.of(other)) < best - FAR:
+            about = best + linear.of(other) - base
+            if about < best - FAR:
                 values.append((about, other))
                 continue
             value, other_poses = problem.near(other, poses)

@@ -66,7 +66,7 @@ class SurfaceFitter:
 
     def fit(self, points: Array, start: SurfacePose) -> SurfaceFit:
         """Return the fit to ``points`` (m, 3) [m], NaN where a marker has none, from a pose near it."""
-        seen: Array = np.isfinite(points).all(axis=1)
+        seen: Array = np.asarray(np.isfinite(points).all(axis=1))
         inverse, log_det = self._inverse(seen)
         rotation, translation, log_size = start.rotation, start.translation, float(np.log(start.size))
         prior = np.zeros(7)

@@ -48,8 +48,9 @@ class SurfaceSettings:
     """Time after which a face has another expression [s]."""
     shown: Annotated[float, Field(gt=0.5, lt=1)] = 0.97
     """Share of the model's markers that there are."""
-    extra: Positive = 1.0
-    """Points about the surface that are no markers of it."""
+    extra: Positive = 0.1
+    """Points about the surface that are no markers of it, in a frame on average: ghosts, of which there are fewer,
+    and markers that the model does not know."""
 
 
 DEFAULTS = SurfaceSettings()
@@ -105,7 +106,7 @@ class _SurfaceTake:
     def rows(self) -> list[int]:
         """Return the frames, evenly spaced, that are looked at."""
         most = min(self.settings.frames, self.tracklets.frames)
-        return np.unique(np.linspace(0, self.tracklets.frames - 1, most).round().astype(int)).tolist()
+        return [int(row) for row in np.unique(np.linspace(0, self.tracklets.frames - 1, most).round())]
 
     def first(self) -> bool:
         """Label the tracklets of the frame that shows most of long ones; return whether there are any."""
@@ -162,7 +163,10 @@ class _SurfaceTake:
             if not waits.any():
                 break
             own = self.tracklets.row[self.tracklets.part(int(np.argmax(np.where(waits, lengths, 0))))]
-            frame = self.frame(int(own[np.argmax(np.diff(self._bounds)[own])]))
+            known = np.bincount(self.tracklets.row, self.label[self.of] >= 0)[own]
+            # of those that show most the middle: tracks that break are doubtful at their ends
+            fullest = own[known == known.max()]
+            frame = self.frame(int(fullest[len(fullest) // 2]))
             waits[frame.piece] = False
             fit = self._fitted(self.learned, frame)
             if fit is None:
