@@ -50,12 +50,12 @@ def test_the_control_swaps_the_mouths_corners(take: tuple[Tracks, np.ndarray]) -
 def test_the_verb_names_a_face(take: tuple[Tracks, np.ndarray], tmp_path: Path) -> None:
     tracks, _ = take
     write_tracks(tracks, tmp_path / "take.npz", 20.0)
-    lines = label_auto(tmp_path / "take.npz", tmp_path / "named.npz", "face", None, None)
+    lines = label_auto(tmp_path / "take.npz", tmp_path / "named.npz", "face", None, None, None, None)
     named = read_tracks(tmp_path / "named.npz")
     assert f"{len(set(named.label.tolist()) - {''})} of 40 markers of the set found" in lines[0]
     write_tracks(tracks.select(tracks.track < 4), tmp_path / "few.npz", 20.0)
     with pytest.raises(InputError, match="6 or more markers of the model must be seen"):
-        label_auto(tmp_path / "few.npz", tmp_path / "out.npz", "face", None, None)
+        label_auto(tmp_path / "few.npz", tmp_path / "out.npz", "face", None, None, None, None)
     assert not (tmp_path / "out.npz").exists()
 
 
