@@ -16,7 +16,8 @@ from scenarios.score.reference import ReferenceTrajectories
 from scenarios.spec.scenario import Scenario
 from scenarios.types import Collected
 
-LOG = logging.getLogger(__name__)
+LOG = logging.getLogger("scenarios.run.scenario")
+"""A run's stages are logged under one name."""
 
 
 @dataclass(frozen=True, eq=False)
