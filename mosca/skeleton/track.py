@@ -73,12 +73,9 @@ class SkeletonTracker:
     def joints_at(self, solution: PoseSolution, frame: int, time_ns: int) -> JointMotion:
         """Return the joints of a pose that ``step`` has returned, as the motion of one instant."""
         centre, centre_covariance, matrices, rotation_covariance = self.joints(solution)
-        rotation = np.full((len(matrices), 4), np.nan)
-        known = np.isfinite(matrices[:, 0, 0])
-        rotation[known] = [quaternion_from_rotation(matrix) for matrix in matrices[known]]
         return JointMotion(
             np.array([frame]), np.array([time_ns]), self.reader.joints, centre[None], centre_covariance[None],
-            rotation[None], rotation_covariance[None],
+            _quaternions(matrices)[None], rotation_covariance[None],
         )  # fmt: skip
 
 
@@ -102,13 +99,20 @@ def track_subject(
         q[k] = solution.q
         residual[k] = np.where(frames.seen[k], np.linalg.norm(solution.residual, axis=1), np.nan)
         centre[k], centre_covariance[k], matrices, rotation_covariance[k] = tracker.joints(solution)
-        known = np.isfinite(matrices[:, 0, 0])
-        rotation[k, known] = [quaternion_from_rotation(matrix) for matrix in matrices[known]]
+        rotation[k] = _quaternions(matrices)
     progress(n, n)
     joints = JointMotion(
         frames.frame, frames.time_ns, tracker.reader.joints, centre, centre_covariance, rotation, rotation_covariance
     )
     return SkeletonTake(joints, q, residual)
+
+
+def _quaternions(matrices: Array) -> Array:
+    """Return rotations (j, 3, 3) as quaternions (j, 4) wxyz; NaN stays NaN."""
+    found = np.full((len(matrices), 4), np.nan)
+    known = np.isfinite(matrices[:, 0, 0])
+    found[known] = [quaternion_from_rotation(matrix) for matrix in matrices[known]]
+    return found
 
 
 def motion_of(subject: FittedSubject, q: Array, frame_rate_hz: float) -> Motion:

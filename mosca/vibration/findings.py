@@ -10,9 +10,13 @@ from mosca.vibration.spectra import NoiseFloor, Spectra
 HIGHEST_SHARE = 0.4
 """Of the frame rate: frequencies up to here are claimed."""
 _ABOVE_FLOOR = 2.0
+"""A spectrum that is so many times its low level next to half the frame rate has not ended there."""
 _LOW = 0.25
+"""Quantile of a spectrum that is its low level."""
 _TOLD_FILLED = 0.01
+"""Share of samples missing from which it is said that spectra rest on filled ones."""
 _MOST_NAMED = 12
+"""Names in one line."""
 
 
 def findings_of(

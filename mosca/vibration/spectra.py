@@ -10,7 +10,9 @@ from scipy.stats import chi2
 from mosca.data.arrays import Array, set_read_only
 
 _PASSES = 4
+"""Times that patterns are found anew from what they filled."""
 _QUIET = 0.25
+"""Share of the frequencies, those where modes have least, that show the noise."""
 
 
 @dataclass(frozen=True, eq=False)

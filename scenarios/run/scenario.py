@@ -33,7 +33,7 @@ from scenarios.build.worn_rig import worn_cameras, worn_rig, worn_settings
 from scenarios.run.applications import applications, timed
 from scenarios.run.calibration_take import calibration_take
 from scenarios.run.continuous import collect_continuous
-from scenarios.run.identification import check_source, identified
+from scenarios.run.identification import check_source
 from scenarios.run.kept_calibrations import kept
 from scenarios.run.people import Person, show_person
 from scenarios.run.pipeline import collected_of, recorded, rerun_log
@@ -148,10 +148,9 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
         if opened.twin is not None and isinstance(truth, Truth) and options.record_to is not None:
             write_truth(truth, options.record_to / "truth.npz")
 
-        done = applications(spec, folder, collected, truth, movement, timings)
+        done = applications(spec, folder, collected, truth, movement, bodies, poses, built.scene, timings)
         if done.person is not None:
             show_person(shown, done.person.take.joints, truth if isinstance(truth, Truth) else None)
-        model, driven = _identified(spec, folder, poses, bodies, built.scene, timings)
 
         def synchronous() -> Tracks:
             again = replace(options, record_to=None)
@@ -167,7 +166,7 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
             )  # fmt: skip
             worth = scored(spec, name, measured, truth, opened.twin, built.scene)
             collected = worth.collected
-            scores = _all_scores(spec, worth, poses, timings, own) | driven
+            scores = _all_scores(spec, worth, poses, timings, own) | done.model_scores
         # identities are scored as the tracker gave them; a label may have split a track
         written = collected.tracks if done.named is None else done.named
         if spec.pipeline.fill_s is not None:
@@ -179,22 +178,8 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
     if continuous is not None:
         evidence = as_worn(evidence, spec, continuous)
     commands = None if built.scene is None else built.scene.commands
-    return RunResult(record, evidence, written, worth.truth, commands, own, poses, done.person, done.vibration, model)
-
-
-def _identified(
-    spec: Scenario,
-    folder: Path,
-    poses: BodyPoses | None,
-    bodies: tuple[RigidBody, ...],
-    scene: Scene | None,
-    timings: dict[str, float],
-) -> tuple[IdentifiedModel | None, dict[str, Score]]:
-    """Return the model of the scene's robot and its scores, where the scenario identifies one."""
-    if spec.identification is None or poses is None or scene is None:
-        return None, {}
-    with timed(timings, "identification"):
-        return identified(spec, folder, poses, bodies, scene)
+    found = (done.person, done.vibration, done.model)
+    return RunResult(record, evidence, written, worth.truth, commands, own, poses, *found)
 
 
 def _built(spec: Scenario, folder: Path, options: RunOptions) -> _Built:

@@ -19,12 +19,11 @@ _LARGEST = 3
 
 
 def vibration_of(spec: Scenario, collected: Collected) -> Vibration | None:
-    """Return the modes in the tracks; None where the scenario asks for none, or too little was measured.
+    """Return the modes in the tracks; None where too little was measured.
 
     What is wanting then goes into the notes, and no limit of a mode is met.
     """
-    if spec.vibration is None:
-        return None
+    assert spec.vibration is not None
     rate_hz = spec.capture.frame_rate_hz
     if isinstance(spec.fault, RateFault):
         rate_hz *= spec.fault.factor

@@ -6,6 +6,7 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TextIO
 
 from mosca.errors import InputError
 
@@ -32,6 +33,20 @@ def whole_file(path: Path) -> Iterator[Path]:
         raise InputError(f"{path}: not written: {error.strerror}; make room, or choose another place") from error
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def begin_part(path: Path) -> tuple[Path, TextIO]:
+    """Return ``PATH.part.csv``, made anew, and that file to append text to: what will be ``path`` is not whole yet.
+
+    InputError where a part file of an earlier run lies there, or where it cannot be written.
+    """
+    part = path.with_name(f"{path.name}.part.csv")
+    try:
+        return part, open(part, "x", encoding="utf-8", newline="")
+    except FileExistsError:
+        raise InputError(f"{part}: left by a run that was cut short; move it away or remove it") from None
+    except OSError as error:
+        raise InputError(f"{part}: cannot be written: {error.strerror}") from None
 
 
 def write_text(path: Path, text: str) -> None:

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from mosca.data.arrays import Array
-from mosca.data.files.whole_file import check_writable
+from mosca.data.files.whole_file import begin_part, check_writable
 from mosca.data.joint_motion import JointMotion
 from mosca.errors import InputError
 from mosca.formats.tracks.csv_columns import integers, parsed, read_columns, reals, write_columns
@@ -45,13 +45,7 @@ class JointsLog:
         if self.path.suffix.lower() != ".csv":
             raise InputError(f"{path}: suffix '{self.path.suffix}' given; joints are a .csv file")
         check_writable(self.path)
-        self.part = self.path.with_name(f"{self.path.name}.part.csv")
-        try:
-            self._file = open(self.part, "x", encoding="utf-8", newline="")  # noqa: SIM115  (closed by close)
-        except FileExistsError:
-            raise InputError(f"{self.part}: left by a run that was cut short; move it away or remove it") from None
-        except OSError as error:
-            raise InputError(f"{self.part}: cannot be written: {error.strerror}") from None
+        self.part, self._file = begin_part(self.path)
         self._writer = csv.writer(self._file, lineterminator="\n")
         self._writer.writerow(COLUMNS)
         self.frames = 0

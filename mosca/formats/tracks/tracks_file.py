@@ -8,7 +8,7 @@ from typing import Self
 
 import numpy as np
 
-from mosca.data.files.whole_file import check_writable, whole_file
+from mosca.data.files.whole_file import begin_part, check_writable, whole_file
 from mosca.data.tracks import Samples, Tracks, read_npz, table, write_npz
 from mosca.errors import InputError
 from mosca.formats.tracks.c3d import read_c3d, write_c3d
@@ -77,13 +77,7 @@ class TracksLog:
     def __init__(self, path: Path) -> None:
         self.path = Path(path)
         check_tracks_file(self.path)
-        self.part = self.path.with_name(f"{self.path.name}.part.csv")
-        try:
-            self._file = open(self.part, "x", encoding="utf-8", newline="")  # noqa: SIM115  (closed by close)
-        except FileExistsError:
-            raise InputError(f"{self.part}: left by a run that was cut short; move it away or remove it") from None
-        except OSError as error:
-            raise InputError(f"{self.part}: cannot be written: {error.strerror}") from None
+        self.part, self._file = begin_part(self.path)
         self._writer = csv.writer(self._file, lineterminator="\n")
         self._writer.writerow(COLUMNS)
         self.samples = 0

@@ -17,7 +17,9 @@ from mosca.data.arrays import Array
 from mosca.labelling.surface.model import NOISE_M, SurfaceModel
 
 UNSEEN_M2 = 1.0
+"""Variance given to a marker that is not seen [m^2]: so large that it says nothing."""
 _STEPS, _STILL = 10, 1e-7
+"""Steps of a fit at most, and the step [m, rad] below which it has settled."""
 _KEPT = 64
 """Sets of seen markers whose matrices are kept."""
 

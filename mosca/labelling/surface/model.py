@@ -20,7 +20,9 @@ FACE = Path(__file__).with_name("face.toml")
 MOST_MARKERS = 200
 LEAST_MARKERS = 6
 _MIRROR = np.array([1.0, -1.0, 1.0])
+"""y is from one side of the face to the other."""
 _SAME_M = 1e-6
+"""Markers are each other's mirror image where they are so near to it [m]: the file states them so."""
 NOISE_M = 0.0005
 """Of a measured marker, at most: half hidden ones are off by tenths of millimetres [m]."""
 
