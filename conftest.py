@@ -10,14 +10,12 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import pytest
 from hypothesis import HealthCheck, settings
 
-# on a CI server the same examples each time: a failure there must come from the change, not from the dice; and
-# nowhere from the machine's speed
+# the same examples each time: a failure must come from the change, not from the dice or the machine's speed
 PATIENT = {"deadline": None, "suppress_health_check": [HealthCheck.too_slow]}
-settings.register_profile("here", **PATIENT)
-settings.register_profile("ci", derandomize=True, **PATIENT)
+settings.register_profile("same", derandomize=True, **PATIENT)
 # .ci/nightly: other examples each time, and more of them
 settings.register_profile("night", max_examples=2000, **PATIENT)
-settings.load_profile("ci" if os.environ.get("CI") else "here")
+settings.load_profile("same")
 
 ROOT = Path(__file__).resolve().parent
 

@@ -17,7 +17,7 @@ from mosca.labelling.automatic.label import AutomaticSettings, label_automatical
 from mosca.labelling.automatic.matching import Matching
 from mosca.labelling.automatic.naming import posed
 from mosca.labelling.automatic.personal import personal_template
-from mosca.labelling.automatic.refine import alternatives
+from mosca.labelling.automatic.refine import alternatives, taken
 from mosca.labelling.automatic.template import STANDARD, BodyVariation, drawn_poses, expectation, read_template
 from mosca.labelling.automatic.tracklets import tracklets_of
 from scenarios.commands.labels_auto import PROBABILITIES, label_auto
@@ -198,6 +198,37 @@ def test_a_name_is_compared_with_absent_ones_of_either_order() -> None:
     chosen[toe], chosen[fifth] = chosen[fifth], -1
     others = alternatives(problem, chosen, posed(problem, chosen).poses)
     assert any(other[fifth] == chosen[toe] and other[toe] < 0 for other in others)
+
+
+def test_a_name_that_a_ghost_took_is_compared_with_its_owner() -> None:
+    """An ankle's name is at a ghost beside it, and the ankle is called the forefoot, which nobody wears here."""
+    take = twin_take("run", 1.75, 32, 0.3)
+    template = read_template()
+    names = [template.names.index(name) for name in take.names]
+    ankle, fifth = (template.names.index(name) for name in ("LANK", "LMT5"))
+    true = len(take.names) - 1
+    order = [k for k in range(len(names)) if names[k] != ankle] + [names.index(ankle)]
+    ghost = take.xyz[:, order[-1:]] + [0.0, 0.03, 0.02]
+    problem = Matching(
+        np.concatenate([take.xyz[:, order], ghost], axis=1), [10], TemplateBody(template), expectation(template)
+    )
+    chosen = np.full(problem.m, -1)
+    chosen[np.array(names)[order]] = np.arange(len(order))
+    chosen[ankle], chosen[fifth] = true + 1, true
+    poses = posed(problem, chosen).poses
+    others = alternatives(problem, chosen, poses)
+    assert any(other[ankle] == true and other[fifth] < 0 and not (other == true + 1).any() for other in others)
+    # what is gained by it, summed anew over all pairs
+    right = chosen.copy()
+    right[ankle], right[fifth] = true, -1
+    places = problem.places(poses)
+
+    def total(one: np.ndarray) -> float:
+        there = one >= 0
+        return float(places[there, one[there]].sum()) + problem.both(problem.pairs, one)
+
+    gain = taken(problem, chosen, problem.gains(chosen, places))[ankle, fifth]
+    assert gain == pytest.approx(total(right) - total(chosen), abs=1e-3)
 
 
 def test_linear_evidence_is_near_the_evidence() -> None:

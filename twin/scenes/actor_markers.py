@@ -88,9 +88,9 @@ _PELVIC = (0.0, 0.0, 0.09)  # from the hips up to the middle of the pelvis' shap
 MARKER_SITES: tuple[MarkerSite, ...] = (
     *_both("FHD", *_HEAD, (0.6, 0.75, 0.3), across=False),
     *_both("BHD", *_HEAD, (0.6, -0.75, 0.25), across=False),
-    *_trunk("C7", "chest", 0.93, _BACK),
+    MarkerSite("C7", "chest", "neck", "neck", 0.0, _BACK, (0.0, 0.0, 0.055), across=False),
     *_trunk("T10", "chest", 0.63, _BACK),
-    *_trunk("CLAV", "chest", 0.90, _FRONT),
+    *_trunk("CLAV", "chest", 0.93, _FRONT),
     *_trunk("STRN", "chest", 0.64, _FRONT),
     *_both("ASI", *_PELVIS, (0.55, 0.8, 0.0), _PELVIC, across=False),
     *_both("PSI", *_PELVIS, (0.34, -1.0, 0.0), _PELVIC, across=False),

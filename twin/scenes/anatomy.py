@@ -113,6 +113,8 @@ def limb_shapes(anatomy: Anatomy) -> dict[str, list[Shape]]:
         "chest": [
             ellipsoid(p["hips"] + 0.70 * trunk, np.array([0.85 * half_shoulders, 0.11 * s, 0.34 * long])),
             capsule(p["r_upper_arm"] + inward, p["l_upper_arm"] - inward, 0.053 * s),
+            # the root of the neck, with the seventh cervical vertebra, moves with the chest
+            capsule(p["hips"] + 0.9 * trunk, p["neck"] + 0.06 * s * UP, 0.055 * s),
         ],
         "neck": [capsule(p["neck"] + 0.03 * s * UP, p["head_center"] - 0.04 * s * UP, 0.052 * s)],
         "head": [ellipsoid(p["head_center"], s * np.array([0.078, 0.098, 0.115]))],

@@ -73,9 +73,16 @@ def alternatives(problem: Matching, chosen: Array, poses: list[FittedPose]) -> l
                 out.append(pushed)
     for flat in np.argsort(-swaps, axis=None)[: 2 * TRIED]:
         i, k = divmod(int(flat), problem.m)
-        if swaps[i, k] > -WORSE and (chosen[i] < 0 or i < k):
+        if swaps[i, k] > -WORSE and i < k:
             other = chosen.copy()
             other[[i, k]] = chosen[[k, i]]
+            out.append(other)
+    gained = taken(problem, chosen, gains)
+    for flat in np.argsort(-gained, axis=None)[: 2 * TRIED]:
+        i, k = divmod(int(flat), problem.m)
+        if gained[i, k] > -WORSE:
+            other = chosen.copy()
+            other[i], other[k] = chosen[k], -1
             out.append(other)
     for markers in limbs(problem.template):
         other = chosen.copy()
@@ -101,7 +108,7 @@ def _now(chosen: Array, gains: Array) -> Array:
 
 
 def _exchanges(problem: Matching, chosen: Array, gains: Array) -> Array:
-    """Return what is gained (m, m) when two markers exchange their points, one of which may have none."""
+    """Return what is gained (m, m) when two markers exchange their points."""
     m = problem.m
     there = np.flatnonzero(chosen >= 0)
     at = chosen[there]
@@ -120,8 +127,18 @@ def _exchanges(problem: Matching, chosen: Array, gains: Array) -> Array:
     lost = out_of[there[:, None], at[None], there[None], at[None]]
     lost = lost + lost.T
     out[both] = as_other[both] + as_other[both].T - lost + cross - now[there][:, None] - now[there][None] + apart
-    for k in np.flatnonzero(chosen < 0):
-        # k takes the point of j, j has none
-        out[k, there] = gains[k, at] - out_of[k, at, there, at] - now[there]
+    np.fill_diagonal(out, -np.inf)
+    return out
+
+
+def taken(problem: Matching, chosen: Array, gains: Array) -> Array:
+    """Return what is gained (m, m) when a marker takes another's point, which then has none; its own is left free."""
+    there = np.flatnonzero(chosen >= 0)
+    now, pairs = _now(chosen, gains), problem.pairs.reshape(problem.m, problem.n, problem.m, problem.n)
+    out = np.full((problem.m, problem.m), -np.inf)
+    for j in there:
+        # what the pair gains is in ``now`` of both
+        twice = np.where(chosen >= 0, pairs[np.arange(problem.m), chosen, j, chosen[j]], 0.0)
+        out[:, j] = gains[:, chosen[j]] - pairs[:, chosen[j], j, chosen[j]] - now[j] - now + twice
     np.fill_diagonal(out, -np.inf)
     return out
