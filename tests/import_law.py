@@ -60,7 +60,11 @@ LAW: dict[str, tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]] = {
     "witness.mitsuba": (("witness",), (), ("numpy", "scipy", "cv2", "mitsuba", "drjit")),
     "witness.gl": (("witness",), (), ("numpy", "scipy", "mujoco", "pyrender", "trimesh")),
     "scenarios.fidelity": (ROOMS, (), ("numpy", "scipy", "mujoco", "trimesh")),
-    "scenarios": (ROOMS, (), ("numpy", "scipy", "llvmlite", "pydantic", "click", "rich", "junitparser", "pytest")),
+    "scenarios": (
+        ROOMS,
+        (),
+        ("numpy", "scipy", "llvmlite", "pydantic", "tomli_w", "click", "rich", "junitparser", "pytest"),
+    ),
     # its errors name the key that was given: only pydantic's core makes them
     "scenarios.spec.limits": (("reports.metrics",), (), ("pydantic", "pydantic_core")),
 }

@@ -2,8 +2,9 @@
 
 A camera that exposes d seconds late shows every point u d farther along its motion, u its image's speed: d follows
 from the residuals by least squares. A delay that all cameras share is a shift of time that no residual shows: offsets
-are against their mean. How certain an offset is follows from the scatter of whole frame sets about it (White 1980),
-since a body's shake moves all images of a set together.
+are against their mean. How certain an offset is follows from the scatter of whole frame sets about it, since a body's
+shake moves all images of a set together; and the errors of a rig, which change as slowly as points move through the
+images, are alike in neighbouring sets (``long_run_covariance``).
 """
 
 import math
@@ -25,6 +26,7 @@ from mosca.data.rays import RayTable
 from mosca.data.rig import Rig
 from mosca.data.settings import MatchSettings
 from mosca.data.tracks import Points
+from mosca.diagnostics.long_run_covariance import long_run_covariance
 from mosca.diagnostics.noise_model import ImageNoise, NoiseModel
 from mosca.diagnostics.residual_sums import ImageErrors, PointColumns, RayColumns, Sampling, residual_sums
 
@@ -235,5 +237,5 @@ class Health:
         scatter = (pulls - np.einsum("kij,j->ki", clocks, np.nan_to_num(late)))[:, seen]
         # degrees of freedom that the offsets leave
         few = len(pulls) / max(len(pulls) - n + 1, 0.5)
-        sigma[seen] = np.sqrt(few * np.diag(inverse @ (scatter.T @ scatter) @ inverse))
+        sigma[seen] = np.sqrt(few * np.diag(inverse @ long_run_covariance(scatter) @ inverse))
         return late, sigma

@@ -18,6 +18,7 @@ import click
 from mosca import __version__
 from mosca.errors import InputError, MoscaError
 from scenarios.cli import capture as cli_capture
+from scenarios.cli import demo as cli_demo
 from scenarios.cli import edit as cli_edit
 from scenarios.cli import identify as cli_identify
 from scenarios.cli import lab as cli_lab
@@ -284,6 +285,7 @@ cli.add_command(cli_tracks.zones)
 cli.add_command(cli_skeleton.skeleton)
 cli.add_command(cli_vibration.vibration)
 cli.add_command(cli_edit.edit)
+cli.add_command(cli_demo.demo)
 cli.add_command(cli_identify.identify)
 cli.add_command(cli_live.live)
 cli.add_command(cli_motion.motion)

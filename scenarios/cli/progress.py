@@ -1,6 +1,8 @@
-"""A progress bar on a terminal; nothing in a pipe, and nothing with -q."""
+"""How far the work is: a bar on a terminal, a line every few seconds elsewhere; nothing with -q."""
 
 import sys
+import threading
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -8,29 +10,56 @@ import click
 
 from scenarios.run.interrupt import was_interrupted
 
+EVERY_S = 5.0
+"""From one line to the next where there is no terminal; a shorter piece of work prints none."""
+LATER = 0.05
+"""Share of the time so far from one line to the next, where that is more: hours of work do not fill a log."""
+SOME = 10
+"""Functions that are compiled in any run: small ones, which are not kept."""
+
 
 class Progress:
-    """A context that gives a function of (done, all) which moves the bar; after Ctrl-C it says how far it was."""
+    """A context that gives a function of (done, all) which tells how far it is; after Ctrl-C it says how far it was.
+
+    What is compiled meanwhile is told as well: the first run after an installation takes minutes for it.
+    """
 
     def __init__(self, title: str) -> None:
         self._title = title
+        self._begun_s = time.monotonic()
+        self._moved: tuple[int, int | None] = (0, None)
+        self._first: tuple[float, int] | None = None
         self._bar: Any = None
         self._task: Any = None
-        self._moved: tuple[int, int | None] = (0, None)
+        self._compiled: Any = None
+        self._told = 0
+        self._over = threading.Event()
+        self._teller: threading.Thread | None = None
 
     def __enter__(self) -> Callable[[int, int | None], None]:
         context = click.get_current_context(silent=True)
-        quiet = context is not None and context.find_root().params.get("quiet", False)
-        if sys.stderr.isatty() and not quiet:
+        if context is not None and context.find_root().params.get("quiet", False):
+            return self._move
+        from mosca.numba_support.watch import CompiledCount
+
+        self._compiled = CompiledCount()
+        if sys.stderr.isatty():
             from rich.console import Console
             from rich.progress import Progress as Bar
 
             self._bar = Bar(console=Console(stderr=True), transient=True)
             self._bar.start()
             self._task = self._bar.add_task(self._title, total=None)
+        self._teller = threading.Thread(target=self._tell, name="progress", daemon=True)
+        self._teller.start()
         return self._move
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        self._over.set()
+        if self._teller is not None:
+            self._teller.join()
+        if self._compiled is not None:
+            self._compiled.close()
         if self._bar is not None:
             self._bar.stop()
         if was_interrupted(error):
@@ -39,5 +68,37 @@ class Progress:
 
     def _move(self, done: int, total: int | None) -> None:
         self._moved = done, total
+        if self._first is None:
+            self._first = time.monotonic(), done
         if self._bar is not None:
             self._bar.update(self._task, completed=done, total=total)
+
+    def _tell(self) -> None:
+        while not self._over.wait(max(EVERY_S, LATER * (time.monotonic() - self._begun_s))):
+            if self._bar is None:
+                click.echo(self.line(time.monotonic()), err=True)
+            else:
+                self._bar.update(self._task, description=self._title + self._compiling())
+
+    def line(self, now_s: float) -> str:
+        """Return in one line how far the work is at ``now_s`` [s, monotonic clock]."""
+        done, total = self._moved
+        waited = f"{self._title}: {now_s - self._begun_s:.0f} s"
+        if not done:
+            return waited + self._compiling()
+        share = "" if not total else f" of {total} ({100 * done / total:.0f} %)"
+        return f"{waited}, {done}{share}{self._left(done, total, now_s)}{self._compiling()}"
+
+    def _left(self, done: int, total: int | None, now_s: float) -> str:
+        if self._first is None or not total or done <= self._first[1]:
+            return ""
+        began_s, before = self._first
+        return f", about {(now_s - began_s) / (done - before) * (total - done):.0f} s left"
+
+    def _compiling(self) -> str:
+        """Return what has been compiled, where that was more than when it was asked before."""
+        count = 0 if self._compiled is None else self._compiled.functions
+        before, self._told = self._told, count
+        if count < SOME or count == before:
+            return ""
+        return f", compiling (once after an installation): {count} functions so far"

@@ -9,6 +9,7 @@ from pathlib import Path
 from mosca.continuous.moving_cameras.body_worn import Worn
 from mosca.continuous.reconstruct import Reconstructed
 from mosca.data.bodies import BodyPoses, RigidBody
+from mosca.data.files.rig_file import write_rig
 from mosca.data.frames import FrameSource
 from mosca.data.rig import Rig
 from mosca.data.tracks import Tracks, table
@@ -145,8 +146,8 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
             for k, one in enumerate(f for f in own.calibration.findings if f.severity == "warn"):
                 collected.assembly.notes[f"calibration {k + 1}"] = f"{one.code}: {one.message}"
         truth = given_truth if opened.twin is None else opened.twin.truth()
-        if opened.twin is not None and isinstance(truth, Truth) and options.record_to is not None:
-            write_truth(truth, options.record_to / "truth.npz")
+        if options.record_to is not None:
+            _write_beside(options.record_to, believed, None if opened.twin is None else truth)
 
         done = applications(spec, folder, collected, truth, movement, bodies, poses, built.scene, timings)
         if done.person is not None:
@@ -193,6 +194,13 @@ def _built(spec: Scenario, folder: Path, options: RunOptions) -> _Built:
         known, settings = calibrated(spec, cameras), pipeline_settings(spec)
     scene = build_scene(spec, folder) if options.source == "twin" else None
     return _Built(rig, cameras, known, settings, scene)
+
+
+def _write_beside(frames: Path, believed: Rig, truth: object) -> None:
+    """Write the rig that the pipeline believed in, and the twin's truth, beside recorded frames."""
+    write_rig(believed, frames / "rig.toml")
+    if isinstance(truth, Truth):
+        write_truth(truth, frames / "truth.npz")
 
 
 def _movement(

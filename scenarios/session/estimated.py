@@ -100,7 +100,7 @@ def calibrate_in_session(
     known = earlier if held or isinstance(fault, SwappedSessionFault | MovedCameraFault) else None
 
     def shown(session: Session[Target_co], number: int) -> Shown[Target_co]:
-        return Shown(session.target, lambda _: _source(spec, session, fixed, workers, number))
+        return Shown(session.target, lambda _: session_source(spec, session, fixed, workers, number))
 
     field = shown(target_session(spec, wanted), 0)
     main = field
@@ -176,9 +176,10 @@ def _ray_errors(rig: Rig, virtual: VirtualCamera, center: Array) -> Array:
     return np.asarray(np.linalg.norm(error[np.isfinite(error).all(axis=1)], axis=1))
 
 
-def _source(
+def session_source(
     spec: Scenario, session: Session[CalibrationTarget], cameras: tuple[VirtualCamera, ...], workers: int, number: int
 ) -> TwinSource:
+    """Return the frames of a session before ``cameras``; ``number``: 0 of the target, 1 of the axes, 2 of the bar."""
     assert spec.calibration is not None
     return TwinSource(
         session.scene,

@@ -8,13 +8,13 @@ import pytest
 import tomli_w
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from target_files import field_toml
 
 from mosca.data.boards import Board
 from mosca.data.files.target_file import PointsTarget, read_target_file, target_schema
 from mosca.data.files.target_tables import TABLES
+from mosca.data.files.target_text import target_toml
 from mosca.data.targets import BallTarget, CodedTarget, PlacedTarget, RoundTarget, ScaleBar, TestField
-from mosca.data.wands import LFrame, Wand
+from mosca.data.wands import LFrame, SingleLight, Wand
 from mosca.errors import InputError
 
 FIELD = """kind = "field"
@@ -148,7 +148,7 @@ def test_a_field_is_written_and_read_again(tmp_path, rows):
     if not placed:
         return
     field = TestField(tuple(placed), 1e-5)
-    again = read(tmp_path, field_toml(field))
+    again = read(tmp_path, target_toml(field))
     assert isinstance(again, TestField)
     assert (again.names, again.sigma_m) == (field.names, field.sigma_m)
     assert [p.target for p in again.targets] == [p.target for p in field.targets]
@@ -185,3 +185,38 @@ def test_any_values_are_read_or_refused(tmp_path, kind, changes, data):
     path.write_text(tomli_w.dumps(document | keep))
     with contextlib.suppress(InputError):
         read_target_file(path)
+
+
+@pytest.mark.parametrize(
+    "target",
+    [
+        Board(9, 6, 0.04, 0.03, sigma_m=1e-5),
+        Board(8, 6, 0.04, 0.03, 0.03, "DICT_5X5_50", inverted=True, from_behind=True),
+        Wand((0.0, 0.15, 0.5), 0.014, 1e-5),
+        SingleLight(("left", "right"), 2.31, 0.5, "corner"),
+        SingleLight(),
+        ScaleBar(1.00012, 5e-6, (CodedTarget.of_dot(3, 0.008), CodedTarget.of_dot(4, 0.008))),
+        ScaleBar(1.0, 0.0, (RoundTarget(0.01), RoundTarget(0.01))),
+        ScaleBar(1.0, 0.0, (BallTarget(0.014), BallTarget(0.014))),
+    ],
+)
+def test_other_targets_are_written_and_read_again(tmp_path, target):
+    assert read(tmp_path, target_toml(target)) == target
+
+
+def test_an_l_frame_is_written_and_read_again(tmp_path):
+    places = np.array([[0.0, 0, 0], [0.5, 0, 0], [0, 0.3, 0], [0, 0.1, 0]])
+    frame = LFrame(("o", "x", "y", "z"), places, 0.014, 1e-4)
+    again = read(tmp_path, target_toml(frame))
+    assert isinstance(again, LFrame)
+    assert (again.names, again.diameter_m, again.sigma_m) == (frame.names, frame.diameter_m, frame.sigma_m)
+    np.testing.assert_array_equal(again.positions, frame.positions)
+
+
+def test_a_field_of_two_sizes_has_no_file():
+    placed = tuple(
+        PlacedTarget(f"t{k}", CodedTarget.of_dot(k, size), np.zeros(3), np.array([0.0, 0, 1]))
+        for k, size in enumerate((0.01, 0.012))
+    )
+    with pytest.raises(ValueError, match=r"target 't1': dot_radius_m = 0\.012; those before it have 0\.01"):
+        target_toml(TestField(placed, 0.0))

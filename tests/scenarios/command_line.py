@@ -7,6 +7,7 @@ from contextlib import chdir, redirect_stderr, redirect_stdout
 from types import SimpleNamespace
 from unittest.mock import patch
 
+from scenarios.cli import progress
 from scenarios.cli.main import main
 
 MOSCA = [sys.executable, "-m", "scenarios.cli.main"]
@@ -16,7 +17,8 @@ def mosca(*words, cwd):
     """Run a command line in a folder; return exit code and output, as of a process."""
     code, out, errors = 0, io.StringIO(), io.StringIO()
     line = ["mosca", *map(str, words)]
-    with chdir(cwd), patch.object(sys, "argv", line), redirect_stdout(out), redirect_stderr(errors):
+    silent = patch.object(progress, "EVERY_S", 1e6)  # no test depends on how long it took
+    with silent, chdir(cwd), patch.object(sys, "argv", line), redirect_stdout(out), redirect_stderr(errors):
         try:
             main()
         except SystemExit as ended:

@@ -14,10 +14,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "hardware"))
 
 from loopback import free_address
 from needs import needs_aravis, needs_module
-from target_files import field_toml
 
 from mosca.calibration.quality.compare_rigs import compare_rigs
 from mosca.data.files.rig_file import read_rig
+from mosca.data.files.target_text import target_toml
 from mosca.recording import open_recording
 from scenarios.build.cameras import true_rig, virtual_cameras
 from scenarios.session.scenes import target_session
@@ -38,7 +38,7 @@ def test_a_capture_of_devices_is_calibrated_as_the_images_themselves_are(tmp_pat
     truth = true_rig(spec, tmp_path)
     session = target_session(spec, spec.calibration)
     field = recorded(tmp_path / "filmed", spec, session, virtual_cameras(spec, truth)).target
-    (tmp_path / "field.toml").write_text(field_toml(field))
+    (tmp_path / "field.toml").write_text(target_toml(field))
     served, take = tmp_path / "served.toml", tmp_path / "take"
     words = ["twin", "serve", tmp_path / "filmed", "--rig-out", served, "--trigger", "serial"]
     words += ["--address", free_address(), "--rate", "10", "--seconds", "120"]

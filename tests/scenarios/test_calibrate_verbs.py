@@ -12,11 +12,11 @@ import command_line
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from target_files import field_toml
 
 from mosca.calibration.quality.compare_rigs import compare_rigs
 from mosca.calibration.targets.reader import FieldReader
 from mosca.data.files.rig_file import read_rig, write_rig
+from mosca.data.files.target_text import target_toml
 from mosca.data.rig import OpenCVLens, Pose, Rig
 from mosca.data.targets import CodedTarget, TestField
 from mosca.recording import RecordingWriter, open_recording
@@ -103,7 +103,7 @@ def lab(tmp_path_factory):
     truth = true_rig(spec, folder)
     cameras = virtual_cameras(spec, truth)
     field = recorded(folder / "field", spec, target_session(spec, spec.calibration), cameras).target
-    (folder / "field.toml").write_text(field_toml(field))
+    (folder / "field.toml").write_text(target_toml(field))
     once = scenario(**{**FIELD, "stands": 1, "frames": 4})
     moved = moved_rig(truth)
     recorded(
@@ -269,7 +269,7 @@ def test_a_wand_with_chosen_lens_parameters_and_detection(lab, tmp_path):
 def test_a_refused_calibration_has_a_page_and_no_rig(lab, tmp_path):
     field = read_field(lab / "field.toml")
     out, target = tmp_path / "rig.toml", tmp_path / "mm.toml"
-    target.write_text(field_toml(scaled(field, 1000.0)))
+    target.write_text(target_toml(scaled(field, 1000.0)))
     line = refused("calibrate", lab / "field", "--target", target, "--out", out)
     assert "mixed-units" in line
     assert str(out.with_suffix(".html")) in line
@@ -312,7 +312,7 @@ def test_a_wrong_field_is_told_long_before_the_recordings_end(lab, tmp_path, mon
         for k in range(300):
             time_ns = round(k * 1e9 / camera.frame_rate_hz)
             writer.write(replace(frame, index=k, time_ns=time_ns))
-    (tmp_path / "other.toml").write_text(field_toml(other_numbers(read_field(lab / "field.toml"))))
+    (tmp_path / "other.toml").write_text(target_toml(other_numbers(read_field(lab / "field.toml"))))
     given = ("calibrate", tmp_path / "long", "--target", tmp_path / "other.toml", "--out", tmp_path / "rig.toml")
     assert "0 of 60 frame sets spread over 300 of cam1 show the target; its numbers are " in refused(*given)
     assert len(looked) == 60
@@ -340,7 +340,7 @@ def test_bad_input_is_one_line(lab, tmp_path):
     (tmp_path / "odd.toml").write_text('kind = "sphere"\n')
     assert "kind = 'sphere'" in line(target=tmp_path / "odd.toml")
     assert "show the target" in line(recording="axes")
-    (tmp_path / "other.toml").write_text(field_toml(other_numbers(read_field(target))))
+    (tmp_path / "other.toml").write_text(target_toml(other_numbers(read_field(target))))
     assert "show the target" in line("--every", 6, target=tmp_path / "other.toml")
     assert "frame set 99: the target" in line("--reference", 99)
     assert "0 to 11 are allowed" in line("--reference", 99)
@@ -385,7 +385,7 @@ def test_a_rig_goes_to_another_program_and_back(lab, tmp_path, name, file):
 
 def test_a_target_is_printed(lab, tmp_path):
     small = TestField(read_field(lab / "field.toml").targets[:4])
-    (tmp_path / "few.toml").write_text(field_toml(small))
+    (tmp_path / "few.toml").write_text(target_toml(small))
     code, out, err = mosca("target", "sheet", tmp_path / "few.toml", "--out", tmp_path / "few.pdf")
     assert code == 0, err
     sheets = list(tmp_path.glob("few*.pdf"))

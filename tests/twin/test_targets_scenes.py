@@ -8,9 +8,9 @@ import mujoco
 import numpy as np
 import pytest
 from scene_poses import body_pose
-from target_files import field_toml
 
 from mosca.data.boards import Board
+from mosca.data.files.target_text import target_toml
 from mosca.data.targets import BallTarget, CodedTarget, RoundTarget, ScaleBar, face_axes
 from mosca.data.wands import LFrame, Wand
 from mosca.errors import InputError
@@ -164,7 +164,7 @@ def test_plates_lie_apart() -> None:
 def test_a_field_from_a_file_stands_in_the_middle(tmp_path: Path) -> None:
     laid = lay_out_field(np.array([1.0, 0.8, 0.6]), _rng(2), n=40)
     path = tmp_path / "field.toml"
-    path.write_text(field_toml(laid.field))
+    path.write_text(target_toml(laid.field))
     scene = build_field(**COMMON, target_file=path, turn_rad_s=0.3, rng=_rng(1))
     assert scene.marker_names == laid.field.names
     place, rotation = body_pose(scene, 0.9)
@@ -294,7 +294,7 @@ def test_files_that_do_not_fit_are_named(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r'wand\.toml: a test field is wanted; set kind = "field"'):
         build_field(**COMMON, target_file=path, rng=_rng(1))
     big = lay_out_field(np.array([4.0, 1.0, 1.0]), _rng(2), n=40)
-    path.write_text(field_toml(big.field))
+    path.write_text(target_toml(big.field))
     with pytest.raises(InputError, match=r"wand\.toml: the field takes .* enlarge box_size_m"):
         build_field(**COMMON, target_file=path, rng=_rng(1))
 

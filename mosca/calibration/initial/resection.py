@@ -59,7 +59,7 @@ def resect(where: str, xy_px: Array, xyz: Array, rng: np.random.Generator) -> Re
     image = np.column_stack([(xy - centre) / scale, np.ones(len(xy))])
     matrix, inliers = _robust_matrix(where, image, world, rng)
     back = np.array([[scale, 0, centre[0]], [0, scale, centre[1]], [0, 0, 1.0]])
-    interior, rotation, origin = _factors(where, back @ matrix, world[inliers])
+    interior, rotation, origin = _factors(where, back @ matrix, world[inliers], len(world))
     lens = OpenCVLens(*(float(interior[i, j]) for i, j in ((0, 0), (1, 1), (0, 2), (1, 2))))
     pose = Pose(rotation.T, origin)
     # the linear solution's own residual (with its skew) is the criterion for the points, not the pinhole's
@@ -230,14 +230,18 @@ def _distances(matrices: Array, image: Array, points: Array) -> Array:
     return np.asarray(np.linalg.norm(np.cross(w, unit[None]), axis=2))
 
 
-def _factors(where: str, matrix: Array, world: Array) -> tuple[Array, Array, Array]:
-    """Return interior orientation K (3, 3), camera_from_world rotation (3, 3) and the projection centre (3,)."""
+def _factors(where: str, matrix: Array, world: Array, seen: int) -> tuple[Array, Array, Array]:
+    """Return interior orientation K (3, 3), camera_from_world rotation (3, 3) and the projection centre (3,).
+
+    ``world``: the points that agree, of ``seen``.
+    """
     depth = world @ matrix[2, :3] + matrix[2, 3]
     if np.median(depth) < 0:
         matrix, depth = -matrix, -depth
     if (depth <= 0).any():
         raise CalibrationError(
-            f"{where}: {int((depth <= 0).sum())} of {len(depth)} points would lie behind the camera; check the pairs"
+            f"{where}: {int((depth <= 0).sum())} of the {len(depth)} points that agree, of {seen} seen, would lie "
+            "behind the camera; show it more points (30 or so), at different depths, and check the pairs"
         )
     if np.linalg.det(matrix[:, :3]) < 0:
         raise CalibrationError(

@@ -1,0 +1,31 @@
+"""A recording as other programs keep it: a folder of numbered images for each camera."""
+
+from pathlib import Path
+
+import cv2
+
+from mosca.data.frames import FrameSource
+from mosca.errors import InputError
+
+
+def write_image_folders(source: FrameSource, folder: Path) -> int:
+    """Write each frame of ``source`` as ``FOLDER/CAMERA/000012.png``, 12 its index; return how many.
+
+    PNG keeps 8 and 16 bit images as they are, but no times: what reads them needs a frame rate. Frames without an
+    image are left out. InputError where a file cannot be written.
+    """
+    written = 0
+    for info in source.cameras:
+        (folder / info.name).mkdir(parents=True, exist_ok=True)
+    for frame in source:
+        if frame.image is None:
+            continue
+        path = folder / frame.camera / f"{frame.index:06d}.png"
+        # encoded here: cv2.imwrite does not say why it failed
+        _, data = cv2.imencode(".png", frame.image)
+        try:
+            path.write_bytes(data.tobytes())
+        except OSError as error:
+            raise InputError(f"{path}: not written: {error.strerror}; make room, or choose another place") from error
+        written += 1
+    return written

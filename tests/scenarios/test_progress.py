@@ -1,0 +1,69 @@
+"""What a person or a server sees while work goes on."""
+
+import re
+import time
+
+import numba
+import numpy as np
+import pytest
+
+from scenarios.cli import progress
+from scenarios.cli.progress import Progress
+
+
+def test_a_line_says_how_far_and_how_long_still():
+    shown = Progress("actor")
+    begun = time.monotonic()
+    with shown as moved:
+        moved(0, 200)
+        moved(50, 200)
+        line = shown.line(begun + 10.0)
+    # a quarter in 10 s: 30 s are left
+    assert re.fullmatch(r"actor: (9|10) s, 50 of 200 \(25 %\), about (29|30) s left", line), line
+
+
+def test_without_a_total_nothing_is_foretold():
+    with Progress("take") as moved:
+        moved(7, None)
+        assert re.fullmatch(r"take: \d+ s, 7", shown_line(moved))
+
+
+def shown_line(moved) -> str:
+    return moved.__self__.line(time.monotonic())
+
+
+def test_what_is_compiled_is_told_once():
+    @numba.njit
+    def twice(x):
+        return 2 * x
+
+    shown = Progress("actor")
+    with shown:
+        twice(True)
+        assert "compiling" not in shown.line(time.monotonic())
+        for kind in "bBhHiIlLfd":
+            twice(np.dtype(kind).type(1))
+        assert re.search(r"compiling \(once after an installation\): \d+ functions", shown.line(time.monotonic()))
+        assert "compiling" not in shown.line(time.monotonic())
+        twice(True)
+        assert "compiling" not in shown.line(time.monotonic())
+
+
+def test_lines_come_without_a_terminal_and_end_with_the_work(monkeypatch, capsys):
+    monkeypatch.setattr(progress, "EVERY_S", 0.01)
+    with Progress("suite") as moved:
+        moved(1, 3)
+        written = ""
+        while "suite" not in written:
+            written += capsys.readouterr().err
+    assert written.startswith("suite: ")
+    capsys.readouterr()
+    time.sleep(0.05)
+    assert capsys.readouterr().err == ""
+
+
+def test_the_teller_ends_where_the_work_fails(monkeypatch):
+    shown = Progress("take")
+    with pytest.raises(ZeroDivisionError), shown:
+        raise ZeroDivisionError
+    assert not shown._teller.is_alive()
