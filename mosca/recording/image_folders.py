@@ -1,5 +1,6 @@
 """A recording as other programs keep it: a folder of numbered images for each camera."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -8,11 +9,11 @@ from mosca.data.frames import FrameSource
 from mosca.errors import InputError
 
 
-def write_image_folders(source: FrameSource, folder: Path) -> int:
+def write_image_folders(source: FrameSource, folder: Path, progress: Callable[[int], object] = id) -> int:
     """Write each frame of ``source`` as ``FOLDER/CAMERA/000012.png``, 12 its index; return how many.
 
     PNG keeps 8 and 16 bit images as they are, but no times: what reads them needs a frame rate. Frames without an
-    image are left out. InputError where a file cannot be written.
+    image are left out. ``progress`` is called with the number so far. InputError where a file cannot be written.
     """
     written = 0
     for info in source.cameras:
@@ -28,4 +29,5 @@ def write_image_folders(source: FrameSource, folder: Path) -> int:
         except OSError as error:
             raise InputError(f"{path}: not written: {error.strerror}; make room, or choose another place") from error
         written += 1
+        progress(written)
     return written

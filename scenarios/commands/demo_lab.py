@@ -63,7 +63,7 @@ def write_demo_lab(
     workers
         Rendering threads.
     progress
-        Called with (parts done, all parts).
+        Called with (images done, all images).
 
     Raises
     ------
@@ -87,21 +87,25 @@ def write_demo_lab(
     part = Path(tempfile.mkdtemp(dir=out.parent, prefix=f".{out.name}."))
     report = progress or (lambda done, total: None)
     try:
-        sessions = _sessions(spec)
-        images = 0
+        sessions, still = _sessions(spec), at_rest(cameras)
+        pulses = sum(session.pulses for session in sessions.values())
+        total = pulses * len(still) + spec.capture.pulses * len(cameras)
+        images = frames = 0
+
+        def written(more: int) -> None:
+            report(images + more, total)
+
         for k, (name, session) in enumerate(sessions.items()):
-            report(k, len(sessions) + 1)
             write_text(part / f"{name}.toml", target_toml(session.target))
-            with session_source(spec, session, at_rest(cameras), workers, k) as source:
-                images += write_image_folders(source, part / name)
-        report(len(sessions), len(sessions) + 1)
+            with session_source(spec, session, still, workers, k) as source:
+                images += write_image_folders(source, part / name, written)
         (part / "truth").mkdir()
-        frames = 0
         with twin_source(spec, scene, cameras, workers) as twin:
             with RecordingWriter(part / "take", twin.cameras) as writer:
                 for frame in twin:
                     writer.write(frame)
                     frames += 1
+                    written(frames)
             write_truth(twin.truth(), part / "truth" / "truth.npz")
         write_rig(rig, part / "truth" / "rig.toml")
         write_text(part / "check.toml", _check_toml(spec, source_folder))
@@ -111,7 +115,6 @@ def write_demo_lab(
         os.replace(part, out)
     finally:
         shutil.rmtree(part, ignore_errors=True)
-    report(len(sessions) + 1, len(sessions) + 1)
     return DemoLab(out, images, frames, commands)
 
 
