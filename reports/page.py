@@ -49,6 +49,12 @@ def write_page(path: Path, record: RunRecord, evidence: Evidence) -> None:
         pictures=pictures(record, evidence),
         joints=[_joint_row(name, one) for name, one in record.joints.items()],
         modes=[_mode_row(name, one) for name, one in record.modes.items()],
+        orientation=[row for name, one in record.self_orientation.items() for row in _orientation_rows(name, one)],
+        budget=[_budget_row(name, one) for name, one in record.error_budget.items()],
+        enough=[
+            (one["what"], *(f"{one[key]:.3g} {one['unit']}" for key in ("depth", "height")))
+            for one in record.enough_alone.values()
+        ],
         counts=[(_words(name), _plain(value)) for name, value in {**record.counts, **record.source_account}.items()],
         cameras=[
             _camera_row(name, one, record.counts.get("expected_sets"))
@@ -106,6 +112,27 @@ def _mode_row(name: str, one: Mapping[str, Any]) -> tuple[str, ...]:
         f"{100 * one['damping_bound']:.1f} %",
         f"{one['mac']:.4f}" if found else "–",
     )
+
+
+def _orientation_rows(name: str, one: Mapping[str, Any]) -> list[tuple[str, ...]]:
+    """Return the rows, mean and rms, of one side's differences: name, X, Y, Z, omega, alpha, kappa, frames."""
+    frames = "" if one.get("frames") is None else str(one["frames"])
+    rows = []
+    for what in ("mean", "rms"):
+        values = one.get(what)
+        if values is not None:
+            place = (f"{1e3 * value:.2f} mm" for value in values[:3])
+            # the paper states no unit of its angles
+            unit = "" if one.get("rms") is None else " deg"
+            turn = (f"{value if not unit else math.degrees(value):.4f}{unit}" for value in values[3:])
+            rows.append((f"{name}, {what}", *place, *turn, frames))
+    return rows
+
+
+def _budget_row(name: str, one: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return a row of the error budget: name, shares, what it changes in the means of X, Y, Z."""
+    shares = (f"{100 * one[key]:.1f} %" for key in ("position_share", "angle_share"))
+    return (name, *shares, *(f"{1e3 * value:+.2f} mm" for value in one["mean"][:3]))
 
 
 def _sensor_row(name: str, one: Mapping[str, Any]) -> tuple[str, ...]:

@@ -36,6 +36,7 @@ from reports.plot_style import (
 from reports.record import RunRecord
 from reports.recorded import longest_tracks_picture, points_picture, residuals_picture
 from reports.scene import scene_picture, volume_picture
+from reports.self_orientation_plots import budget_picture, errors_picture
 from reports.units import figure as number
 from reports.vibration_plots import shapes_picture, spectra_picture
 
@@ -73,6 +74,9 @@ def _pictures(record: RunRecord, evidence: Evidence) -> Iterator[Picture]:
         yield spectra_picture(evidence.vibration)
         if len(evidence.vibration.modes_hz):
             yield shapes_picture(evidence.vibration)
+    if evidence.self_orientation is not None:
+        yield errors_picture(evidence.self_orientation)
+        yield budget_picture(evidence.self_orientation)
     for i, view in enumerate(evidence.views[:MOST_VIEWS]):
         yield camera_picture(view, f"camera{i}")
 

@@ -95,6 +95,14 @@ class RunRecord:
     the errors in the 95 % ellipsoid, share of the frames in which it was found; empty where there is none."""
     modes: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     """True mode of a panel -> true frequency [Hz] and damping, relative bounds, what was found, errors, MAC."""
+    self_orientation: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    """Row of the table of a camera's own poses against a rig's -> ``mean`` and ``rms`` of X, Y, Z [m], omega, alpha,
+    kappa [rad], None where not known; number of ``frames``; ``nees_band``: 95 % band of the mean NEES."""
+    error_budget: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    """Source of error -> its share of the squared difference in position and angle, and what it changes: ``mean``
+    and ``rms``, in the units of ``self_orientation``."""
+    enough_alone: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    """Source of error -> ``what`` of it, in ``unit``, makes the paper's 27 mm alone, in ``depth`` or ``height``."""
     timings: Mapping[str, float] = field(default_factory=dict)
     """Seconds, the only part that differs between two runs of the same seed and code."""
     provenance: Mapping[str, Any] = field(default_factory=dict)

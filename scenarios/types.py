@@ -217,3 +217,9 @@ class Scored:
     """True mode -> its own figures (``scenarios.score.vibration``)."""
     not_judged: tuple[str, ...] = ()
     """Limited metrics that need more than there is."""
+    self_orientation: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    """Rows of the table (``scenarios.score.self_orientation``)."""
+    error_budget: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    """Source of error -> its own figures."""
+    enough_alone: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    """Source of error -> how large it must be to make the paper's difference alone."""

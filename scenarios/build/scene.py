@@ -97,6 +97,10 @@ def _subject(spec: Scenario, folder: Path) -> Scene:
 
         return build_face(**where, **scene.model_dump(exclude={"kind"}))
     if isinstance(scene, DroneScene):
+        if spec.self_orientation is not None:
+            from scenarios.build.survey import survey_scene
+
+            return survey_scene(spec)
         from twin.scenes.drone import build_drone
 
         return build_drone(**where, **scene.model_dump(exclude={"kind"})).scene

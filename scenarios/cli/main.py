@@ -25,6 +25,7 @@ from scenarios.cli import lab as cli_lab
 from scenarios.cli import live as cli_live
 from scenarios.cli import motion as cli_motion
 from scenarios.cli import rig as cli_rig
+from scenarios.cli import self_orient as cli_self_orient
 from scenarios.cli import skeleton as cli_skeleton
 from scenarios.cli import station as cli_station
 from scenarios.cli import tracks as cli_tracks
@@ -287,6 +288,7 @@ cli.add_command(cli_vibration.vibration)
 cli.add_command(cli_edit.edit)
 cli.add_command(cli_demo.demo)
 cli.add_command(cli_identify.identify)
+cli.add_command(cli_self_orient.self_orient)
 cli.add_command(cli_live.live)
 cli.add_command(cli_motion.motion)
 cli.add_command(cli_rig.calibrate)

@@ -120,8 +120,8 @@ def rig_check(path: Path | None, devices: bool, live: bool, flash: Path | None, 
     if flash is not None:
         if path is not None or devices or live:
             raise InputError("--flash looks at a recording alone; leave rig file, --devices and --live out")
+        from mosca.diagnostics.light_marker.offsets import synchronise
         from mosca.recording import open_recording
-        from scenarios.lab.flash import synchronise
 
         with open_recording(flash, None, fps) as recording:
             lines = synchronise(recording).lines()

@@ -1,7 +1,5 @@
 """What a scenario's sections make of its tracks: a skeleton, labels of a face, modes of a panel, a robot's model."""
 
-import logging
-import time
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -14,14 +12,12 @@ from mosca.vibration.analysis import Vibration
 from scenarios.run.identification import identified
 from scenarios.run.labels import surface_labels
 from scenarios.run.people import Person, person_of
+from scenarios.run.timed import timed
 from scenarios.run.vibration import vibration_of
 from scenarios.score.reference import ReferenceTrajectories
 from scenarios.spec.scenario import Scenario
 from scenarios.types import Collected, Score
 from twin.scenes.scene import Scene
-
-LOG = logging.getLogger("scenarios.run.scenario")
-"""A run's stages are logged under one name."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,17 +70,3 @@ def applications(
         with timed(timings, "identification"):
             model, model_scores = identified(spec, folder, poses, bodies, scene)
     return Applications(person, named, vibration, model, model_scores)
-
-
-class timed:
-    """Adds the seconds of a block to a dictionary, and logs them."""
-
-    def __init__(self, timings: dict[str, float], name: str) -> None:
-        self._timings, self._name = timings, name
-
-    def __enter__(self) -> None:
-        self._start = time.perf_counter()
-
-    def __exit__(self, *exc: object) -> None:
-        self._timings[self._name] = time.perf_counter() - self._start
-        LOG.info("%s: %.2f s", self._name, self._timings[self._name])

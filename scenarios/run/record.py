@@ -17,6 +17,7 @@ from mosca.vibration.analysis import Vibration
 from reports.evidence import CameraView, ErrorTable, Evidence, MarkerCounts
 from reports.metrics import METRICS
 from reports.record import Metric, MetricBlocks, RunRecord
+from reports.self_orientation_evidence import SelfOrientationEvidence
 from scenarios.build.cameras import Calibrated, deliveries
 from scenarios.run.people import Person
 from scenarios.run.provenance import provenance
@@ -72,6 +73,9 @@ def record_of(
         cameras=_cameras(collected),
         joints=worth.joints,
         modes=worth.modes,
+        self_orientation=worth.self_orientation,
+        error_budget=worth.error_budget,
+        enough_alone=worth.enough_alone,
         source_account=collected.account,
         timings={key: float(value) for key, value in timings.items()},
         rig=_rig_words(spec),
@@ -202,9 +206,16 @@ def health_record(one: CameraHealth) -> dict[str, Any]:
 
 
 def evidence_of(
-    spec: Scenario, rig: Rig, worth: Scored, person: Person | None = None, vibration: Vibration | None = None
+    spec: Scenario,
+    rig: Rig,
+    worth: Scored,
+    person: Person | None = None,
+    vibration: Vibration | None = None,
+    self_orientation: SelfOrientationEvidence | None = None,
 ) -> Evidence:
-    """Return what the page shows; without a truth the tracks alone. ``person`` and ``vibration``: the scene's."""
+    """Return what the page shows; without a truth the tracks alone. ``person``, ``vibration``,
+    ``self_orientation``: the scene's.
+    """
     collected, truth, pairs = worth.collected, worth.truth, worth.pairs
     base = Evidence(
         rig,
@@ -213,6 +224,7 @@ def evidence_of(
         collected.tracks,
         collected.views,
         vibration=None if vibration is None else vibration_evidence(vibration),
+        self_orientation=self_orientation,
     )
     if person is not None:
         base = replace(base, angles=person.angles, joints=person.take.joints)

@@ -30,8 +30,9 @@ from scenarios.build.cameras import Calibrated, calibrated, true_rig, twin_sourc
 from scenarios.build.frame_sources import account, device_notes, patient
 from scenarios.build.frame_sources import opened as opened_source
 from scenarios.build.scene import build_scene, pipeline_settings
+from scenarios.build.survey import without_own_camera
 from scenarios.build.worn_rig import worn_cameras, worn_rig, worn_settings
-from scenarios.run.applications import applications, timed
+from scenarios.run.applications import applications
 from scenarios.run.calibration_take import calibration_take
 from scenarios.run.continuous import collect_continuous
 from scenarios.run.identification import check_source
@@ -41,6 +42,9 @@ from scenarios.run.pipeline import collected_of, recorded, rerun_log
 from scenarios.run.postprocess import with_gaps_filled
 from scenarios.run.precompile import PIPELINE, compile_side_by_side, compiling
 from scenarios.run.record import evidence_of, record_of
+from scenarios.run.survey import Survey, surveyed
+from scenarios.run.survey import check_source as check_survey_source
+from scenarios.run.timed import timed
 from scenarios.score.bodies import rigid_bodies
 from scenarios.score.continuous import as_worn
 from scenarios.score.delivery import camera_frames, expected_sets, frames_complete, sets_complete
@@ -90,6 +94,8 @@ class _Built:
     known: Calibrated
     settings: PipelineSettings
     scene: Scene | None
+    riding: tuple[VirtualCamera, ...]
+    """All cameras, that of [self_orientation] among them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +126,8 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
                 return _refused(spec, name, options, built.known, timings, reported, own)
         believed = with_fault(built.known.rig if own is None else own.calibration.rig, spec.fault)
         movement = _movement(spec, folder, built, believed, options, timings)
-        opened = _opened(spec, built, options)
+        survey = surveyed(spec, built.riding, own, options.workers, timings)
+        opened = _opened(spec, built, options, survey)
         stack.enter_context(opened.source)
         if opened.twin is not None:
             with timed(timings, "compile"):
@@ -130,10 +137,7 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
             collected, continuous = _tracked(opened, believed, spec, options, stack, shown)
         collected = _beside_data_sheets(replace(collected, account=account(opened.source)), spec, built)
         if continuous is not None:
-            gathered = (continuous.reconstructed if isinstance(continuous, Worn) else continuous).gathered
-            nominal = opened.twin is not None
-            frames = camera_frames(spec, gathered, built.cameras, nominal, collected.account)
-            collected = replace(collected, frames=frames)
+            collected = _with_frames(collected, spec, built, opened, continuous)
         if options.source.startswith("hardware:"):
             collected.assembly.notes.update(device_notes(opened.source))
         # the scenario defines where its markers are on a body, whatever the source of the frames
@@ -148,8 +152,8 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
         truth = given_truth if opened.twin is None else opened.twin.truth()
         if options.record_to is not None:
             _write_beside(options.record_to, believed, None if opened.twin is None else truth)
-
         done = applications(spec, folder, collected, truth, movement, bodies, poses, built.scene, timings)
+        oriented = None if survey is None or poses is None else survey.scored(poses, bodies, timings)
         if done.person is not None:
             show_person(shown, done.person.take.joints, truth if isinstance(truth, Truth) else None)
 
@@ -168,6 +172,8 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
             worth = scored(spec, name, measured, truth, opened.twin, built.scene)
             collected = worth.collected
             scores = _all_scores(spec, worth, poses, timings, own) | done.model_scores
+            if oriented is not None:
+                scores, worth = scores | oriented.scores, oriented.added_to(worth)
         # identities are scored as the tracker gave them; a label may have split a track
         written = collected.tracks if done.named is None else done.named
         if spec.pipeline.fill_s is not None:
@@ -175,7 +181,7 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
             written, collected.assembly.notes["filled"] = with_gaps_filled(written, spec.pipeline.fill_s)
     timings |= collected.seconds
     record = record_of(spec, name, options.source, replace(worth, scores=scores), timings, built.known)
-    evidence = evidence_of(spec, believed, worth, done.person, done.vibration)
+    evidence = evidence_of(spec, believed, worth, done.person, done.vibration, getattr(oriented, "evidence", None))
     if continuous is not None:
         evidence = as_worn(evidence, spec, continuous)
     commands = None if built.scene is None else built.scene.commands
@@ -183,17 +189,28 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
     return RunResult(record, evidence, written, worth.truth, commands, own, poses, *found)
 
 
+def _with_frames(
+    collected: Collected, spec: Scenario, built: _Built, opened: _Opened, continuous: Reconstructed | Worn
+) -> Collected:
+    """Return what was collected with the account of each free-running camera's frames."""
+    gathered = (continuous.reconstructed if isinstance(continuous, Worn) else continuous).gathered
+    frames = camera_frames(spec, gathered, built.cameras, opened.twin is not None, collected.account)
+    return replace(collected, frames=frames)
+
+
 def _built(spec: Scenario, folder: Path, options: RunOptions) -> _Built:
     check_source(spec, options.source)
+    check_survey_source(spec, options.source)
     rig = true_rig(spec, folder)
-    cameras = virtual_cameras(spec, rig)
+    riding = virtual_cameras(spec, rig)
+    cameras = without_own_camera(spec, riding)
     if spec.continuous is not None and spec.continuous.worn_on is not None:
         cameras = worn_cameras(spec, cameras)
         known, settings = worn_rig(spec, cameras), worn_settings(spec)
     else:
         known, settings = calibrated(spec, cameras), pipeline_settings(spec)
     scene = build_scene(spec, folder) if options.source == "twin" else None
-    return _Built(rig, cameras, known, settings, scene)
+    return _Built(rig, cameras, known, settings, scene, riding)
 
 
 def _write_beside(frames: Path, believed: Rig, truth: object) -> None:
@@ -251,10 +268,10 @@ def _beside_data_sheets(collected: Collected, spec: Scenario, built: _Built) -> 
     return replace(collected, stated=stated)
 
 
-def _opened(spec: Scenario, built: _Built, options: RunOptions) -> _Opened:
+def _opened(spec: Scenario, built: _Built, options: RunOptions, survey: Survey | None) -> _Opened:
     if built.scene is not None:
         twin = twin_source(spec, built.scene, built.cameras, options.workers)
-        return _Opened(twin, twin, built.settings)
+        return _Opened(twin if survey is None else survey.watched(twin), twin, built.settings)
     source = opened_source(options.source, built.rig, spec.capture.frame_rate_hz, spec.capture.pulses)
     settings = built.settings
     if options.source.startswith("hardware:"):

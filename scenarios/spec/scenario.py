@@ -39,6 +39,7 @@ from scenarios.spec.faults import FaultSpec, LabelFault, RateFault
 from scenarios.spec.identification import IdentificationSpec, check_identification
 from scenarios.spec.limits import breaks_schema, end_of, limits_schema, read_breaks, read_limits
 from scenarios.spec.scenes import ActorScene, GlowSpec, LampsSpec, PanelScene, SceneSpec
+from scenarios.spec.self_orientation import SelfOrientationSpec, check_self_orientation
 from scenarios.spec.skeleton import LabelsSpec, SkeletonSpec
 from scenarios.spec.stages import StageTables
 from scenarios.spec.vibration import VibrationSpec
@@ -174,6 +175,9 @@ class Scenario(Table):
     identification: IdentificationSpec | None = Field(
         None, description="the linear model from the robot's commands to its motion, identified and scored"
     )
+    self_orientation: SelfOrientationSpec | None = Field(
+        None, description="a camera on the scene's drone that finds its pose from a test field, against the rig's"
+    )
     length: tuple[LengthSpec, ...] = Field(
         (), description="certified lengths that are seen, for length_rms and length_max; [[length]]"
     )
@@ -228,6 +232,10 @@ class Scenario(Table):
         _check_skeleton(self)
         _check_vibration(self)
         check_identification(self.identification, self.scene, self.limits, self.pipeline.bodies, self.fault)
+        own = self.self_orientation
+        check_self_orientation(
+            own, self.scene, self.camera, self.limits, self.pipeline.bodies, self.session is not None
+        )
         _check_control(self)
         return self
 

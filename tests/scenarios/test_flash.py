@@ -9,10 +9,10 @@ from click.testing import CliRunner
 
 from mosca.data.frames import CameraInfo, Frame
 from mosca.data.rig import Camera, OpenCVLens, Pose
+from mosca.diagnostics.light_marker.offsets import synchronise
 from mosca.errors import InputError
 from mosca.recording import RecordingWriter
 from scenarios.cli.rig import rig_check
-from scenarios.lab.flash import synchronise
 from twin.cameras.exposure.mount import Mount
 from twin.cameras.exposure.shutter import Timing
 from twin.cameras.optics.blur_parameters import Optics

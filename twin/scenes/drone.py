@@ -112,13 +112,14 @@ def build_drone(
         raise InputError(f"markers = {markers} given; {FEWEST_MARKERS} to {MOST_MARKERS} fit on the drone")
     reference = plan_flight(path, box.center, box.half_inside(_MARGIN_M, "a flying drone"), speed_mps, rng)
     names = tuple(f"D{k + 1}" for k in range(markers))
-    model, geoms = compiled(_specify(mass_kg, names, marker_diameter_m, floor), names)
+    model, geoms = compiled(drone_spec(mass_kg, names, marker_diameter_m, floor=floor), names)
     first, qpos, qvel = fly(model, reference, -0.1, duration_s + 0.1, gust_n, rng)
     flown = step_path(model, first, PHYSICS_STEP_S, qpos, qvel)
     return Flight(Scene(model, names, geoms, flown, duration_s, {"drone": names}), reference)
 
 
-def _specify(mass_kg: float, names: tuple[str, ...], diameter: float, floor: bool) -> mujoco.MjSpec:
+def drone_spec(mass_kg: float, names: tuple[str, ...], diameter: float, *, floor: bool) -> mujoco.MjSpec:
+    """Return the drone, body "drone", with ball markers ``names`` of ``diameter`` [m] and four rotors."""
     spec = new_stage(floor=floor)
     spec.option.timestep = PHYSICS_STEP_S
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4

@@ -18,6 +18,14 @@ def calibration_covariance(calibration: Calibration, xyz: Array, seen: Array) ->
     ``seen`` (n, c): which cameras measured each point (``points.rays >= 0``),
     all equally well. NaN where fewer than two cameras saw a point.
     """
+    shift = calibration_shift(calibration, xyz, seen)
+    return np.asarray(shift @ calibration.covariance @ np.swapaxes(shift, 1, 2))
+
+
+def calibration_shift(calibration: Calibration, xyz: Array, seen: Array) -> Array:
+    """Return how far (n, 3, u) the true points lie from measured ones for each unit that a parameter is told too
+    large; arguments as of ``calibration_covariance``, NaN likewise.
+    """
     xyz, seen = np.asarray(xyz, dtype=float).reshape(-1, 3), np.asarray(seen, dtype=bool)
     total = np.zeros((len(xyz), 3, 3))
     pull = np.zeros((len(xyz), 3, len(calibration.parameters)))
@@ -28,7 +36,6 @@ def calibration_covariance(calibration: Calibration, xyz: Array, seen: Array) ->
         total[rows] += weighted @ one.by_point
         pull[np.ix_(rows, np.arange(3), one.columns)] += weighted @ one.by_parameter
     good = seen.sum(axis=1) >= 2
-    covariance = np.full((len(xyz), 3, 3), np.nan)
-    by_parameter = np.linalg.solve(total[good], pull[good])
-    covariance[good] = by_parameter @ calibration.covariance @ np.swapaxes(by_parameter, 1, 2)
-    return covariance
+    shift = np.full(pull.shape, np.nan)
+    shift[good] = np.linalg.solve(total[good], pull[good])
+    return shift

@@ -54,16 +54,17 @@ class Scan(NamedTuple):
 
 @kernel
 def scan_hidden(
-    lens: Array, target: TargetPose, contours: Array, box: ImageBox, near: NearSolids, profile: Array
+    lens: Array, target: TargetPose, contours: Array, box: ImageBox, near: NearSolids, profile: Array, skip_free: bool
 ) -> Any:
     """Return the boundary of what is hidden (n, 3) and of what is lit (k, 3) as (u, v, dv), and both areas [px^2].
 
     ``contours``: the pieces of a figure; ``box`` of the target's image; ``near``: the NearSolids; ``profile``
     (6,): limb, shade (camera frame), fade of a ball or disc. Both boundaries together are that of what is left.
+    ``skip_free``: of a figure before which there is nothing neither boundary is made.
     """
     scan = _scan(lens, target, box)
     figure = target.shape == FIGURE
-    if figure and not _anything_before(lens, target, scan, near):
+    if skip_free and figure and not _anything_before(lens, target, scan, near):
         return np.empty((0, 3)), np.empty((0, 3)), 0.0, 1.0
     rays, a, b = np.empty((scan.pieces + 1, 3)), np.empty(3), np.empty(3)
     most_lit = 2 * contours.shape[0] if figure else 2
@@ -101,6 +102,12 @@ def scan_hidden(
                 edges, edge_count, hidden_area, scan, profile, v, low[i], high[i], lit_u[:lit], lit_step[:lit]
             )
     return edges[:edge_count], lit_edges[:lit_count], hidden_area, lit_area
+
+
+@kernel
+def anything_before(lens: Array, target: TargetPose, box: ImageBox, near: NearSolids) -> Any:
+    """Whether any of the solids may hide a part of a target with an image in ``box``."""
+    return _anything_before(lens, target, _scan(lens, target, box), near)
 
 
 @kernel

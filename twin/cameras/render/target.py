@@ -18,7 +18,7 @@ from twin.cameras.render.bright_spots import spot_count, spots
 from twin.cameras.render.inputs import ImageBox, NearSolids, RenderInputs, RowTiming, Solid, TargetPose
 from twin.cameras.render.occluder_culling import hidden_by_one, near_solids, pose_solids
 from twin.cameras.render.occluders import hit
-from twin.cameras.render.occlusion_scan import BEFORE, front_of, has_profile, scan_hidden
+from twin.cameras.render.occlusion_scan import BEFORE, anything_before, front_of, has_profile, scan_hidden
 from twin.cameras.render.outline import (
     BALL,
     FIGURE,
@@ -255,6 +255,8 @@ def _add_hidden(
     ``image`` and the poses in ``near`` are left at the last one.
     """
     lens, nodes, path, profile = (inputs.lens, inputs.nodes_s, inputs.targets.path[m], inputs.targets.profile[m])
+    if groups > 1 and image.target.shape == FIGURE and not _ever_hidden(inputs, m, image, near, groups):
+        return 0.0, False
     blur, rows = _blur_and_rows(inputs, m, image)
     weights = np.empty(nodes.shape[0])
     rest = False
@@ -270,7 +272,9 @@ def _add_hidden(
             pose_solids(near, inputs.solids, nodes, middle)
             u, v, _a, _b, _c, _d, _e, _f, _ok = project(lens, x, y, z)
             _whole, group_box = image_box(lens, target)
-        edges, lit_edges, hidden_area, lit_area = scan_hidden(lens, target, contours, group_box, near, profile)
+        edges, lit_edges, hidden_area, lit_area = scan_hidden(
+            lens, target, contours, group_box, near, profile, groups == 1
+        )
         total_hidden += hidden_area
         total_lit += lit_area
         rest = rest or ((groups > 1 or hidden_area > 0.5 * lit_area) and not has_profile(profile))
@@ -284,6 +288,24 @@ def _add_hidden(
                 add_points(EDGE, out, blur, moving, panel, rows)
     hidden = min(1.0, max(0.0, total_hidden / total_lit)) if total_lit != 0.0 else 0.0
     return hidden, rest
+
+
+@kernel
+def _ever_hidden(inputs: RenderInputs, m: int, image: TargetImage, near: NearSolids, groups: int) -> Any:
+    """Whether anything may hide a part of the target in any of the groups of instants."""
+    lens, nodes = inputs.lens, inputs.nodes_s
+    weights = np.empty(nodes.shape[0])
+    for g in range(groups):
+        _begin, middle, _end = _group(image, g, groups)
+        lagrange_weights(nodes, middle, weights)
+        x, y, z = position_at(inputs.targets.path[m], weights)
+        rotation_at(inputs.targets.rotation[m], weights, image.target.rotation)
+        target = TargetPose(image.target.shape, image.target.rotation, x, y, z, image.target.radius)
+        pose_solids(near, inputs.solids, nodes, middle)
+        _whole, box = image_box(lens, target)
+        if anything_before(lens, target, box, near):
+            return True
+    return False
 
 
 @kernel

@@ -21,8 +21,8 @@ import numpy as np
 
 from mosca.data.arrays import Array
 from mosca.data.frames import FrameSource
+from mosca.diagnostics.light_marker.brightness import Brightness, light_of_lamp
 from mosca.errors import InputError
-from scenarios.lab.flash_images import Brightness, light_of_lamp
 
 LEAST_DN = 20.0
 """A lamp that changes the brightest pixel by less than this, in images of 8 bits, is none."""
