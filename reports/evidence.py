@@ -10,6 +10,7 @@ from mosca.data.joint_angles import JointAngles
 from mosca.data.joint_motion import JointMotion
 from mosca.data.rig import Rig
 from mosca.data.tracks import Tracks
+from reports.flight_evidence import FlightEvidence
 from reports.self_orientation_evidence import SelfOrientationEvidence
 from reports.vibration_evidence import VibrationEvidence
 
@@ -106,6 +107,8 @@ class Evidence:
     """Spectra and modes of a panel."""
     self_orientation: SelfOrientationEvidence | None = None
     """Errors of a camera's own poses and of a rig's."""
+    flight: FlightEvidence | None = None
+    """A flight in closed loop."""
 
     def __post_init__(self) -> None:
         set_read_only(self, working_space_center=(3,), working_space_size=(3,))

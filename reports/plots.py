@@ -10,6 +10,7 @@ from mosca.data.arrays import Array
 from reports.biped_plots import biped_picture
 from reports.bones import strips
 from reports.evidence import ErrorTable, Evidence, true_positions
+from reports.flight_plots import flight_picture
 from reports.images import camera_picture
 from reports.joint_plots import angles_picture
 from reports.plot_style import (
@@ -70,6 +71,8 @@ def _pictures(record: RunRecord, evidence: Evidence) -> Iterator[Picture]:
         yield biped_picture(evidence.joints, evidence.true_joints, evidence.tracks)
     if evidence.angles is not None and evidence.angles.names and len(evidence.angles):
         yield angles_picture(evidence.angles, evidence.true_angles)
+    if evidence.flight is not None:
+        yield flight_picture(evidence.flight)
     if evidence.vibration is not None:
         yield spectra_picture(evidence.vibration)
         if len(evidence.vibration.modes_hz):

@@ -26,7 +26,7 @@ from twin.scenes.scene import Scene, SceneSampler
 from twin.truth_log import PulseLog, truth_of
 
 LOOK_AHEAD = 4
-"""Pulses queued for each worker: enough to keep it busy, few enough to stop early without waste."""
+"""Default: pulses queued for each worker: enough to keep it busy, few enough to stop early without waste."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,6 +84,8 @@ class TwinSource:
         Camera name -> faults of its frames' delivery; a camera that is not named delivers every frame.
     surroundings
         Stray light; None: none.
+    look_ahead
+        Pulses queued for each worker; 0 where what is filmed depends on what was made of the frames before.
     """
 
     def __init__(
@@ -98,9 +100,11 @@ class TwinSource:
         workers: int = 1,
         deliveries: Mapping[str, Delivery] | None = None,
         surroundings: Surroundings | None = None,
+        look_ahead: int = LOOK_AHEAD,
     ) -> None:
         self.scene, self.virtual, self.pulses, self.seed = scene, tuple(cameras), pulses, seed
         self.frame_rate_hz, self.exposure_s, self.workers = frame_rate_hz, exposure_s, max(1, workers)
+        self._look_ahead = look_ahead
         self._deliveries = dict(deliveries or {})
         names = [v.camera.name for v in self.virtual]
         for name in self._deliveries:
@@ -194,7 +198,7 @@ class TwinSource:
     def _taken(self, reading: _Reading) -> Iterator[Taken]:
         """Yield what the cameras take, in order, while the workers are ahead; ends when the reading is closed."""
         waiting: deque[Future[_Period]] = deque()
-        ahead = self.workers * LOOK_AHEAD
+        ahead = self.workers * self._look_ahead
         for pulse in range(self.pulses + ahead):
             if pulse < self.pulses:
                 future = reading.submit(self._expose_pulse, pulse)

@@ -41,7 +41,7 @@ from twin.cameras.stray_light.stray import Surroundings
 from twin.cameras.stray_light.world import RingLight, ShinySpot
 from twin.cameras.virtual_camera import VirtualCamera
 from twin.scenes.scene import Scene
-from twin.source import TwinSource
+from twin.source import LOOK_AHEAD, TwinSource
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,6 +103,7 @@ def twin_source(spec: Scenario, scene: Scene, cameras: tuple[VirtualCamera, ...]
         workers=workers,
         deliveries=deliveries(spec, (v.camera.name for v in cameras)),
         surroundings=surroundings(spec),
+        look_ahead=LOOK_AHEAD if spec.flight is None else 0,
     )
 
 

@@ -38,6 +38,7 @@ from scenarios.spec.scenes import (
 )
 from scenarios.spec.stages import StageTables
 from twin.scenes.emission import Glow
+from twin.scenes.live_flight import Steering
 from twin.scenes.scene import Scene
 from twin.streams import rng
 
@@ -49,9 +50,9 @@ T = TypeVar("T")
 Volume = tuple[tuple[float, float, float], tuple[float, float, float]]
 
 
-def build_scene(spec: Scenario, folder: Path) -> Scene:
-    """Return the scene; the scenario's file names are relative to ``folder``."""
-    made = _subject(spec, folder)
+def build_scene(spec: Scenario, folder: Path, pilot: Steering | None = None) -> Scene:
+    """Return the scene; the scenario's file names are relative to ``folder``. ``pilot``: what steers a drone."""
+    made = _subject(spec, folder, pilot)
     glow_keys = {} if spec.glow is None else spec.glow.model_dump(exclude_unset=True)
     if glow_keys:
         glows = {name: replace(made.glows.get(name, Glow()), **glow_keys) for name in made.marker_names}
@@ -73,7 +74,7 @@ def build_scene(spec: Scenario, folder: Path) -> Scene:
     return made
 
 
-def _subject(spec: Scenario, folder: Path) -> Scene:
+def _subject(spec: Scenario, folder: Path, pilot: Steering | None) -> Scene:
     scene = spec.scene
     space = spec.working_space
     where: dict[str, Any] = {
@@ -103,7 +104,7 @@ def _subject(spec: Scenario, folder: Path) -> Scene:
             return survey_scene(spec)
         from twin.scenes.drone import build_drone
 
-        return build_drone(**where, **scene.model_dump(exclude={"kind"})).scene
+        return build_drone(**where, **scene.model_dump(exclude={"kind"}), pilot=pilot).scene
     if isinstance(scene, RobotScene):
         from scenarios.build.robot_commands import command_lines
         from twin.scenes.robot import build_robot
@@ -208,6 +209,8 @@ def pipeline_settings(spec: Scenario) -> PipelineSettings:
     settings = stage_settings(spec.pipeline, box, edge_m)
     if spec.pipeline.step_by == "pulse":
         settings = replace(settings, assembly=AssemblySettings(nominal_times=True))
+    if spec.flight is not None:
+        settings = replace(settings, lookahead=0)
     if spec.pipeline.tracker == "nearest":
         return replace(settings, nearest=NearestSettings(motion_scale(settings.track).gate_m, settings.track.coast_s))
     return settings

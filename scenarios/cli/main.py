@@ -20,6 +20,7 @@ from mosca.errors import InputError, MoscaError
 from scenarios.cli import capture as cli_capture
 from scenarios.cli import demo as cli_demo
 from scenarios.cli import edit as cli_edit
+from scenarios.cli import flight as cli_flight
 from scenarios.cli import identify as cli_identify
 from scenarios.cli import lab as cli_lab
 from scenarios.cli import live as cli_live
@@ -285,6 +286,7 @@ cli.add_command(cli_tracks.bodies)
 cli.add_command(cli_tracks.zones)
 cli.add_command(cli_skeleton.skeleton)
 cli.add_command(cli_vibration.vibration)
+cli.add_command(cli_flight.flight)
 cli.add_command(cli_edit.edit)
 cli.add_command(cli_demo.demo)
 cli.add_command(cli_identify.identify)

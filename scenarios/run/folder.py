@@ -17,6 +17,7 @@ from mosca.identification.model_file import write_model
 from reports.calibration_page import write_calibration_page
 from reports.page import write_page
 from reports.record import write_record
+from scenarios.run.flight import flight_files
 from scenarios.run.scenario import RunResult
 from scenarios.run.vibration import vibration_files
 
@@ -74,6 +75,7 @@ def _files(result: RunResult, rrd: Path | None) -> dict[str, Callable[[Path], ob
         "commands.csv": None if result.commands is None else lambda path: _write_commands(result.commands, path),
         **({} if result.person is None else result.person.files()),
         **({} if result.vibration is None else vibration_files(result.vibration)),
+        **({} if result.flight is None else flight_files(result.flight)),
         "model.json": None if (model := result.model) is None else lambda path: write_model(model, path),
         # of a refused calibration its page says why; nobody can measure with it
         "rig.toml": None

@@ -42,10 +42,12 @@ def collected_of(
     options: RunOptions,
     stack: ExitStack,
     shown: RerunLog | None = None,
+    attend: Callable[[Step], None] | None = None,
 ) -> Collected:
     """Run the pipeline to its end and keep what the record, the page and the viewer need.
 
-    ``twin``: the same source where it has ground truth; ``shown``: where each step is logged.
+    ``twin``: the same source where it has ground truth; ``shown``: where each step is logged; ``attend``: called with
+    each step before the next frames are read.
     """
     assembly = Assembly()
     samples: list[Samples] = []
@@ -72,6 +74,8 @@ def collected_of(
         options.progress(0, pulses)
     for done, step in enumerate(steps, start=1):
         stop()
+        if attend is not None:
+            attend(step)
         samples.append(step.samples)
         for stage, value in step.seconds.items():
             seconds[stage] = seconds.get(stage, 0.0) + value

@@ -17,7 +17,6 @@ from mosca.vibration.analysis import Vibration
 from reports.evidence import CameraView, ErrorTable, Evidence, MarkerCounts
 from reports.metrics import METRICS
 from reports.record import Metric, MetricBlocks, RunRecord
-from reports.self_orientation_evidence import SelfOrientationEvidence
 from scenarios.build.cameras import Calibrated, deliveries
 from scenarios.run.people import Person
 from scenarios.run.provenance import provenance
@@ -206,16 +205,9 @@ def health_record(one: CameraHealth) -> dict[str, Any]:
 
 
 def evidence_of(
-    spec: Scenario,
-    rig: Rig,
-    worth: Scored,
-    person: Person | None = None,
-    vibration: Vibration | None = None,
-    self_orientation: SelfOrientationEvidence | None = None,
+    spec: Scenario, rig: Rig, worth: Scored, person: Person | None = None, vibration: Vibration | None = None
 ) -> Evidence:
-    """Return what the page shows; without a truth the tracks alone. ``person``, ``vibration``,
-    ``self_orientation``: the scene's.
-    """
+    """Return what the page shows; without a truth the tracks alone. ``person`` and ``vibration``: the scene's."""
     collected, truth, pairs = worth.collected, worth.truth, worth.pairs
     base = Evidence(
         rig,
@@ -224,7 +216,6 @@ def evidence_of(
         collected.tracks,
         collected.views,
         vibration=None if vibration is None else vibration_evidence(vibration),
-        self_orientation=self_orientation,
     )
     if person is not None:
         base = replace(base, angles=person.angles, joints=person.take.joints)

@@ -1,7 +1,7 @@
 """One scenario from scene to score: build, calibrate, expose, run the pipeline, compare with the truth."""
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,7 +16,7 @@ from mosca.data.tracks import Tracks, table
 from mosca.data.truth import Truth, write_truth
 from mosca.errors import CalibrationError, InputError
 from mosca.identification.identify import IdentifiedModel
-from mosca.pipeline import PipelineSettings
+from mosca.pipeline import PipelineSettings, Step
 from mosca.rigid_bodies.ambiguity import check_bodies
 from mosca.rigid_bodies.tracker import body_poses, labelled_by_bodies
 from mosca.skeleton.marker_frames import MarkerFrames
@@ -32,9 +32,13 @@ from scenarios.build.frame_sources import opened as opened_source
 from scenarios.build.scene import build_scene, pipeline_settings
 from scenarios.build.survey import without_own_camera
 from scenarios.build.worn_rig import worn_cameras, worn_rig, worn_settings
+from scenarios.flight.loop import RenderedPoses, check_flight_source, pilot_of
+from scenarios.flight.pilot import Pilot
+from scenarios.flight.predicted import Flown
 from scenarios.run.applications import applications
 from scenarios.run.calibration_take import calibration_take
 from scenarios.run.continuous import collect_continuous
+from scenarios.run.flight import flight_evidence, flight_of
 from scenarios.run.identification import check_source
 from scenarios.run.kept_calibrations import kept
 from scenarios.run.people import Person, show_person
@@ -48,6 +52,7 @@ from scenarios.run.timed import timed
 from scenarios.score.bodies import rigid_bodies
 from scenarios.score.continuous import as_worn
 from scenarios.score.delivery import camera_frames, expected_sets, frames_complete, sets_complete
+from scenarios.score.flight import flight_scores
 from scenarios.score.reference import requested_truth
 from scenarios.score.score_run import scored
 from scenarios.score.sensor import sensor_findings, stated_sensors
@@ -83,6 +88,8 @@ class RunResult:
     """Of the scene's panel."""
     model: IdentifiedModel | None = None
     """Of the driven robot, where the scenario identifies one."""
+    flight: Flown | None = None
+    """In closed loop."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,6 +103,8 @@ class _Built:
     scene: Scene | None
     riding: tuple[VirtualCamera, ...]
     """All cameras, that of [self_orientation] among them."""
+    pilot: Pilot | None = None
+    """What steers the scene's drone by the poses, as they come."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,7 +143,7 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
                 compile_side_by_side(opened.twin)
         with timed(timings, "frames_to_tracks"):
             shown = rerun_log(options.rrd, believed, spec, stack)
-            collected, continuous = _tracked(opened, believed, spec, options, stack, shown)
+            collected, continuous = _tracked(opened, believed, spec, options, stack, shown, _attending(spec, built))
         collected = _beside_data_sheets(replace(collected, account=account(opened.source)), spec, built)
         if continuous is not None:
             collected = _with_frames(collected, spec, built, opened, continuous)
@@ -146,14 +155,13 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
         if bodies:
             with timed(timings, "bodies"):
                 collected, poses = _with_bodies(collected, bodies)
-        if own is not None:
-            for k, one in enumerate(f for f in own.calibration.findings if f.severity == "warn"):
-                collected.assembly.notes[f"calibration {k + 1}"] = f"{one.code}: {one.message}"
+        collected.assembly.notes.update(_warnings(own))
         truth = given_truth if opened.twin is None else opened.twin.truth()
         if options.record_to is not None:
             _write_beside(options.record_to, believed, None if opened.twin is None else truth)
         done = applications(spec, folder, collected, truth, movement, bodies, poses, built.scene, timings)
         oriented = None if survey is None or poses is None else survey.scored(poses, bodies, timings)
+        flight = flight_of(spec, built.pilot, built.scene, collected, own)
         if done.person is not None:
             show_person(shown, done.person.take.joints, truth if isinstance(truth, Truth) else None)
 
@@ -172,21 +180,42 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
             worth = scored(spec, name, measured, truth, opened.twin, built.scene)
             collected = worth.collected
             scores = _all_scores(spec, worth, poses, timings, own) | done.model_scores
+            scores |= {} if flight is None else flight_scores(flight.path, flight.delay)
             if oriented is not None:
                 scores, worth = scores | oriented.scores, oriented.added_to(worth)
         # identities are scored as the tracker gave them; a label may have split a track
-        written = collected.tracks if done.named is None else done.named
-        if spec.pipeline.fill_s is not None:
-            # scored and counted is what was measured; what is written has its gaps filled as well
-            written, collected.assembly.notes["filled"] = with_gaps_filled(written, spec.pipeline.fill_s)
+        written = _filled(spec, collected, collected.tracks if done.named is None else done.named)
     timings |= collected.seconds
     record = record_of(spec, name, options.source, replace(worth, scores=scores), timings, built.known)
-    evidence = evidence_of(spec, believed, worth, done.person, done.vibration, getattr(oriented, "evidence", None))
+    evidence = evidence_of(spec, believed, worth, done.person, done.vibration)
+    more = {} if oriented is None else {"self_orientation": oriented.evidence}
+    evidence = replace(evidence, **more, flight=None if flight is None else flight_evidence(flight))
     if continuous is not None:
         evidence = as_worn(evidence, spec, continuous)
     commands = None if built.scene is None else built.scene.commands
-    found = (done.person, done.vibration, done.model)
-    return RunResult(record, evidence, written, worth.truth, commands, own, poses, *found)
+    found = (own, poses, done.person, done.vibration, done.model, flight)
+    return RunResult(record, evidence, written, worth.truth, commands, *found)
+
+
+def _filled(spec: Scenario, collected: Collected, tracks: Tracks) -> Tracks:
+    """Return the tracks that are written: scored and counted is what was measured, these have gaps filled as well."""
+    if spec.pipeline.fill_s is None:
+        return tracks
+    tracks, collected.assembly.notes["filled"] = with_gaps_filled(tracks, spec.pipeline.fill_s)
+    return tracks
+
+
+def _warnings(own: SessionCalibration | None) -> dict[str, str]:
+    """Return the warnings of the scenario's own calibration, as notes."""
+    found = () if own is None else [one for one in own.calibration.findings if one.severity == "warn"]
+    return {f"calibration {k + 1}": f"{one.code}: {one.message}" for k, one in enumerate(found)}
+
+
+def _attending(spec: Scenario, built: _Built) -> Callable[[Step], None] | None:
+    """Return what takes the pipeline's steps to the pilot of a flight in closed loop; None where there is none."""
+    if built.scene is None or built.pilot is None:
+        return None
+    return RenderedPoses(spec, built.scene, built.pilot, rigid_bodies(built.scene)).attend
 
 
 def _with_frames(
@@ -201,6 +230,7 @@ def _with_frames(
 def _built(spec: Scenario, folder: Path, options: RunOptions) -> _Built:
     check_source(spec, options.source)
     check_survey_source(spec, options.source)
+    check_flight_source(spec, options.source)
     rig = true_rig(spec, folder)
     riding = virtual_cameras(spec, rig)
     cameras = without_own_camera(spec, riding)
@@ -209,8 +239,9 @@ def _built(spec: Scenario, folder: Path, options: RunOptions) -> _Built:
         known, settings = worn_rig(spec, cameras), worn_settings(spec)
     else:
         known, settings = calibrated(spec, cameras), pipeline_settings(spec)
-    scene = build_scene(spec, folder) if options.source == "twin" else None
-    return _Built(rig, cameras, known, settings, scene, riding)
+    pilot = None if spec.flight is None else pilot_of(spec)
+    scene = build_scene(spec, folder, pilot) if options.source == "twin" else None
+    return _Built(rig, cameras, known, settings, scene, riding, pilot)
 
 
 def _write_beside(frames: Path, believed: Rig, truth: object) -> None:
@@ -280,11 +311,18 @@ def _opened(spec: Scenario, built: _Built, options: RunOptions, survey: Survey |
 
 
 def _tracked(
-    opened: _Opened, rig: Rig, spec: Scenario, options: RunOptions, stack: ExitStack, shown: RerunLog | None
+    opened: _Opened,
+    rig: Rig,
+    spec: Scenario,
+    options: RunOptions,
+    stack: ExitStack,
+    shown: RerunLog | None,
+    attend: Callable[[Step], None] | None,
 ) -> tuple[Collected, Reconstructed | Worn | None]:
     """Return the pipeline's result, and the continuous reconstruction where the scenario has one."""
     if spec.continuous is None:
-        return collected_of(opened.source, opened.twin, rig, opened.settings, spec, options, stack, shown), None
+        read, twin = opened.source, opened.twin
+        return collected_of(read, twin, rig, opened.settings, spec, options, stack, shown, attend), None
     read = recorded(opened.source, opened.twin, options, spec, stack)
     return collect_continuous(read, rig, opened.settings, spec, options.progress)
 

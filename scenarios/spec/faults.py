@@ -80,6 +80,13 @@ class LateCommandsFault(Table):
     delay_s: float = Field(description="how much earlier than they were the commands are believed to be [s]")
 
 
+class WrongDelayFault(Table):
+    """The pilot of a flight believes in a wrong delay of its poses."""
+
+    kind: Literal["wrong_delay"]
+    offset_s: float = Field(description="believed minus true mean delay [s]")
+
+
 FaultSpec = Annotated[
     SwapFault
     | LensFault
@@ -89,6 +96,7 @@ FaultSpec = Annotated[
     | MovedFault
     | LabelFault
     | RateFault
-    | LateCommandsFault,
+    | LateCommandsFault
+    | WrongDelayFault,
     Field(discriminator="kind"),
 ]

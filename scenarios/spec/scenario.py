@@ -36,6 +36,7 @@ from scenarios.spec.cameras import (
 )
 from scenarios.spec.continuous import ContinuousSpec
 from scenarios.spec.faults import FaultSpec, LabelFault, RateFault
+from scenarios.spec.flight import FlightSpec, check_flight
 from scenarios.spec.identification import IdentificationSpec, check_identification
 from scenarios.spec.limits import breaks_schema, end_of, limits_schema, read_breaks, read_limits
 from scenarios.spec.scenes import ActorScene, GlowSpec, LampsSpec, PanelScene, SceneSpec
@@ -178,6 +179,7 @@ class Scenario(Table):
     self_orientation: SelfOrientationSpec | None = Field(
         None, description="a camera on the scene's drone that finds its pose from a test field, against the rig's"
     )
+    flight: FlightSpec | None = Field(None, description="the scene's drone is steered by the poses, as they arrive")
     length: tuple[LengthSpec, ...] = Field(
         (), description="certified lengths that are seen, for length_rms and length_max; [[length]]"
     )
@@ -236,6 +238,10 @@ class Scenario(Table):
         check_self_orientation(
             own, self.scene, self.camera, self.limits, self.pipeline.bodies, self.session is not None
         )
+        more = bool(self.continuous is not None or self.zone or self.lamps is not None)
+        check_flight(self.flight, self.scene, self.limits, self.capture.duration_s, self.fault, more)
+        if self.flight is not None and not self.pipeline.bodies:
+            raise ValueError("[flight] needs the drone's poses; set pipeline.bodies = true")
         _check_control(self)
         return self
 

@@ -81,8 +81,11 @@ class DroneScene(Table):
     """A quadrotor of AR.Drone 2.0 size and mass, flown along a path by a controller on MuJoCo's physics."""
 
     kind: Literal["drone"]
-    path: Literal["figure_eight", "circle", "waypoints"] = Field("figure_eight", description="path flown")
+    path: Literal["figure_eight", "circle", "waypoints", "hover", "steps"] = Field(
+        "figure_eight", description="path flown"
+    )
     speed_mps: Positive = Field(0.5, description="speed along the path [m/s]")
+    gust_n: NotNegative = Field(0.02, description="rms force of smooth gusts, each axis [N]; the drone weighs 3.6 N")
     markers: int = Field(8, ge=5, le=16, description="ball markers on the hull")
     marker_diameter_m: Positive = Field(0.02, description="diameter of the ball markers [m]")
 

@@ -14,6 +14,7 @@ import numpy as np
 from mosca.data.arrays import Array
 from mosca.errors import InputError
 from twin.scenes.flight import PHYSICS_STEP_S, FlightPath, Reference, fly, plan_flight
+from twin.scenes.live_flight import Bounds, LiveFlight, Steering
 from twin.scenes.paths import step_path
 from twin.scenes.scene import Scene
 from twin.scenes.world import (
@@ -38,6 +39,8 @@ _TUBE_M = 0.005  # radius of the hull's rim
 _RIM_M = EDGE_M / 2 - _MOTOR_M - _TUBE_M  # radius of the rim's middle line
 _RIM_PIECES = 12
 _YAW_ARM_M = 0.016  # rotor drag moment over thrust
+LOWEST_M = 0.05
+"""Height of the body's origin at which the lowest parts touch the floor, rounded up."""
 _MARGIN_M = np.array([0.45, 0.45, 0.15])  # half the drone's diagonal and the tracking error
 
 # Positions of the markers: a ray from the first point along the direction, in body axes. D1-D5 below, as in
@@ -61,6 +64,8 @@ class Flight:
 
     scene: Scene
     reference: Reference
+    live: LiveFlight | None = None
+    """The flight as it goes on, where a pilot steers it; None where it was flown beforehand."""
 
 
 def build_drone(
@@ -76,6 +81,7 @@ def build_drone(
     markers: int = MOST_MARKERS,
     marker_diameter_m: float = 0.016,
     floor: bool = True,
+    pilot: Steering | None = None,
 ) -> Flight:
     """Return a drone that flies ``path`` in the working space, and the path that it was to fly.
 
@@ -90,7 +96,7 @@ def build_drone(
     rng
         Draws start, gusts and waypoints.
     path
-        "figure_eight", "circle" or "waypoints".
+        "figure_eight", "circle", "waypoints", "hover" or "steps".
     speed_mps
         Speed along the path.
     gust_n
@@ -101,6 +107,8 @@ def build_drone(
         5 to 8 balls named D1, D2, ... of the rigid body "drone".
     floor
         Whether there is a floor.
+    pilot
+        Steers it while it is filmed, in place of the controller that knows the truth; a crash ends the flight.
     """
     box = Box(box_center_m, box_size_m)
     positive(
@@ -113,6 +121,10 @@ def build_drone(
     reference = plan_flight(path, box.center, box.half_inside(_MARGIN_M, "a flying drone"), speed_mps, rng)
     names = tuple(f"D{k + 1}" for k in range(markers))
     model, geoms = compiled(drone_spec(mass_kg, names, marker_diameter_m, floor=floor), names)
+    if pilot is not None:
+        bounds = Bounds(box.center, box.size / 2, LOWEST_M if floor else None)
+        live = LiveFlight(model, reference, pilot, bounds, gust_n, -0.1, rng)
+        return Flight(Scene(model, names, geoms, live, duration_s, {"drone": names}), reference, live)
     first, qpos, qvel = fly(model, reference, -0.1, duration_s + 0.1, gust_n, rng)
     flown = step_path(model, first, PHYSICS_STEP_S, qpos, qvel)
     return Flight(Scene(model, names, geoms, flown, duration_s, {"drone": names}), reference)

@@ -14,16 +14,19 @@ from scipy.interpolate import CubicSpline
 from mosca.data.arrays import Array
 from mosca.errors import InputError
 
-FlightPath = Literal["figure_eight", "circle", "waypoints"]
-FLIGHT_PATHS: tuple[FlightPath, ...] = ("figure_eight", "circle", "waypoints")
+FlightPath = Literal["figure_eight", "circle", "waypoints", "hover", "steps"]
+FLIGHT_PATHS: tuple[FlightPath, ...] = ("figure_eight", "circle", "waypoints", "hover", "steps")
+STEP_M, STEP_S = 0.1, 1.0
 LARGEST_ACCELERATION_M_S2 = 4.0
 PHYSICS_STEP_S = 0.001
-_CONTROL_STEPS = 5  # 200 Hz, as in the AR.Drone's own loop
-_SETTLE_S = 1.0
-_POSITION_GAIN, _VELOCITY_GAIN = 16.0, 7.2  # 1/s^2, 1/s: 4 rad/s, damping 0.9
-_ATTITUDE_GAIN, _RATE_GAIN = 400.0, 32.0  # 1/s^2, 1/s: 20 rad/s, damping 0.8
+CONTROL_STEPS = 5  # 200 Hz, as in the AR.Drone's own loop
+SETTLE_S = 1.0
+POSITION_GAIN, VELOCITY_GAIN = 16.0, 7.2  # 1/s^2, 1/s: 4 rad/s, damping 0.9
+ATTITUDE_GAIN, RATE_GAIN = 400.0, 32.0  # 1/s^2, 1/s: 20 rad/s, damping 0.8
 _YAW_SWING_RAD, _YAW_PERIOD_S = 0.5, 12.0
-_GRAVITY = np.array([0.0, 0.0, 9.81])
+GRAVITY = np.array([0.0, 0.0, 9.81])
+
+_SIDES = np.array([[0.5, 0, 0], [-0.5, 0, 0], [0, 0.5, 0], [0, -0.5, 0], [0, 0, 0.5], [0, 0, -0.5]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,12 +37,17 @@ class Reference:
     speed_mps: float
     start_m: float
     yaw_phase: float
+    steps: bool = False
+    """Whether the place jumps by STEP_M every STEP_S, along one axis after the other and back."""
 
     def at(self, time_s: float | Array) -> tuple[Array, Array, Array, Array]:
         """Return position, velocity, acceleration (..., 3) and yaw (...) [rad] wanted at ``time_s`` (...)."""
         way = self.start_m + self.speed_mps * time_s
         yaw = _YAW_SWING_RAD * np.sin(2 * np.pi * time_s / _YAW_PERIOD_S + self.yaw_phase)
         v = self.speed_mps
+        if self.steps:
+            place = self.curve(way) + STEP_M * _SIDES[np.floor(np.asarray(time_s) / STEP_S).astype(int) % len(_SIDES)]
+            return place, 0 * place, 0 * place, np.asarray(yaw)
         return self.curve(way), v * self.curve(way, 1), v * v * self.curve(way, 2), np.asarray(yaw)
 
 
@@ -48,8 +56,9 @@ def plan_flight(
 ) -> Reference:
     """Return a closed path that stays within ``half`` (3,) [m] of ``center`` (3,) [m].
 
-    ``rng`` draws where it starts and, for "waypoints", six points in the box that it passes. Raises
-    InputError where the path's bends would need more than 4 m/s^2 at ``speed_mps``.
+    "hover" stays at the centre, "steps" jumps about it by 0.1 m each second: an excitation for identification.
+    ``rng`` draws where a path starts and, for "waypoints", six points in the box that it passes. Raises InputError
+    where the path's bends would need more than 4 m/s^2 at ``speed_mps``.
     """
     start, yaw_phase = rng.uniform(0, 1), rng.uniform(0, 2 * np.pi)
     angle = np.linspace(0, 2 * np.pi, 241)
@@ -57,6 +66,9 @@ def plan_flight(
         unit = np.stack([np.sin(angle), np.sin(2 * angle), np.cos(angle)], axis=1)
     elif path == "circle":
         unit = np.stack([np.cos(angle), np.sin(angle), np.sin(angle)], axis=1)
+    elif path in ("hover", "steps"):
+        still = CubicSpline([0.0, 1.0], np.array([center, center]))
+        return Reference(still, speed_mps, start, yaw_phase, path == "steps")
     elif path == "waypoints":
         # Once around the box, so that no bend is a hairpin.
         around = (np.arange(6) + rng.uniform(-0.25, 0.25, 6)) * np.pi / 3
@@ -96,33 +108,45 @@ def fly(
     smooth gust on each axis, a sum of sinusoids of 0.1-1 Hz drawn from ``rng``. The flight starts a
     second before ``first_s`` on the path, so that the start has died away.
     """
-    begin = first_s - _SETTLE_S
-    settled = round(_SETTLE_S / PHYSICS_STEP_S)
+    begin = first_s - SETTLE_S
+    settled = round(SETTLE_S / PHYSICS_STEP_S)
     steps = int(np.ceil((last_s - begin) / PHYSICS_STEP_S)) + 1
-    controlled_s = begin + PHYSICS_STEP_S * np.arange(0, steps + 1, _CONTROL_STEPS)
+    controlled_s = begin + PHYSICS_STEP_S * np.arange(0, steps + 1, CONTROL_STEPS)
     position, velocity, acceleration, yaw = reference.at(controlled_s)
-    gusts = gust_n * _gusts(controlled_s, rng)
+    gusts = gust_n * smooth_gusts(controlled_s, rng)
     data = mujoco.MjData(model)
     data.qpos[:7] = [*position[0], np.cos(yaw[0] / 2), 0, 0, np.sin(yaw[0] / 2)]
     data.qvel[:3] = velocity[0]
-    body = int(model.jnt_bodyid[0])
-    mass, inertia = float(model.body_mass[body]), _inertia(model, body)
-    mixer = np.linalg.inv(_wrench_of_thrusts(model))
+    airframe = Airframe(model)
     qpos, qvel = np.empty((steps + 1, model.nq)), np.empty((steps + 1, model.nv))
     for k in range(steps + 1):
         qpos[k], qvel[k] = data.qpos, data.qvel
-        c, between = divmod(k, _CONTROL_STEPS)
+        c, between = divmod(k, CONTROL_STEPS)
         if not between:
             push = (
                 acceleration[c]
-                + _GRAVITY
-                + _POSITION_GAIN * (position[c] - qpos[k, :3])
-                + _VELOCITY_GAIN * (velocity[c] - qvel[k, :3])
+                + GRAVITY
+                + POSITION_GAIN * (position[c] - qpos[k, :3])
+                + VELOCITY_GAIN * (velocity[c] - qvel[k, :3])
             )
-            data.ctrl[:] = mixer @ _wrench(push, float(yaw[c]), qpos[k, 3:7], qvel[k, 3:6], mass, inertia)
-            data.xfrc_applied[body, :3] = gusts[c]
+            airframe.steer(data, push, float(yaw[c]), gusts[c])
         mujoco.mj_step(model, data)
     return begin + settled * PHYSICS_STEP_S, qpos[settled:], qvel[settled:]
+
+
+class Airframe:
+    """The attitude controller on board, which knows its attitude and rate, and the rotors."""
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        self.body = int(model.jnt_bodyid[0])
+        self._mass, self._inertia = float(model.body_mass[self.body]), _inertia(model, self.body)
+        self._mixer = np.linalg.inv(_wrench_of_thrusts(model))
+
+    def steer(self, data: mujoco.MjData, push: Array, yaw: float, gust_n: Array) -> None:
+        """Set the rotors for a specific force ``push`` (3,) [m/s^2] and a ``yaw`` [rad], and the gust (3,) [N]."""
+        wrench = _wrench(push, yaw, data.qpos[3:7], data.qvel[3:6], self._mass, self._inertia)
+        data.ctrl[:] = self._mixer @ wrench
+        data.xfrc_applied[self.body, :3] = gust_n
 
 
 def _wrench(push: Array, yaw: float, wxyz: Array, rate: Array, mass: float, inertia: Array) -> Array:
@@ -139,11 +163,11 @@ def _wrench(push: Array, yaw: float, wxyz: Array, rate: Array, mass: float, iner
     r_wanted = np.stack([_cross(side, up), side, up], axis=1)
     skew = (r_wanted.T @ r - r.T @ r_wanted) / 2
     error = np.array([skew[2, 1], skew[0, 2], skew[1, 0]])
-    moment = inertia @ (-_ATTITUDE_GAIN * error - _RATE_GAIN * rate) + _cross(rate, inertia @ rate)
+    moment = inertia @ (-ATTITUDE_GAIN * error - RATE_GAIN * rate) + _cross(rate, inertia @ rate)
     return np.array([mass * push @ r[:, 2], *moment])
 
 
-def _gusts(times_s: Array, rng: np.random.Generator) -> Array:
+def smooth_gusts(times_s: Array, rng: np.random.Generator) -> Array:
     """Return forces (n, 3) of unit rms on each axis at ``times_s`` (n,)."""
     frequencies, phases = 2 * np.pi * rng.uniform(0.1, 1.0, (4, 3)), rng.uniform(0, 2 * np.pi, (4, 3))
     waves = np.sin(frequencies * times_s[:, None, None] + phases)

@@ -1,0 +1,100 @@
+"""The loop around a flight: frames become poses, poses arrive late or never, the pilot steers by them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mosca.data.arrays import Array
+from mosca.data.bodies import BodyPoses, RigidBody
+from mosca.data.rotations import rotation_from_quaternion
+from mosca.errors import InputError
+from mosca.pipeline import Step
+from mosca.rigid_bodies.tracker import BodyTracker
+from scenarios.flight.pilot import ArrivedPose, Pilot
+from scenarios.spec.faults import WrongDelayFault
+from scenarios.spec.scenario import Scenario
+from twin.scenes.live_flight import LiveFlight
+from twin.scenes.scene import Scene
+from twin.streams import rng
+
+
+def pilot_of(spec: Scenario, keeps_log: bool = True) -> Pilot:
+    """Return the pilot of a scenario's ``[flight]``; ``keeps_log``: as of ``Pilot``."""
+    assert spec.flight is not None
+    shift_s = 0.0 if spec.flight.compensate else spec.flight.delay_s(spec.capture.exposure_s)
+    if isinstance(spec.fault, WrongDelayFault):
+        shift_s -= spec.fault.offset_s
+    return Pilot(spec.flight, shift_s, spec.seed, keeps_log)
+
+
+def check_flight_source(spec: Scenario, source: str) -> None:
+    """Raise InputError where a flight in closed loop is asked for of frames that are not the twin's."""
+    if spec.flight is not None and source != "twin":
+        raise InputError(
+            f"--source {source}: [flight] steers the twin's drone by what its frames give; frames of another source "
+            "were taken before: run a scenario without it"
+        )
+
+
+def live_flight(scene: Scene) -> LiveFlight:
+    """Return the flight of a scene that is steered while it is filmed."""
+    assert isinstance(scene.configuration_at, LiveFlight)
+    return scene.configuration_at
+
+
+@dataclass(frozen=True, eq=False)
+class PoseLink:
+    """What happens to poses on their way to the pilot."""
+
+    spec: Scenario
+
+    def send(
+        self, pilot: Pilot, pulse: int, frame_s: float, position: Array, covariance: Array, now_s: float
+    ) -> None:
+        """Send the pose of a pulse, exposed at ``frame_s``, known to nobody before ``now_s`` [s]."""
+        flight = self.spec.flight
+        assert flight is not None
+        random = rng(self.spec.seed, "flight/link", pulse)
+        lost, extra = random.uniform() < flight.dropout, random.exponential(flight.jitter_s)
+        arrival_s = frame_s + flight.delay_s(self.spec.capture.exposure_s) - flight.jitter_s + extra
+        out = flight.outage_s is not None and flight.outage_s[0] <= arrival_s < flight.outage_s[1]
+        if not lost and not out:
+            pilot.receive(ArrivedPose(max(arrival_s, now_s), frame_s, position, covariance))
+
+
+class RenderedPoses:
+    """Poses from the pipeline's steps, as they come, sent to the pilot.
+
+    ``body``: the drone's definition; ``origin`` (3,): the point of it that is steered, in its axes [m].
+    """
+
+    def __init__(self, spec: Scenario, scene: Scene, pilot: Pilot, bodies: Sequence[RigidBody]) -> None:
+        (body,) = bodies
+        self._tracker, self._name = BodyTracker((body,)), body.name
+        self._origin = steered_point(scene)
+        self._link, self._pilot, self._flight = PoseLink(spec), pilot, live_flight(scene)
+
+    def attend(self, step: Step) -> None:
+        """Take a step of the pipeline."""
+        pulse, time_ns = step.frame_set.pulse, step.frame_set.time_ns
+        found = self._tracker.update(step.points, pulse, time_ns).of(self._name)
+        if len(found):
+            position, covariance = at_point(found, self._origin)
+            self._link.send(self._pilot, pulse, time_ns * 1e-9, position, covariance, self._flight.now_s)
+
+
+def steered_point(scene: Scene) -> Array:
+    """Return the drone's origin (3,) [m] in its definition's frame: its markers' middle, the world's axes at 0 s."""
+    sampler = scene.sampler()
+    middle = sampler.at(0.0).marker_xyz.mean(axis=0)
+    origin: Array = np.asarray(scene.configuration_at(0.0))[:3] - middle
+    return origin
+
+
+def at_point(pose: BodyPoses, point: Array) -> tuple[Array, Array]:
+    """Return position (3,) [m] and covariance (3, 3) [m^2] of a body's ``point`` (3,), for a single pose."""
+    arm = rotation_from_quaternion(pose.quaternion[0]) @ point
+    x, y, z = arm
+    by = np.hstack([np.eye(3), -np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])])
+    return pose.position[0] + arm, by @ pose.covariance[0] @ by.T
