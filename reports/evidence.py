@@ -13,6 +13,7 @@ from mosca.data.tracks import Tracks
 from reports.flight_evidence import FlightEvidence
 from reports.self_orientation_evidence import SelfOrientationEvidence
 from reports.vibration_evidence import VibrationEvidence
+from reports.virtual_evidence import VirtualEvidence
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,6 +110,8 @@ class Evidence:
     """Errors of a camera's own poses and of a rig's."""
     flight: FlightEvidence | None = None
     """A flight in closed loop."""
+    virtual: VirtualEvidence | None = None
+    """Virtual objects as they were shown."""
 
     def __post_init__(self) -> None:
         set_read_only(self, working_space_center=(3,), working_space_size=(3,))

@@ -40,6 +40,7 @@ from reports.scene import scene_picture, volume_picture
 from reports.self_orientation_plots import budget_picture, errors_picture
 from reports.units import figure as number
 from reports.vibration_plots import shapes_picture, spectra_picture
+from reports.virtual_plots import objects_picture
 
 MOST_VIEWS = 3
 """Camera images on a page; each adds some hundred kilobytes."""
@@ -80,6 +81,8 @@ def _pictures(record: RunRecord, evidence: Evidence) -> Iterator[Picture]:
     if evidence.self_orientation is not None:
         yield errors_picture(evidence.self_orientation)
         yield budget_picture(evidence.self_orientation)
+    if evidence.virtual is not None and len(evidence.virtual.time_s):
+        yield objects_picture(evidence.virtual)
     for i, view in enumerate(evidence.views[:MOST_VIEWS]):
         yield camera_picture(view, f"camera{i}")
 

@@ -9,6 +9,7 @@ The only importer of rerun, and only inside functions: everything else runs with
     world/truth                      where markers really were
     world/skeleton/joints, bones     a person's joint centres, and lines between them
     world/true_skeleton/...          where they really were
+    world/objects/NAME               a body of a second scene: pose; .../partK: its shape; .../status
 
 Rerun knows pinholes only. Images and detections are shown as the camera gave them, distorted, so that 3D
 points seen through a camera are off by its distortion (exact in the 3D view).
@@ -108,6 +109,27 @@ class RerunLog:
         lines = self._rr.LineStrips3D(strips(names, centre), radii=0.006, colors=[colour])
         self._stream.log(f"world/{entity}/bones", lines)
 
+    def log_object_mesh(self, name: str, number: int, vertices: Array, triangles: Array, colour: Array) -> None:
+        """Log a part of a virtual object: (v, 3) in its own frame [m], (f, 3), colour (4,) from 0 to 1."""
+        normals = _vertex_normals(vertices, triangles)
+        mesh = self._rr.Mesh3D(
+            vertex_positions=vertices, triangle_indices=triangles, vertex_normals=normals,
+            albedo_factor=(255 * np.asarray(colour)).astype(np.uint8),
+        )  # fmt: skip
+        self._log_still(f"{_object_entity(name)}/part{number}", mesh)
+
+    def log_objects(self, time_ns: int, placed: Mapping[str, tuple[Array, Array]], status: Mapping[str, str]) -> None:
+        """Log where virtual objects are at one display: rotation (3, 3) and position (3,) [m] in the world.
+
+        ``status``: in words, of those that follow a body.
+        """
+        self._stream.reset_time()
+        self._stream.set_time("session", duration=np.timedelta64(int(time_ns), "ns"))
+        for name, (rotation, position) in placed.items():
+            self._stream.log(_object_entity(name), self._rr.Transform3D(translation=position, mat3x3=rotation))
+        for name, words in status.items():
+            self._stream.log(f"{_object_entity(name)}/status", self._rr.TextLog(words))
+
     def close(self) -> None:
         """Write what is left and finish the file; may be called twice."""
         if not self._closed:
@@ -191,6 +213,22 @@ def _entity(camera: Camera) -> str:
     from rerun import escape_entity_path_part
 
     return f"world/cameras/{escape_entity_path_part(camera.name)}"
+
+
+def _object_entity(name: str) -> str:
+    from rerun import escape_entity_path_part
+
+    return f"world/objects/{escape_entity_path_part(name)}"
+
+
+def _vertex_normals(vertices: Array, triangles: Array) -> Array:
+    """Return unit normals (v, 3): means of the triangles around each vertex, weighted by area."""
+    a, b, c = (vertices[triangles[:, k]] for k in range(3))
+    normals = np.zeros_like(vertices, dtype=np.float64)
+    for k in range(3):
+        np.add.at(normals, triangles[:, k], np.cross(b - a, c - a))
+    result: Array = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    return result
 
 
 def _eight_bits(image: Array) -> Array:

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from mosca.vibration.analysis import Vibration
     from reports.evidence import CameraView
     from scenarios.score.sensor import StatedSensor
+    from scenarios.score.virtual_objects import ObjectErrors
+    from scenarios.virtual.objects import ShownPoses
     from twin.cameras.expected_image import Expected
     from twin.cameras.virtual_camera import VirtualCamera
     from twin.scenes.scene import Scene
@@ -196,6 +198,8 @@ class MeasuredTracks:
     """Its tracks, where their labels were found and not the truth's."""
     vibration: Vibration | None = None
     """Of the scene's panel."""
+    shown: ShownPoses | None = None
+    """Virtual objects as they were shown."""
     nominal: Rig | None = None
     """The standing cameras with the pipeline's lens model fitted to the true lenses, where these are known."""
 
@@ -223,3 +227,5 @@ class Scored:
     """Source of error -> its own figures."""
     enough_alone: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     """Source of error -> how large it must be to make the paper's difference alone."""
+    objects: ObjectErrors | None = None
+    """Of the virtual objects."""

@@ -60,6 +60,8 @@ LAW: dict[str, tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]] = {
     "witness.mitsuba": (("witness",), (), ("numpy", "scipy", "cv2", "mitsuba", "drjit")),
     "witness.gl": (("witness",), (), ("numpy", "scipy", "mujoco", "pyrender", "trimesh")),
     "scenarios.fidelity": (ROOMS, (), ("numpy", "scipy", "mujoco", "trimesh")),
+    # tracked bodies move what is in a second MuJoCo scene
+    "scenarios.virtual.scene": (ROOMS, (), ("numpy", "mujoco", "trimesh")),
     "scenarios": (
         ROOMS,
         (),

@@ -37,6 +37,16 @@ class Filters(NamedTuple):
     """(s, r) -2 log-likelihood of each variance."""
 
 
+def empty_filters(slots: int, width: int, variances: int) -> Filters:
+    """Return empty filters of s ``slots`` with up to w = ``width`` earlier positions, for r ``variances``."""
+    n, w, r = slots, width, variances
+    return Filters(
+        mean=np.zeros((n, 9)), spread=np.zeros((n, 9, 9)), kept=np.zeros(n, np.int64), xyz=np.zeros((n, w, 3)),
+        own=np.zeros((n, w, 3, 3)), cross=np.zeros((n, w, 3, 9)), axis_mean=np.zeros((n, r, 3, 3)),
+        axis_spread=np.zeros((n, r, 3, 3, 3)), cost=np.zeros((n, r)),
+    )  # fmt: skip
+
+
 class TrackMeasurements(NamedTuple):
     """n measurements in order of time, as the kernel reads them."""
 

@@ -14,7 +14,7 @@ from mosca.data.arrays import Array
 from mosca.data.files.toml import SETTINGS, NotNegative, Positive
 from mosca.data.tracks import Samples
 from mosca.errors import InputError
-from mosca.smoothing.augmented_filter import Filters, Prior, TrackMeasurements, release, update
+from mosca.smoothing.augmented_filter import Filters, Prior, TrackMeasurements, empty_filters, release, update
 from mosca.smoothing.rts import LADDER, axis_moves
 
 FIRST_SLOTS = 32
@@ -73,12 +73,7 @@ class FixedLag:
         s, width = self.settings, min(self.settings.lag + 2, FIRST_WAITING)
         self._slots, self._filters, self._waiting = _tables(FIRST_SLOTS, width)
         self._free = list(range(FIRST_SLOTS - 1, -1, -1))
-        self._prior = Prior(
-            s.speed_mps**2,
-            LADDER**2,
-            PRIOR_COST * np.log2(LADDER / START_MPS2) ** 2,
-            -1.0 if s.acceleration_mps2 is None else s.acceleration_mps2**2,
-        )
+        self._prior = motion_prior(s.speed_mps, s.acceleration_mps2)
 
     @property
     def capacity(self) -> int:
@@ -187,14 +182,18 @@ class FixedLag:
         self._slots, self._filters, self._waiting = new
 
 
+def motion_prior(speed: float, acceleration: float | None) -> Prior:
+    """Return the prior of a first velocity, and of an acceleration that is given or, where None, learned.
+
+    Both are standard deviations of an axis, in the measured quantity's unit a second and a second squared.
+    """
+    cost = PRIOR_COST * np.log2(LADDER / START_MPS2) ** 2
+    return Prior(speed**2, LADDER**2, cost, -1.0 if acceleration is None else acceleration**2)
+
+
 def _tables(n: int, w: int) -> tuple[_Slots, Filters, _Waiting]:
     """Return empty tables for ``n`` tracks with ``w`` samples waiting each."""
-    r = len(LADDER)
-    filters = Filters(
-        mean=np.zeros((n, 9)), spread=np.zeros((n, 9, 9)), kept=np.zeros(n, np.int64), xyz=np.zeros((n, w, 3)),
-        own=np.zeros((n, w, 3, 3)), cross=np.zeros((n, w, 3, 9)), axis_mean=np.zeros((n, r, 3, 3)),
-        axis_spread=np.zeros((n, r, 3, 3, 3)), cost=np.zeros((n, r)),
-    )  # fmt: skip
+    filters = empty_filters(n, w, len(LADDER))
     waiting = _Waiting(
         np.zeros((n, w), np.int64), np.zeros((n, w), np.int64), np.zeros((n, w), np.int64), np.zeros((n, w))
     )

@@ -4,7 +4,7 @@ from typing import Any
 
 import click
 
-from scenarios.cli.options import FILE, LAG, OUT_FILE, POSITIVE, SET, echo_lines
+from scenarios.cli.options import FILE, LAG, NOT_NEGATIVE, OUT_FILE, POSITIVE, SET, echo_lines
 
 
 @click.command()
@@ -16,6 +16,13 @@ from scenarios.cli.options import FILE, LAG, OUT_FILE, POSITIVE, SET, echo_lines
 @click.option("--joints", type=OUT_FILE, help="its joint centres and rotations with covariances: .csv")
 @click.option("--rrd", type=OUT_FILE, help="points and bones for the Rerun viewer: .rrd")
 @click.option("--view", is_flag=True, help="show points and bones live in the Rerun viewer")
+@click.option("--virtual", type=FILE, help="a second MuJoCo scene whose mocap bodies tracked bodies move: MJCF")
+@click.option("--bodies", type=FILE, help="rigid bodies, of 'bodies learn'; a scenario brings its own")
+@click.option("--bind", multiple=True, metavar="BODY=OBJECT", help="tracked body, and mocap body that it moves")
+@click.option("--display-hz", type=POSITIVE, help="rate of the display  [default: 60]")
+@click.option("--display-lead", type=NOT_NEGATIVE, help="the display's own delay, predicted over [s]  [default: 0]")
+@click.option("--display-delay", type=NOT_NEGATIVE, help="show what was so long ago, interpolated [s]  [default: 0]")
+@click.option("--horizon", type=NOT_NEGATIVE, help="farthest that a pose is predicted [s]  [default: 0.1]")
 @click.option("--seconds", type=POSITIVE, help="end after this  [default: the source's end]")
 @click.option("--fps", type=POSITIVE, help="frame rate of a recording that does not tell its own [Hz]")
 @click.option("--rate", type=POSITIVE, help="pace of recording or scenario [Hz]  [default: its own]")
@@ -32,6 +39,7 @@ def live(**given: Any) -> None:
 
     \b
     Example:  mosca live any_source --seconds 2 --out live.csv --record live.json
+              mosca live drone --virtual desk.xml --bind drone=tray --rrd desk.rrd
     """
     from scenarios.commands.live import run_live_command
     from scenarios.commands.live_sources import LiveOptions

@@ -58,6 +58,7 @@ SET = click.option(
     "--set", "overrides", multiple=True, metavar="KEY=VALUE", help="change a setting, e.g. detection.false_alarms=0.1"
 )
 POSITIVE = Number(min=0, min_open=True)
+NOT_NEGATIVE = Number(min=0)
 LOGGERS = ("mosca", "twin", "hardware", "scenarios")
 LEVELS = (logging.WARNING, logging.INFO, logging.DEBUG)
 """Of no -v, one and two."""

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -25,6 +26,7 @@ from mosca.synchronisation import Assembly
 from reports.record import RunRecord, write_record
 from scenarios.commands.live_skeleton import LivePerson, LiveShow, check_show
 from scenarios.commands.live_sources import LiveOptions, LiveSource, opened_live
+from scenarios.commands.live_virtual import LiveVirtual, check_virtual, live_virtual
 from scenarios.run.interrupt import first_ctrl_c
 from scenarios.run.provenance import provenance
 from scenarios.run.record import health_record, sensor_record
@@ -65,12 +67,14 @@ def run_live_command(options: LiveOptions, report: Callable[[str], None]) -> lis
     if options.record is not None:
         check_writable(options.record)
     check_show(options)
+    check_virtual(options)
     smoother = None if options.lag is None else FixedLag(LagSettings(lag=options.lag))
     with ExitStack() as stack:
         log = None if options.out is None else stack.enter_context(_log(options.out, stack))
         person = None if options.skeleton is None else LivePerson(options.skeleton, options.joints, stack)
         source = opened_live(options, stack)
         show = LiveShow(options, source.rig, stack) if options.rrd is not None or options.view else None
+        virtual = live_virtual(options, source, () if show is None else show.logs, stack)
         for note in source.notes:
             report(note)
         warm_up()  # a compiler's seconds would count as latency
@@ -79,7 +83,9 @@ def run_live_command(options: LiveOptions, report: Callable[[str], None]) -> lis
         assembly, health = (Assembly(), Health.of(source.rig, source.settings.match))
         sensors = Sensors(source.frames.cameras, source.settings.detection)
         steps = stack.enter_context(_Steps(source, assembly, health, sensors, options))
-        sinks = _Sinks(smoother, person, show, log)
+        sinks = _Sinks(smoother, person, show, log, virtual)
+        if virtual is not None:
+            virtual.start()
         stages, elapsed = _follow(steps, assembly, sinks, options, report)
         lines = _summary(steps.count, elapsed, stages, assembly)
         if log is not None:
@@ -87,10 +93,14 @@ def run_live_command(options: LiveOptions, report: Callable[[str], None]) -> lis
             lines.append(f"{tracks} tracks with {log.samples} samples in {options.out}")
         if person is not None:
             lines += person.finish()
+        moved: dict[str, Any] = {}
+        if virtual is not None:
+            more, moved = virtual.finish()
+            lines += more
         lines += [*health.findings(), *sensors.lines(), *sensors.findings()]
         if options.record is not None:
             record = _record(options, steps.count, elapsed, stages, assembly, (health, sensors), log)
-            write_record(record, options.record)
+            write_record(replace(record, counts={**record.counts, **moved}), options.record)
             lines.append(f"{options.record}")
     return lines
 
@@ -103,6 +113,7 @@ class _Sinks:
     person: LivePerson | None
     show: LiveShow | None
     log: TracksLog | None
+    virtual: LiveVirtual | None = None
 
     def take(self, step: Step) -> tuple[Step, Samples]:
         """Return a step with the times that this took, and the samples that left the smoother."""
@@ -116,6 +127,9 @@ class _Sinks:
             now = time.perf_counter()
             seconds[stage], start = now - start, now
 
+        if self.virtual is not None:
+            self.virtual.step(step.frame_set.pulse, step.frame_set.time_ns, samples)
+            timed("virtual")
         if self.smoother is not None:
             samples = self.smoother.step(step.frame_set.pulse, samples)
             timed("smooth")

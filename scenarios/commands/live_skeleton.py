@@ -85,6 +85,11 @@ class LiveShow:
         self._viewer = stack.enter_context(log_in_viewer(rig)) if options.view else None
         self._due = 0.0
 
+    @property
+    def logs(self) -> tuple[RerunLog, ...]:
+        """The file and the viewer, where there are."""
+        return tuple(log for log in (self._file, self._viewer) if log is not None)
+
     def show(self, frame: int, time_ns: int, samples: Samples, poses: list[LivePose]) -> None:
         """Log the samples of one frame, and the poses."""
         logs = [] if self._file is None else [self._file]

@@ -23,6 +23,7 @@ from scenarios.build.scene import build_scene, pipeline_settings
 from scenarios.commands.reconstruct import live_spec, reconstruct_settings
 from scenarios.spec.catalog import find
 from scenarios.spec.scenario import load_scenario
+from twin.scenes.scene import Scene
 
 MEMORY_BYTES = 1 << 30
 """How much of a scenario's frames is rendered beforehand."""
@@ -47,6 +48,13 @@ class LiveOptions:
     joints: Path | None = None
     rrd: Path | None = None
     view: bool = False
+    virtual: Path | None = None
+    bodies: Path | None = None
+    bind: tuple[str, ...] = ()
+    display_hz: float | None = None
+    display_lead: float | None = None
+    display_delay: float | None = None
+    horizon: float | None = None
     workers: int | None = None
     """Rendering threads of a scenario; default: all cores."""
 
@@ -58,13 +66,26 @@ class PacedFrames:
         self.cameras = cameras
         self._frames, self._speed = frames, speed
         self._stopped = threading.Event()
+        self._begin: tuple[float, int] | None = None
+
+    def session_ns(self, host_ns: int) -> int | None:
+        """Return a host time (monotonic) in the frames' clock [ns]; None before the first frame.
+
+        A frame is due at the middle of its exposure, as if readout and transport took no time.
+        """
+        if self._begin is None:
+            return None
+        start, first_ns = self._begin
+        return first_ns + round((host_ns - start * 1e9) * self._speed)
 
     def __iter__(self) -> Iterator[Frame]:
-        start, first = time.perf_counter(), None
+        start, first = time.monotonic(), None
         for frame in self._frames:
             at = mid_exposure_ns(frame)
-            first = at if first is None else first
-            wait = start + (at - first) * 1e-9 / self._speed - time.perf_counter()
+            if first is None:
+                first = at
+                self._begin = start, first
+            wait = start + (at - first) * 1e-9 / self._speed - time.monotonic()
             if self._stopped.wait(wait) if wait > 0 else self._stopped.is_set():
                 return
             yield frame
@@ -86,13 +107,18 @@ class PacedFrames:
 
 @dataclass(frozen=True, eq=False)
 class LiveSource:
-    """What a live run reads: frames, rig, settings; ``stop`` ends it; ``notes``: lines to print."""
+    """What a live run reads: frames, rig, settings; ``stop`` ends it; ``notes``: lines to print.
+
+    ``session_ns``: host time (monotonic) -> the frames' clock [ns], None while not known. ``scene``: the twin's.
+    """
 
     frames: FrameSource
     rig: Rig
     settings: PipelineSettings
     stop: Callable[[], None]
+    session_ns: Callable[[int], int | None]
     notes: tuple[str, ...] = ()
+    scene: Scene | None = None
 
 
 def opened_live(options: LiveOptions, stack: ExitStack) -> LiveSource:
@@ -123,7 +149,7 @@ def _recording(path: Path, options: LiveOptions, stack: ExitStack) -> LiveSource
         raise InputError(f"recording:{path}: holds detections, no images; 'mosca reconstruct' reads it")
     speed = 1.0 if options.rate is None else options.rate / recording.cameras[0].frame_rate_hz
     paced = PacedFrames(recording.cameras, recording, speed)
-    return LiveSource(paced, rig, _settings(options), paced.stop)
+    return LiveSource(paced, rig, _settings(options), paced.stop, paced.session_ns)
 
 
 def _devices(path: Path, options: LiveOptions, stack: ExitStack) -> LiveSource:
@@ -137,7 +163,7 @@ def _devices(path: Path, options: LiveOptions, stack: ExitStack) -> LiveSource:
         raise InputError(f"{path}: no camera '{missing[0]}'; it names {', '.join(devices.cameras)}")
     source = stack.enter_context(HardwareSource(devices))
     frames: FrameSource = source if set(rig.names) == set(devices.cameras) else SelectedCameras(source, rig.names)
-    return LiveSource(frames, rig, _settings(options), source.stop)
+    return LiveSource(frames, rig, _settings(options), source.stop, source.session_ns)
 
 
 def _settings(options: LiveOptions) -> PipelineSettings:
@@ -161,9 +187,10 @@ def _scenario(options: LiveOptions, stack: ExitStack) -> LiveSource:
     if pulses < wanted:
         notes = (f"{pulses / nominal:g} s of {wanted / nominal:g} s fit in memory and are played",)
     workers = options.workers or os.cpu_count() or 1
-    source: FrameSource = stack.enter_context(twin_source(spec, build_scene(spec, path.parent), cameras, workers))
+    scene = build_scene(spec, path.parent)
+    source: FrameSource = stack.enter_context(twin_source(spec, scene, cameras, workers))
     if any(info.name not in rig.names for info in source.cameras):
         source = SelectedCameras(source, rig.names)
     frames = list(islice(iter(source), pulses * len(source.cameras)))
     paced = PacedFrames(source.cameras, frames, speed)
-    return LiveSource(paced, rig, pipeline_settings(spec), paced.stop, notes)
+    return LiveSource(paced, rig, pipeline_settings(spec), paced.stop, paced.session_ns, notes, scene)

@@ -1,4 +1,4 @@
-"""What a scenario's sections make of its tracks: a skeleton, labels of a face, modes of a panel, a robot's model."""
+"""What a scenario's sections make of its tracks: skeleton, labels, modes, a robot's model, virtual objects."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -9,14 +9,18 @@ from mosca.data.truth import Truth
 from mosca.identification.identify import IdentifiedModel
 from mosca.skeleton.marker_frames import MarkerFrames
 from mosca.vibration.analysis import Vibration
+from reports.viewer import RerunLog
 from scenarios.run.identification import identified
 from scenarios.run.labels import surface_labels
 from scenarios.run.people import Person, person_of
 from scenarios.run.timed import timed
 from scenarios.run.vibration import vibration_of
+from scenarios.run.virtual import virtual_objects
 from scenarios.score.reference import ReferenceTrajectories
+from scenarios.score.virtual_objects import shown_words
 from scenarios.spec.scenario import Scenario
 from scenarios.types import Collected, Score
+from scenarios.virtual.objects import ShownPoses
 from twin.scenes.scene import Scene
 
 
@@ -34,6 +38,8 @@ class Applications:
     """[identification]"""
     model_scores: dict[str, Score] = field(default_factory=dict)
     """Of the model."""
+    shown: ShownPoses | None = None
+    """[virtual]"""
 
 
 def applications(
@@ -46,17 +52,19 @@ def applications(
     poses: BodyPoses | None,
     scene: Scene | None,
     timings: dict[str, float],
+    log: RerunLog | None,
 ) -> Applications:
     """Return what the sections of ``spec`` ask for.
 
     ``movement``: labelled markers to which a skeleton is fitted; ``poses`` of the rigid ``bodies`` in the tracks;
-    ``scene``: the twin's.
+    ``scene``: the twin's. ``log``: where virtual objects are shown.
     """
     person: Person | None = None
     named: Tracks | None = None
     vibration: Vibration | None = None
     model: IdentifiedModel | None = None
     model_scores: dict[str, Score] = {}
+    shown: ShownPoses | None = None
     if spec.skeleton is not None and isinstance(truth, Truth) and len(collected.tracks):
         with timed(timings, "skeleton"):
             person = person_of(spec, collected.tracks, truth, movement)
@@ -69,4 +77,8 @@ def applications(
     if spec.identification is not None and poses is not None and scene is not None:
         with timed(timings, "identification"):
             model, model_scores = identified(spec, folder, poses, bodies, scene)
-    return Applications(person, named, vibration, model, model_scores)
+    if spec.virtual is not None and bodies:
+        with timed(timings, "virtual"):
+            shown = virtual_objects(spec, folder, collected.tracks, bodies, log)
+        collected.assembly.notes["virtual"] = shown_words(shown, None)
+    return Applications(person, named, vibration, model, model_scores, shown)

@@ -21,6 +21,7 @@ from scenarios.build.cameras import Calibrated, deliveries
 from scenarios.run.people import Person
 from scenarios.run.provenance import provenance
 from scenarios.run.vibration import vibration_evidence
+from scenarios.run.virtual import virtual_evidence
 from scenarios.score.controls import control_verdict
 from scenarios.score.delivery import expected_sets, expected_share, frame_losses, losses, weakest
 from scenarios.score.limits import loose_limits
@@ -30,6 +31,7 @@ from scenarios.score.tracks import limits_met
 from scenarios.spec.limits import end_of
 from scenarios.spec.scenario import Scenario
 from scenarios.types import Collected, Score, Scored
+from scenarios.virtual.objects import ShownPoses
 
 
 def record_of(
@@ -205,9 +207,17 @@ def health_record(one: CameraHealth) -> dict[str, Any]:
 
 
 def evidence_of(
-    spec: Scenario, rig: Rig, worth: Scored, person: Person | None = None, vibration: Vibration | None = None
+    spec: Scenario,
+    rig: Rig,
+    worth: Scored,
+    person: Person | None = None,
+    vibration: Vibration | None = None,
+    shown: ShownPoses | None = None,
 ) -> Evidence:
-    """Return what the page shows; without a truth the tracks alone. ``person`` and ``vibration``: the scene's."""
+    """Return what the page shows; without a truth the tracks alone.
+
+    ``person`` and ``vibration``: the scene's; ``shown``: virtual objects, drawn where their errors are known.
+    """
     collected, truth, pairs = worth.collected, worth.truth, worth.pairs
     base = Evidence(
         rig,
@@ -216,6 +226,7 @@ def evidence_of(
         collected.tracks,
         collected.views,
         vibration=None if vibration is None else vibration_evidence(vibration),
+        virtual=None if shown is None or worth.objects is None else virtual_evidence(shown, worth.objects),
     )
     if person is not None:
         base = replace(base, angles=person.angles, joints=person.take.joints)

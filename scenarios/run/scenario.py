@@ -159,7 +159,7 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
         truth = given_truth if opened.twin is None else opened.twin.truth()
         if options.record_to is not None:
             _write_beside(options.record_to, believed, None if opened.twin is None else truth)
-        done = applications(spec, folder, collected, truth, movement, bodies, poses, built.scene, timings)
+        done = applications(spec, folder, collected, truth, movement, bodies, poses, built.scene, timings, shown)
         oriented = None if survey is None or poses is None else survey.scored(poses, bodies, timings)
         flight = flight_of(spec, built.pilot, built.scene, collected, own)
         if done.person is not None:
@@ -175,7 +175,7 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
             joints, labelled = (None, done.named) if done.person is None else done.person.scored(spec)
             measured = MeasuredTracks(
                 collected, believed, names, synchronous, continuous, bodies, poses, calibration_m2, joints,
-                labelled, done.vibration, built.known.rig,
+                labelled, done.vibration, done.shown, built.known.rig,
             )  # fmt: skip
             worth = scored(spec, name, measured, truth, opened.twin, built.scene)
             collected = worth.collected
@@ -187,7 +187,7 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
         written = _filled(spec, collected, collected.tracks if done.named is None else done.named)
     timings |= collected.seconds
     record = record_of(spec, name, options.source, replace(worth, scores=scores), timings, built.known)
-    evidence = evidence_of(spec, believed, worth, done.person, done.vibration)
+    evidence = evidence_of(spec, believed, worth, done.person, done.vibration, done.shown)
     more = {} if oriented is None else {"self_orientation": oriented.evidence}
     evidence = replace(evidence, **more, flight=None if flight is None else flight_evidence(flight))
     if continuous is not None:

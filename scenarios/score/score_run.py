@@ -18,8 +18,10 @@ from scenarios.score.premises import premises_met
 from scenarios.score.reference import JUDGED, ReferenceTrajectories
 from scenarios.score.tracks import BLOCKS, metrics, pair
 from scenarios.score.vibration import vibration_scores
+from scenarios.score.virtual_objects import ObjectErrors, object_errors, object_scores, shown_words
 from scenarios.score.without_truth import NEED_NO_TRUTH
 from scenarios.spec.scenario import Scenario
+from scenarios.spec.virtual import METRICS as VIRTUAL
 from scenarios.types import Collected, MeasuredTracks, Score, Scored, TruthPairs, TruthSource
 from twin.scenes.scene import Scene
 
@@ -70,12 +72,19 @@ def scored(
     if measured.vibration is not None and scene is not None and scene.modes is not None:
         own, modes = vibration_scores(measured.vibration, scene.modes, truth.xyz.mean(axis=0))
         scores |= own
+    objects: ObjectErrors | None = None
+    if measured.shown is not None and scene is not None:
+        objects = object_errors(measured.shown, measured.bodies, scene)
+        collected.assembly.notes["virtual"] = shown_words(measured.shown, objects)
+        scores |= object_scores(measured.shown, objects, measured.calibration_m2)
     if twin is not None and needs_bound(spec.limits):
         scores |= _efficiencies(twin, truth, measured.rig, pairs, collected)
     # a truth of an older file has no joints
     unjudged = tuple(name for name in spec.limits if name.startswith("joint_") and truth.joints is None)
+    if scene is None:  # where bodies are between exposures, only the twin's scene tells
+        unjudged += tuple(name for name in spec.limits if name in VIRTUAL)
     return Scored(
-        scores, premises_met(spec, truth, name, disturbed), collected, truth, pairs, joints, modes, unjudged
+        scores, premises_met(spec, truth, name, disturbed), collected, truth, pairs, joints, modes, unjudged, objects
     )
 
 

@@ -87,6 +87,12 @@ class WrongDelayFault(Table):
     offset_s: float = Field(description="believed minus true mean delay [s]")
 
 
+class UnpredictedFault(Table):
+    """Virtual objects are shown where their bodies were measured last: as if the display were not late."""
+
+    kind: Literal["no_prediction"]
+
+
 FaultSpec = Annotated[
     SwapFault
     | LensFault
@@ -97,6 +103,7 @@ FaultSpec = Annotated[
     | LabelFault
     | RateFault
     | LateCommandsFault
-    | WrongDelayFault,
+    | WrongDelayFault
+    | UnpredictedFault,
     Field(discriminator="kind"),
 ]

@@ -44,6 +44,7 @@ from scenarios.spec.self_orientation import SelfOrientationSpec, check_self_orie
 from scenarios.spec.skeleton import LabelsSpec, SkeletonSpec
 from scenarios.spec.stages import StageTables
 from scenarios.spec.vibration import VibrationSpec
+from scenarios.spec.virtual import VirtualSpec, check_virtual_spec
 
 
 class WorkingSpace(Table):
@@ -180,6 +181,7 @@ class Scenario(Table):
         None, description="a camera on the scene's drone that finds its pose from a test field, against the rig's"
     )
     flight: FlightSpec | None = Field(None, description="the scene's drone is steered by the poses, as they arrive")
+    virtual: VirtualSpec | None = Field(None, description="objects of a second scene that tracked bodies move")
     length: tuple[LengthSpec, ...] = Field(
         (), description="certified lengths that are seen, for length_rms and length_max; [[length]]"
     )
@@ -242,6 +244,8 @@ class Scenario(Table):
         check_flight(self.flight, self.scene, self.limits, self.capture.duration_s, self.fault, more)
         if self.flight is not None and not self.pipeline.bodies:
             raise ValueError("[flight] needs the drone's poses; set pipeline.bodies = true")
+        moved = self.virtual, self.limits, self.pipeline.bodies, self.continuous is not None, self.fault
+        check_virtual_spec(*moved)
         _check_control(self)
         return self
 

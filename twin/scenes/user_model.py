@@ -28,8 +28,8 @@ _PREFIX = "own/"
 _LAST_SEEN_GROUP = 2
 _URDF_EXTENSION = '<mujoco><compiler discardvisual="false" fusestatic="false" strippath="false"/></mujoco>'
 _TILT_RAD = 0.35
-# MuJoCo resets itself to the start when it warns of one of these.
-_DIVERGED = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
+DIVERGED = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
+"""MuJoCo resets itself to the start when it warns of one of these."""
 
 
 def build_own(
@@ -78,7 +78,7 @@ def build_own(
             "motion_file goes with 'table' only"
         )
     markers = read_marker_table(markers_file)
-    spec, bare = _load(model_file)
+    spec, bare = load_model(model_file)
     seat_markers(spec, surfaces_of(bare), markers, markers_file)
     names = tuple(marker.name for marker in markers)
     bodies = {b: tuple(m.name for m in markers if m.body == b) for b in dict.fromkeys(m.body for m in markers)}
@@ -135,8 +135,11 @@ class Turntable:
         return qpos
 
 
-def _load(path: Path) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
-    """Return the specification and the model in ``path``, collision shapes invisible."""
+def load_model(path: Path) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
+    """Return the specification and the model in ``path``, MJCF or URDF, collision shapes invisible.
+
+    InputError for a file that MuJoCo cannot load.
+    """
     if not path.is_file():
         raise InputError(f"{path}: no such file; an MJCF (.xml) or URDF (.urdf) model is wanted")
     try:
@@ -203,7 +206,7 @@ def _let_go(model: mujoco.MjModel, duration_s: float, source: str) -> tuple[Arra
     for k in range(steps + 1):
         qpos[k], qvel[k] = data.qpos, data.qvel
         mujoco.mj_step(model, data)
-        if any(data.warning[kind].number for kind in _DIVERGED):
+        if any(data.warning[kind].number for kind in DIVERGED):
             raise InputError(
                 f"{source}: the physics diverges {k * model.opt.timestep:.3f} s after the start; use a smaller "
                 "timestep in its <option>, or motion = 'turntable' or 'table'"
