@@ -28,10 +28,14 @@ class ErrorTable:
     """(k,) index into the truth's names."""
     error_xyz_m: Array
     """(k, 3) measured minus true position, world frame [m]."""
+    sample: Array | None = None
+    """(k,) its row in the tracks."""
 
     def __post_init__(self) -> None:
         k = len(np.asarray(self.frame))
         set_read_only(self, np.int64, frame=(k,), marker=(k,))
+        if self.sample is not None:
+            set_read_only(self, np.int64, sample=(k,))
         set_read_only(self, time_s=(k,), error_xyz_m=(k, 3))
 
     def distance_m(self) -> Array:
@@ -78,6 +82,51 @@ class CameraView:
 
 
 @dataclass(frozen=True, eq=False)
+class KeptImage:
+    """A small copy of one camera's image, and what was detected in the whole one."""
+
+    camera: str
+    webp: bytes
+    """WebP file; the same field of view, thinned by block maxima, contrast stretched."""
+    size_px: tuple[int, int]
+    """Width and height of the whole image."""
+    xy_px: Array
+    """(n, 2) detections in the whole image."""
+    diameter_px: Array
+    """(n,)"""
+
+    def __post_init__(self) -> None:
+        n = len(np.asarray(self.xy_px))
+        set_read_only(self, xy_px=(n, 2), diameter_px=(n,))
+
+
+@dataclass(frozen=True)
+class KeptSet:
+    """Images of one frame set."""
+
+    pulse: int
+    images: tuple[KeptImage, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredBy:
+    """Which cameras measured each point, at some of the pulses."""
+
+    frame: Array
+    """(k,) pulse."""
+    xyz: Array
+    """(k, 3) measured position, world frame [m]."""
+    cameras: Array
+    """(k, c) bool, in the rig's order."""
+
+    def __post_init__(self) -> None:
+        k = len(np.asarray(self.frame))
+        set_read_only(self, np.int64, frame=(k,))
+        set_read_only(self, xyz=(k, 3))
+        set_read_only(self, np.bool_, cameras=(k, None))
+
+
+@dataclass(frozen=True, eq=False)
 class Evidence:
     """Data of one run to be drawn. Without ground truth (a real recording) the truth's fields are None or empty."""
 
@@ -112,6 +161,11 @@ class Evidence:
     """A flight in closed loop."""
     virtual: VirtualEvidence | None = None
     """Virtual objects as they were shown."""
+    kept_sets: tuple[KeptSet, ...] = ()
+    """Images of all cameras at some pulses."""
+    measured_by: MeasuredBy | None = None
+    could_see: Array | None = None
+    """(t, m, c) bool: which cameras could see each marker, from the truth alone."""
 
     def __post_init__(self) -> None:
         set_read_only(self, working_space_center=(3,), working_space_size=(3,))
@@ -126,6 +180,8 @@ class Evidence:
         if self.marker_seen is not None:
             m = len(self.truth_names)
             set_read_only(self, np.int64, marker_seen=(m,))
+        if self.could_see is not None:
+            set_read_only(self, np.bool_, could_see=(None, len(self.truth_names), len(self.rig.cameras)))
         if self.errors is not None:
             markers = self.errors.marker
             if self.truth_xyz is None:

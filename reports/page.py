@@ -7,11 +7,17 @@ from pathlib import Path
 from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
 
 from mosca.data.files.whole_file import write_text
 from reports.compare import regressions, total_seconds
+from reports.error_tables import Cell, marker_table, number_cell
 from reports.evidence import Evidence
-from reports.plots import pictures
+from reports.glossary import COLUMNS, term
+from reports.margins import NEAR, near_limits, share_of_limit
+from reports.playback.data import played
+from reports.playback.player import SCRIPTS, camera_cells, player
+from reports.plots import limit_mm, pictures
 from reports.record import Metric, RunRecord
 from reports.units import duration, figure, shown
 
@@ -32,8 +38,10 @@ def write_page(path: Path, record: RunRecord, evidence: Evidence) -> None:
     """Write the page of one run to ``path``, whole or not at all.
 
     The same record and evidence give the same bytes (timings are part of the record). Nothing is loaded
-    from outside; pictures are inline SVG.
+    from outside: pictures are inline SVG, and the library of the player is in the page.
     """
+    shown = played(evidence)
+    of_cameras = {} if shown is None else camera_cells(evidence, shown)
     write_rendered(
         path,
         "template.html.j2",
@@ -41,12 +49,18 @@ def write_page(path: Path, record: RunRecord, evidence: Evidence) -> None:
         badge=badge(record),
         sentence=sentence(record),
         tiles=_tiles(record),
+        changed=_changed(record),
+        near=near_limits(record, evidence),
         metrics=[
             *(_metric_row(metric) for metric in record.metrics),
             *(_not_judged_row(name) for name in record.not_judged),
         ],
+        columns=COLUMNS,
+        markers=marker_table(evidence),
         premises=[_premise_row(name, value) for name, value in record.premises.items()],
         pictures=pictures(record, evidence),
+        player=None if shown is None else player(evidence, shown, limit_mm(record, "position_rms")),
+        scripts=SCRIPTS,
         joints=[_joint_row(name, one) for name, one in record.joints.items()],
         modes=[_mode_row(name, one) for name, one in record.modes.items()],
         orientation=[row for name, one in record.self_orientation.items() for row in _orientation_rows(name, one)],
@@ -57,7 +71,13 @@ def write_page(path: Path, record: RunRecord, evidence: Evidence) -> None:
         ],
         counts=[(_words(name), _plain(value)) for name, value in {**record.counts, **record.source_account}.items()],
         cameras=[
-            _camera_row(name, one, record.counts.get("expected_sets"))
+            {
+                "name": name,
+                "cells": (
+                    *_camera_cells(one, record.counts.get("expected_sets")),
+                    *of_cameras.get(name, (number_cell(None),) * 4),
+                ),
+            }
             for name, one in record.cameras.items()
             if "residual_px" in one
         ],
@@ -72,16 +92,18 @@ def write_page(path: Path, record: RunRecord, evidence: Evidence) -> None:
     )
 
 
-def _camera_row(name: str, one: Mapping[str, Any], expected: int | None) -> tuple[str, ...]:
-    """Return a row of the cameras' table: name, residual, extra error, connected, frames of so many, clock offset."""
+def _camera_cells(one: Mapping[str, Any], expected: int | None) -> tuple[Cell, ...]:
+    """Return cells of a camera: residual, extra error, connected, frames of so many, clock offset."""
     late, sigma = one.get("late_s"), one.get("late_sigma_s")
-    clock = "not known" if late is None or sigma is None else f"{1e3 * late:+.3f} ± {2e3 * sigma:.3f} ms"
+    clock = Cell("not known", "")
+    if late is not None and sigma is not None:
+        clock = Cell(f"{1e3 * late:+.3f} ± {2e3 * sigma:.3f} ms", late)
+    frames = f"{100 * one['missing']:.1f} % missing" if expected is None else f"{one['delivered']} of {expected}"
     return (
-        name,
-        f"{one['residual_px']:.3f} px",
-        f"{one['extra_px']:.3f} px",
-        f"{100 * one['connected']:.1f} %",
-        f"{100 * one['missing']:.1f} % missing" if expected is None else f"{one['delivered']} of {expected}",
+        Cell(f"{one['residual_px']:.3f} px", one["residual_px"]),
+        Cell(f"{one['extra_px']:.3f} px", one["extra_px"]),
+        Cell(f"{100 * one['connected']:.1f} %", one["connected"]),
+        Cell(frames, -one["missing"] if expected is None else one["delivered"]),
         clock,
     )
 
@@ -249,6 +271,13 @@ def write_rendered(path: Path, template: str, **values: Any) -> None:
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
+    if "scripts" in values:
+        loader = templates.loader
+        assert loader is not None
+        # our own files, and the library as it was published
+        values["scripts"] = {
+            key: Markup(loader.get_source(templates, file)[0]) for key, file in values["scripts"].items()
+        }
     write_text(path, templates.get_template(template).render(**values))
 
 
@@ -260,7 +289,16 @@ def _tiles(record: RunRecord) -> list[dict[str, str]]:
             continue
         (value,), unit = shown((metric.value,), metric.unit, metric.name)
         note = f"limit {_bound(metric)}" if metric.limit is not None else "no limit"
-        tiles.append({"name": text, "value": figure(value), "unit": unit, "note": note})
+        verdict = {True: "✓ as it must be", False: "✗ not as it must be", None: ""}[metric.as_it_must]
+        if metric.within is None:
+            verdict = {True: "✓ limit met", False: "✗ limit broken", None: ""}[metric.passed]
+        share = share_of_limit(metric)
+        near = metric.passed is True and share is not None and share >= NEAR
+        tone = {True: "near" if near else "good", False: "bad", None: ""}[metric.as_it_must]
+        verdict += ", nearly missed" if near else ""
+        tiles.append(
+            {"name": text, "value": figure(value), "unit": unit, "note": note, "verdict": verdict, "tone": tone}
+        )
     return tiles[:4]
 
 
@@ -274,8 +312,11 @@ def _metric_row(metric: Metric) -> dict[str, Any]:
         where = f"[{figure(ends[1])}, {figure(ends[2])}]"
         broken = "" if metric.passed else "broken, "
         mark = f"✓ {broken}in {where}" if metric.as_it_must else f"✗ outside {where}"
+    share = share_of_limit(metric)
     return {
         "name": metric.name,
+        "term": term(metric.name),
+        "share": Cell("–", "") if share is None else Cell(f"{figure(float(f'{100 * share:.3g}'))} %", share),
         "value": figure(numbers[0]),
         "unit": unit,
         "interval": f"{figure(numbers[1])} … {figure(numbers[2])}" if interval else "–",
@@ -288,9 +329,23 @@ def _metric_row(metric: Metric) -> dict[str, Any]:
     }
 
 
+def _changed(record: RunRecord) -> list[tuple[str, str, str]]:
+    """Return the settings that differ from the scenario's file: key, value there, value of this run."""
+    changed = record.provenance.get("changed", {})
+    return [(key, *(_plain(value) for value in pair)) for key, pair in changed.items()]
+
+
 def _not_judged_row(name: str) -> dict[str, Any]:
     empty = dict.fromkeys(("value", "unit", "interval", "limit", "n", "aligned_by"), "–")
-    return {**empty, "name": name, "passed": None, "mark": "not judged", "tone": ""}
+    return {
+        **empty,
+        "name": name,
+        "term": term(name),
+        "share": Cell("–", ""),
+        "passed": None,
+        "mark": "not judged",
+        "tone": "",
+    }
 
 
 def _premise_row(name: str, premise: Any) -> dict[str, Any]:

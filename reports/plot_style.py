@@ -188,6 +188,19 @@ def strided(n: int, most: int) -> slice:
     return slice(None, None, max(1, -(-n // most)))
 
 
+def pieces_between_gaps(frames: Array) -> Array:
+    """Return the piece (k,) that each of ``frames`` (k,), ascending, is of: a missing frame begins a new one."""
+    steps = np.diff(frames)
+    usual = np.median(steps) if len(steps) else 1
+    return np.concatenate([np.zeros(min(len(frames), 1), int), np.cumsum(steps > 1.5 * usual)])
+
+
+def broken(time_s: Array, values: Array, pieces: Array) -> tuple[Array, Array]:
+    """Return a curve (k,) with a NaN wherever its piece changes, so that no line is drawn across a gap."""
+    cuts = np.flatnonzero(np.diff(pieces)) + 1
+    return np.insert(np.asarray(time_s, float), cuts, np.nan), np.insert(np.asarray(values, float), cuts, np.nan)
+
+
 def nice_step(span: float, parts: int = 5) -> float:
     """Return the step 1, 2 or 5 x 10^k that cuts ``span`` into about ``parts``."""
     if not span > 0:

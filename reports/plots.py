@@ -27,10 +27,12 @@ from reports.plot_style import (
     VERMILION,
     WIDE,
     Picture,
+    broken,
     canvas,
     house_style,
     legend_above,
     per_marker,
+    pieces_between_gaps,
     strided,
     svg_text,
 )
@@ -92,7 +94,7 @@ def histogram_picture(record: RunRecord, errors: ErrorTable) -> Picture:
     values = 1e3 * errors.distance_m()
     p50, p95, p99 = np.percentile(values, (50, 95, 99))
     rms = float(np.sqrt(np.mean(values**2)))
-    limit = _limit_mm(record, "position_rms")
+    limit = limit_mm(record, "position_rms")
     drawing = canvas(HALF, 3.3)
     axes = drawing.add_axes((0.115, 0.135, 0.865, 0.735))
     wide_spread = values.max() > 4 * p99 or (limit is not None and limit > 8 * rms)
@@ -144,15 +146,17 @@ def trajectories_picture(evidence: Evidence) -> Picture:
         below = drawing.add_axes((left, 0.11, width, 0.27), sharex=above)
         mean = np.nanmean(evidence.truth_xyz[:, marker], axis=0)
         mine = rows[marker][np.argsort(errors.time_s[rows[marker]], kind="stable")]
-        mine = mine[strided(len(mine), MOST_STEPS)]
+        kept = strided(len(mine), MOST_STEPS)
+        pieces = pieces_between_gaps(errors.frame[mine])[kept]
+        mine = mine[kept]
         thin = strided(len(true_time), MOST_STEPS)
         for axis, colour in enumerate(AXIS_COLOURS):
             measured = places[mine, axis] + errors.error_xyz_m[mine, axis] - mean[axis]
             true = evidence.truth_xyz[thin, marker, axis] - mean[axis]
             above.plot(true_time[thin], true, color=colour, linewidth=3.4, alpha=0.3, solid_capstyle="butt")
-            above.plot(errors.time_s[mine], measured, color=colour, linewidth=0.9)
+            above.plot(*broken(errors.time_s[mine], measured, pieces), color=colour, linewidth=0.9)
             difference = 1e3 * errors.error_xyz_m[mine, axis]
-            below.plot(errors.time_s[mine], difference, color=colour, linewidth=0.7)
+            below.plot(*broken(errors.time_s[mine], difference, pieces), color=colour, linewidth=0.7)
         name = evidence.truth_names[marker]
         name = name if len(name) <= 22 else name[:21] + "…"
         above.set_title(f"{kind}: {name}, {number(1e3 * rms[marker])} mm rms", pad=8)
@@ -173,7 +177,7 @@ def trajectories_picture(evidence: Evidence) -> Picture:
     ) + "."  # fmt: skip
     caption = (
         "Measured positions (thin lines) on the truth (broad, pale), and measured minus true below, for the markers "
-        "with the smallest, the median and the largest rms error."
+        "with the smallest, the median and the largest rms error. A line ends where there is no sample."
     )
     svg = svg_text(drawing, "trajectories", alt)
     return Picture("trajectories", "Trajectories against the truth", caption, alt, svg)
@@ -183,7 +187,7 @@ def over_time_picture(record: RunRecord, evidence: Evidence) -> Picture:
     """Draw rms and largest error over time; ghosts and missed markers in a strip below."""
     assert evidence.errors is not None
     time, values = evidence.errors.time_s, 1e3 * evidence.errors.distance_m()
-    instants = np.unique(time)
+    instants = _instants(evidence)
     edges = _bin_edges(instants)
     row = np.clip(np.searchsorted(edges, time, side="right") - 1, 0, len(edges) - 2)
     n = np.bincount(row, minlength=len(edges) - 1)
@@ -197,7 +201,9 @@ def over_time_picture(record: RunRecord, evidence: Evidence) -> Picture:
     axes = drawing.add_axes((0.062, 0.40, 0.928, 0.50) if has_counts else (0.062, 0.16, 0.928, 0.72))
     axes.plot(middle, largest, color=MUTED, linewidth=0.8, label="largest")
     axes.plot(middle, rms, color=BLUE, linewidth=1.4, label="rms")
-    limit = _limit_mm(record, "position_rms")
+    alone = np.isfinite(rms) & ~np.isfinite(np.append(rms[1:], np.nan)) & ~np.isfinite(np.append(np.nan, rms[:-1]))
+    axes.plot(middle[alone], rms[alone], ".", color=BLUE, markersize=2.5)  # between two gaps no line is drawn
+    limit = limit_mm(record, "position_rms")
     top = float(np.nanpercentile(largest, 99.5)) * 1.15
     if limit is not None and limit < 3 * top:
         axes.axhline(limit, color=VERMILION, linewidth=1.2, linestyle=DOTTED, zorder=3, label="limit of rms")
@@ -295,6 +301,16 @@ def completeness_picture(record: RunRecord, evidence: Evidence) -> Picture:
     return Picture("completeness", "Completeness marker by marker", caption, alt, svg)
 
 
+def _instants(evidence: Evidence) -> Array:
+    """Return the instants [s] from the first error to the last, those without a sample among them."""
+    assert evidence.errors is not None
+    assert evidence.truth_time_ns is not None
+    frames = np.unique(evidence.errors.frame)
+    step = int(np.median(np.diff(frames))) if len(frames) > 1 else 1
+    every = np.union1d(frames, np.arange(frames[0], frames[-1] + 1, max(step, 1)))
+    return np.unique(1e-9 * evidence.truth_time_ns[every])
+
+
 def _bin_edges(instants: Array) -> Array:
     """Return edges of bins of time: a bin an instant, or MOST_STEPS even ones where there are more."""
     if len(instants) == 1:
@@ -305,7 +321,8 @@ def _bin_edges(instants: Array) -> Array:
     return np.linspace(instants[0], np.nextafter(instants[-1], np.inf), MOST_STEPS + 1)
 
 
-def _limit_mm(record: RunRecord, name: str) -> float | None:
+def limit_mm(record: RunRecord, name: str) -> float | None:
+    """Return the limit of a metric that is a length [mm]; None where it has none."""
     metric = record.metric(name)
     if metric is None or metric.limit is None or metric.unit != "m":
         return None

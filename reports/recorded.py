@@ -70,12 +70,14 @@ def longest_tracks_picture(tracks: Tracks) -> Picture:
 def points_picture(tracks: Tracks) -> Picture:
     """Draw how many points were measured in each frame."""
     measured = tracks.status == "measured"
-    frames, first = np.unique(tracks.frame, return_index=True)
-    count = np.bincount(np.searchsorted(frames, tracks.frame[measured]), minlength=len(frames))
+    there, first = np.unique(tracks.frame, return_index=True)
+    frames = np.arange(there[0], there[-1] + 1)  # those without any point count as 0
+    count = np.bincount(tracks.frame[measured] - frames[0], minlength=len(frames))
+    time_s = np.interp(frames, there, 1e-9 * tracks.time_ns[first])
     thin = strided(len(frames), 2 * MOST_STEPS)
     drawing = canvas(WIDE, 1.9)
     axes = drawing.add_axes((0.062, 0.24, 0.928, 0.68))
-    axes.plot(1e-9 * tracks.time_ns[first][thin], count[thin], color=BLUE, linewidth=0.9, drawstyle="steps-mid")
+    axes.plot(time_s[thin], count[thin], color=BLUE, linewidth=0.9, drawstyle="steps-mid")
     axes.set_ylim(0, 1.1 * max(1, int(count.max())))
     axes.set_xlabel("time [s]")
     axes.set_ylabel("points")

@@ -24,6 +24,7 @@ from reports.plot_style import (
     canvas,
     colour_bar,
     nice_step,
+    pieces_between_gaps,
     svg_text,
 )
 from reports.units import figure as number
@@ -162,14 +163,14 @@ def _draw_box(axes: Axes, corners: Array) -> None:
 
 
 def _trajectories(tracks: Tracks) -> list[Array]:
-    """Return the tracks' positions, thinned and cut at gaps."""
+    """Return the tracks' positions, thinned and cut where frames are missing."""
     order = np.argsort(tracks.track, kind="stable")
     stride = max(1, -(-len(order) // MOST_POINTS))
     lines = []
     cuts = np.flatnonzero(np.diff(tracks.track[order])) + 1
     for rows in np.split(order, cuts) if len(order) else []:
         kept = rows[::stride]
-        gaps = np.flatnonzero(np.diff(tracks.frame[kept]) > 3 * stride) + 1
+        gaps = np.flatnonzero(np.diff(pieces_between_gaps(tracks.frame[rows])[::stride])) + 1
         lines += [tracks.xyz[part] for part in np.split(kept, gaps)]
     return lines
 
@@ -177,7 +178,7 @@ def _trajectories(tracks: Tracks) -> list[Array]:
 def _draw_cameras(axes: Axes, rig: Rig, middle: Array, length: float) -> None:
     names = len(rig.cameras) <= 16
     for camera in rig.cameras:
-        corners = camera.world_from_camera.transform(length * _corner_rays(camera))
+        corners = camera_corners(camera, length)
         apex = camera.world_from_camera.translation
         edges = [[apex, c] for c in corners] + [[corners[i], corners[(i + 1) % 4]] for i in range(4)]
         axes.add_collection(LineCollection([_flat(np.array(s)) for s in edges], colors=INK, linewidths=0.8, zorder=4))
@@ -187,6 +188,11 @@ def _draw_cameras(axes: Axes, rig: Rig, middle: Array, length: float) -> None:
             axes.text(
                 place[0], place[1], camera.name, fontsize=7.5, color=INK, ha="center", va="center", zorder=5,
             )  # fmt: skip
+
+
+def camera_corners(camera: Camera, depth_m: float) -> Array:
+    """Return the corners (4, 3) of the camera's image at a depth, world frame [m]."""
+    return camera.world_from_camera.transform(depth_m * _corner_rays(camera))
 
 
 def _unit(vector: Array) -> Array:

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from mosca.diagnostics.sensor import LearnedSensor
     from mosca.synchronisation import Assembly
     from mosca.vibration.analysis import Vibration
-    from reports.evidence import CameraView
+    from reports.evidence import CameraView, KeptSet, MeasuredBy
     from scenarios.score.sensor import StatedSensor
     from scenarios.score.virtual_objects import ObjectErrors
     from scenarios.virtual.objects import ShownPoses
@@ -118,6 +118,9 @@ class Collected:
     """The source's own account of what it received."""
     frames: Mapping[str, CameraFrames] = field(default_factory=dict)
     """Camera -> its frames, of a continuous run; empty for frame sets."""
+    kept_sets: tuple[KeptSet, ...] = ()
+    """Images of some frame sets, for the page."""
+    measured_by: MeasuredBy | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -52,8 +52,9 @@ LAW: dict[str, tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]] = {
     "reports": (
         ("reports", "mosca.data", "mosca.errors"),
         (),
-        ("numpy", "matplotlib", "mpl_toolkits", "jinja2", "rich"),
+        ("numpy", "matplotlib", "mpl_toolkits", "jinja2", "markupsafe", "rich"),
     ),
+    "reports.playback.keeper": (("reports", "mosca.data", "mosca.errors"), (), ("numpy", "cv2")),
     "reports.viewer": (("reports", "mosca.data", "mosca.errors"), (), ("numpy", "rerun", "cv2")),
     "reports.fidelity_page": (("reports", "mosca.data", "mosca.errors"), (), ("cv2",)),
     "witness": (("witness",), (), ("numpy", "scipy", "cv2", "mujoco")),

@@ -6,6 +6,7 @@ import signal
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -88,7 +89,7 @@ def run(
     Example:  mosca run actor --set capture.duration_s=2 --out runs/try
     """
     from scenarios.spec.catalog import find, scenario_name
-    from scenarios.spec.scenario import load_scenario
+    from scenarios.spec.scenario import changed_keys, load_scenario
 
     path = find(scenario)
     if seed is not None:
@@ -99,6 +100,7 @@ def run(
     from reports.compare import summary_table
     from scenarios.run.folder import check_out, write_run
     from scenarios.run.one_writer import one_writer
+    from scenarios.run.record import with_changed
     from scenarios.run.scenario import run_scenario
     from scenarios.types import RunOptions
 
@@ -108,6 +110,8 @@ def run(
         with Progress(name) as shown:
             options = RunOptions(source, workers or os.cpu_count() or 1, log, record, truth, shown)
             result = run_scenario(spec, name, path.parent, options)
+        if overrides:
+            result = replace(result, record=with_changed(result.record, changed_keys(path, spec)))
         # before anything is written: no full disk and no failing page loses the figures
         _print_metrics(result.record)
         print_table(summary_table([result.record]))

@@ -2,14 +2,16 @@
 
 import os
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from mosca.data.files.toml import check, read_toml
 from scenarios.run import scenario
+from scenarios.run.record import with_changed
 from scenarios.run.scenario import RunResult
 from scenarios.spec.catalog import find, scenario_name
-from scenarios.spec.scenario import Scenario, set_key
+from scenarios.spec.scenario import Scenario, changed_keys, set_key
 from scenarios.types import RunOptions
 
 
@@ -52,4 +54,5 @@ def run_scenario(
         set_key(document, key, value, f"{key} = {value!r}")
     spec = check(Scenario, document, path)
     options = options or RunOptions(workers=os.cpu_count() or 1)
-    return scenario.run_scenario(spec, scenario_name(path), path.parent, options)
+    result = scenario.run_scenario(spec, scenario_name(path), path.parent, options)
+    return replace(result, record=with_changed(result.record, changed_keys(path, spec)))

@@ -19,6 +19,7 @@ from mosca.pipeline import PipelineSettings, Step, run
 from mosca.recording import RecordingWriter
 from mosca.synchronisation import Assembly
 from reports.evidence import CameraView
+from reports.playback.keeper import PageKeeper
 from reports.viewer import RerunLog
 from scenarios.build.frame_sources import Recorded, SelectedCameras
 from scenarios.build.robot_commands import write_commands
@@ -65,6 +66,7 @@ def collected_of(
     keeper = RigKeeper(rig) if spec.pipeline.watch else None
     zones = zones_of(spec, rig)
     healths = [Health.of(one, settings.match) for one in ([zone.rig for zone in zones] or [rig])]
+    kept = PageKeeper(pulses, 0 if zones else len(rig.cameras))
     sensors = Sensors(read.cameras, settings.detection)
     if zones:
         steps = zone_steps(read, zones, rig, settings, assembly, healths, sensors)
@@ -84,6 +86,8 @@ def collected_of(
             detections[step.frame_set.pulse] = step.detections
         if done == max(1, round(VIEW_AT * pulses)):
             views, view_pulse = _views(step), step.frame_set.pulse
+        images = {name: frame.image for name, frame in step.frame_set.frames.items()}
+        kept.attend(step.frame_set.pulse, images, step.detections, step.points)
         log(step)
         if options.progress is not None:
             options.progress(done, max(done, pulses))
@@ -104,7 +108,10 @@ def collected_of(
     if zones:
         tracks = tracks_of_all(tracks, zones, assembly)
     cameras = tuple(one for health in healths for one in health.cameras())
-    return Collected(tracks, views, view_pulse, assembly, seconds, detections, cameras, sensors.cameras())
+    return Collected(
+        tracks, views, view_pulse, assembly, seconds, detections, cameras, sensors.cameras(),
+        kept_sets=kept.sets(), measured_by=kept.measured_by(),
+    )  # fmt: skip
 
 
 def rerun_log(path: Path | None, rig: Rig, spec: Scenario, stack: ExitStack) -> RerunLog | None:

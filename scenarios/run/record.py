@@ -27,7 +27,7 @@ from scenarios.score.delivery import expected_sets, expected_share, frame_losses
 from scenarios.score.limits import loose_limits
 from scenarios.score.people import true_motion
 from scenarios.score.sensor import StatedSensor
-from scenarios.score.tracks import limits_met
+from scenarios.score.tracks import SEEN_SHARE, limits_met
 from scenarios.spec.limits import end_of
 from scenarios.spec.scenario import Scenario
 from scenarios.types import Collected, Score, Scored
@@ -88,6 +88,13 @@ def record_of(
             "parameters": spec.model_dump(mode="json"),
         },
     )
+
+
+def with_changed(record: RunRecord, changed: Mapping[str, tuple[Any, Any]]) -> RunRecord:
+    """Return ``record`` with what differs from the scenario's file: key -> (value there, value of this run)."""
+    if not changed:
+        return record
+    return replace(record, provenance={**record.provenance, "changed": {key: list(v) for key, v in changed.items()}})
 
 
 def _rig_words(spec: Scenario) -> str:
@@ -225,6 +232,8 @@ def evidence_of(
         np.array(spec.working_space.size_m),
         collected.tracks,
         collected.views,
+        kept_sets=collected.kept_sets,
+        measured_by=collected.measured_by,
         vibration=None if vibration is None else vibration_evidence(vibration),
         virtual=None if shown is None or worth.objects is None else virtual_evidence(shown, worth.objects),
     )
@@ -242,16 +251,25 @@ def evidence_of(
         truth_time_ns=truth.time_ns,
         truth_xyz=truth.xyz,
         truth_names=truth.names,
-        errors=ErrorTable(pairs.frame, time_s[pairs.frame], pairs.marker, pairs.error_m),
+        errors=ErrorTable(pairs.frame, time_s[pairs.frame], pairs.marker, pairs.error_m, pairs.row),
     )
     if not truth.cameras:  # a user's own reference: who could see what is not known
         return beside
     return replace(
         beside,
         views=tuple(_with_truth(v, truth, pulse) for v in collected.views),
+        could_see=_could_see(truth, rig),
         marker_seen=pairs.seen_mask.sum(axis=0),
         counts=MarkerCounts(time_s, pairs.seen, pairs.seen - pairs.missed, pairs.ghosts),
     )
+
+
+def _could_see(truth: Truth, rig: Rig) -> Array | None:
+    """Return which of the rig's cameras could see each marker (t, m, c); None where a camera has no truth."""
+    if not set(rig.names) <= set(truth.cameras):
+        return None
+    seen: Array = truth.visible[:, :, [truth.cameras.index(name) for name in rig.names]] >= SEEN_SHARE
+    return seen
 
 
 def _with_truth(view: CameraView, truth: Truth, pulse: int) -> CameraView:

@@ -373,6 +373,28 @@ def set_key(document: dict[str, Any], key: str, value: Any, given: str) -> None:
     here[last] = value
 
 
+def changed_keys(path: Path, spec: Scenario) -> dict[str, tuple[Any, Any]]:
+    """Return dotted key -> (value of the file, value of ``spec``) where the two differ; defaults count as values.
+
+    Empty where the file is no scenario without its changes.
+    """
+    try:
+        before = _flat(load_scenario(path).model_dump(mode="json"))
+    except InputError:
+        return {}
+    after = _flat(spec.model_dump(mode="json"))
+    keys = [key for key in {**before, **after} if before.get(key) != after.get(key)]
+    return {key: (before.get(key), after.get(key)) for key in keys}
+
+
+def _flat(values: dict[str, Any], start: str = "") -> dict[str, Any]:
+    """Return nested tables as one of dotted keys."""
+    flat: dict[str, Any] = {}
+    for key, value in values.items():
+        flat |= _flat(value, f"{start}{key}.") if isinstance(value, dict) else {f"{start}{key}": value}
+    return flat
+
+
 def scenario_schema() -> dict[str, Any]:
     """Return the JSON schema of scenario files."""
     return Scenario.model_json_schema()

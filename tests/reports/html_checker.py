@@ -36,7 +36,8 @@ class Checker(HTMLParser):
         assert self.stack.pop() == tag
 
     def handle_data(self, data: str) -> None:
-        self.text.append(data)
+        if not {"script", "style"} & set(self.stack):
+            self.text.append(data)
 
 
 def checked(path: Path) -> Checker:

@@ -1,0 +1,85 @@
+"""What a run keeps for its page: small images of some frame sets, and which cameras measured what."""
+
+from collections.abc import Mapping
+
+import cv2
+import numpy as np
+
+from mosca.data.arrays import Array
+from mosca.data.detections import Detections
+from mosca.data.tracks import Points
+from reports.evidence import KeptImage, KeptSet, MeasuredBy
+from reports.images import stretched
+
+MOST_SETS = 40
+"""Frame sets whose images are kept."""
+VIEW_AT = 0.4
+"""Where in the run a page begins: a share of its length."""
+MOST_FRAMES = 500
+"""Instants of the page; of longer runs every second, third ... frame."""
+LONGEST_PX = 720
+"""Longest side of a kept image; targets of a few pixels survive, since it is thinned by block maxima."""
+QUALITY = 45
+"""Of WebP, 1 to 100: targets stay sharp, and an image takes 1 to 20 kB."""
+
+
+class PageKeeper:
+    """Gathers images and rays of a running pipeline; ``attend`` takes each frame set.
+
+    ``pulses``: of the run. ``cameras``: of the rig, in the order of the columns of ``Points.rays``; 0 where these are
+    not the rig's.
+    """
+
+    def __init__(self, pulses: int, cameras: int) -> None:
+        self._image_pulses = set(
+            np.unique(np.linspace(0, max(pulses - 1, 0), MOST_SETS).round().astype(int)).tolist()
+        )
+        self._stride, self._cameras = frame_stride(pulses), cameras
+        self._sets: dict[int, KeptSet] = {}
+        self._frames: list[Array] = []
+        self._xyz: list[Array] = []
+        self._used: list[Array] = []
+
+    def attend(
+        self, pulse: int, images: Mapping[str, Array | None], detections: Mapping[str, Detections], points: Points
+    ) -> None:
+        """Keep what the page shows of one frame set."""
+        if pulse in self._image_pulses:
+            kept = [kept_image(image, detections[name]) for name, image in images.items() if image is not None]
+            if kept:
+                self._sets[pulse] = KeptSet(pulse, tuple(kept))
+        if pulse % self._stride == 0 and self._cameras and len(points):
+            self._frames.append(np.full(len(points), pulse))
+            self._xyz.append(points.xyz)
+            self._used.append(points.rays[:, : self._cameras] >= 0)
+
+    def sets(self) -> tuple[KeptSet, ...]:
+        """Return the kept images, by pulse."""
+        return tuple(self._sets[pulse] for pulse in sorted(self._sets))
+
+    def measured_by(self) -> MeasuredBy | None:
+        """Return which cameras measured each point at the instants of the page; None where that is not known."""
+        if not self._frames:
+            return None
+        return MeasuredBy(np.concatenate(self._frames), np.concatenate(self._xyz), np.concatenate(self._used))
+
+
+def frame_stride(frames: int) -> int:
+    """Return n, so that every n-th of ``frames`` is on the page: 1, or more where there are over ``MOST_FRAMES``."""
+    return max(1, -(-frames // MOST_FRAMES))
+
+
+def kept_image(image: Array, found: Detections) -> KeptImage:
+    """Return a small copy of ``image`` (H, W) uint8 or uint16 with what was detected in it."""
+    height, width = image.shape
+    factor = max(1, -(-max(height, width) // LONGEST_PX))
+    part = image[: height // factor * factor, : width // factor * factor]
+    small = part.reshape(height // factor, factor, width // factor, factor).max(axis=(1, 3))
+    # the same for all pixels of one value: a table of them takes a tenth of the time
+    counts = np.bincount(small.ravel())
+    median = float(np.searchsorted(np.cumsum(counts), small.size / 2))
+    table = np.round(255 * stretched(np.arange(len(counts)), 0.5 * median)).astype(np.uint8)
+    grey = table[small]
+    done, file = cv2.imencode(".webp", grey, [cv2.IMWRITE_WEBP_QUALITY, QUALITY])
+    assert done
+    return KeptImage(found.camera, file.tobytes(), (width, height), found.xy_px, found.diameter_px)
