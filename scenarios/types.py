@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from mosca.continuous.reconstruct import Reconstructed
     from mosca.diagnostics.camera_health import CameraHealth
     from mosca.diagnostics.sensor import LearnedSensor
+    from mosca.machines.vibration.analysis import Vibration
     from mosca.synchronisation import Assembly
-    from mosca.vibration.analysis import Vibration
     from reports.evidence import CameraView, KeptSet, MeasuredBy
     from scenarios.score.sensor import StatedSensor
     from scenarios.score.virtual_objects import ObjectErrors

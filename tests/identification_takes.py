@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import cont2discrete, lfilter
 
-from mosca.identification.held_inputs import HeldInputs
-from mosca.identification.velocities import PlanarPath
+from mosca.machines.identification.held_inputs import HeldInputs
+from mosca.machines.identification.velocities import PlanarPath
 
 FINE_S = 0.001
 

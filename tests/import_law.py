@@ -34,7 +34,7 @@ LAW: dict[str, tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]] = {
         ),
     ),
     # a second opinion on a linear model comes from the control library
-    "mosca.identification": (("mosca",), ("mosca.data.truth",), ("numpy", "scipy", "control")),
+    "mosca.machines.identification": (("mosca",), ("mosca.data.truth",), ("numpy", "scipy", "control")),
     # a printable sheet is a drawing: PDF and SVG come from the plot library
     "mosca.formats.sheets.target_sheet": (("mosca",), ("mosca.data.truth",), ("numpy", "matplotlib")),
     # the twin shares with the pipeline how code is compiled, and no formula

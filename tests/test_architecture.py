@@ -29,7 +29,7 @@ def test_every_import_keeps_the_law():
         ("mosca/detection/detect.py", "from mosca.data import truth"),
         ("mosca/detection/detect.py", "import mujoco"),
         ("mosca/detection/detect.py", "import control"),
-        ("mosca/identification/arx.py", "import matplotlib"),
+        ("mosca/machines/identification/arx.py", "import matplotlib"),
         ("mosca/formats/bodies/subject_file.py", "import mujoco"),
         ("mosca/skeleton/model.py", "import trimesh"),
         ("mosca/skeleton/model.py", "from mosca.data.truth import Truth"),

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.linalg import expm
 
 from mosca.data.arrays import Array
-from mosca.vibration.displacements import Displacements
+from mosca.machines.vibration.displacements import Displacements
 
 RATE_HZ = 200.0
 FREQUENCIES_HZ = (20.0, 38.0, 61.0, 78.0)

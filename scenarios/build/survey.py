@@ -7,7 +7,7 @@ import numpy as np
 from mosca.data.rig import Pose
 from mosca.data.rotations import rotation_from_vector
 from mosca.data.targets import TestField
-from mosca.self_orientation.rig_side import LeverArm
+from mosca.machines.self_orientation.rig_side import LeverArm
 from scenarios.spec.scenario import Scenario
 from scenarios.spec.scenes import DroneScene
 from twin.cameras.virtual_camera import VirtualCamera

@@ -10,10 +10,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import spearmanr
 
-from mosca.closed_loop.delay_margin import PositionLoop, mean_age_s
-from mosca.closed_loop.filtered_loop import FilteredLoop
 from mosca.data.files.whole_file import write_text
 from mosca.errors import InputError
+from mosca.machines.closed_loop.delay_margin import PositionLoop, mean_age_s
+from mosca.machines.closed_loop.filtered_loop import FilteredLoop
 from reports.flight_map_plot import FlightMap, map_picture
 from reports.plot_style import svg_file
 from scenarios.flight.pilot import PERIOD_S, motion_noise

@@ -13,10 +13,10 @@ from mosca.data.tracks import Tracks
 from mosca.errors import InputError
 from mosca.formats.bodies.body_file import read_bodies
 from mosca.formats.tracks.tracks_file import read_tracks
-from mosca.identification.commands import CommandRows, read_commands
-from mosca.identification.deck import PAPER, in_axes, learned_deck, read_axes
-from mosca.identification.held_inputs import HeldInputs
-from mosca.identification.identify import (
+from mosca.machines.identification.commands import CommandRows, read_commands
+from mosca.machines.identification.deck import PAPER, in_axes, learned_deck, read_axes
+from mosca.machines.identification.held_inputs import HeldInputs
+from mosca.machines.identification.identify import (
     IdentifiedModel,
     IdentifiedOutput,
     IdentifySettings,
@@ -24,8 +24,8 @@ from mosca.identification.identify import (
     fit_percent,
     identify,
 )
-from mosca.identification.model_file import write_model
-from mosca.identification.velocities import OUTPUTS, UNITS, BodyVelocities, PlanarPath, planar_path
+from mosca.machines.identification.model_file import write_model
+from mosca.machines.identification.velocities import OUTPUTS, UNITS, BodyVelocities, PlanarPath, planar_path
 from mosca.rigid_bodies.tracker import body_poses
 from reports.identification_plots import DrivenTake, driven_picture
 from reports.plot_style import svg_file

@@ -17,15 +17,15 @@ from mosca.errors import InputError
 from mosca.formats.bodies.bodies_csv import write_bodies_csv
 from mosca.formats.bodies.body_file import read_bodies
 from mosca.formats.tracks.tracks_file import read_tracks
+from mosca.machines.self_orientation.comparison import NAMES, Comparison, compare, estimated_lever_arm
+from mosca.machines.self_orientation.images import coded_in, coded_settings, target_images
+from mosca.machines.self_orientation.lamp import lamp_in_flight
+from mosca.machines.self_orientation.registration import Registration, register_field
+from mosca.machines.self_orientation.resection import Resected, ResectionSettings, resect_frames
+from mosca.machines.self_orientation.rig_side import LeverArm, body_path, camera_by_rig, with_clock
+from mosca.machines.self_orientation.shutter import TargetImages
 from mosca.recording import open_recording
 from mosca.rigid_bodies.tracker import body_poses
-from mosca.self_orientation.comparison import NAMES, Comparison, compare, estimated_lever_arm
-from mosca.self_orientation.images import coded_in, coded_settings, target_images
-from mosca.self_orientation.lamp import lamp_in_flight
-from mosca.self_orientation.registration import Registration, register_field
-from mosca.self_orientation.resection import Resected, ResectionSettings, resect_frames
-from mosca.self_orientation.rig_side import LeverArm, body_path, camera_by_rig, with_clock
-from mosca.self_orientation.shutter import TargetImages
 
 Report = Callable[[int, int | None], None]
 GAP_PERIODS = 2.5

@@ -10,10 +10,10 @@ import numpy as np
 from mosca.data.files.whole_file import check_writable, write_text
 from mosca.errors import InputError
 from mosca.formats.tracks.tracks_file import read_tracks
-from mosca.formats.vibration.modes_file import SUFFIXES, write_modes
-from mosca.vibration.analysis import Vibration, VibrationSettings, analyse
-from mosca.vibration.displacements import displacements
-from mosca.vibration.subspace import SubspaceSettings
+from mosca.machines.vibration.analysis import Vibration, VibrationSettings, analyse
+from mosca.machines.vibration.displacements import displacements
+from mosca.machines.vibration.modes_file import SUFFIXES, write_modes
+from mosca.machines.vibration.subspace import SubspaceSettings
 from reports.plot_style import svg_file
 from reports.vibration_plots import spectra_picture
 from scenarios.commands.labels import between, rate_of
@@ -22,7 +22,7 @@ from scenarios.run.vibration import vibration_evidence
 
 @dataclass(frozen=True)
 class VibrationOptions:
-    """What ``vibration_take`` is asked for; see ``mosca.vibration`` for their meaning."""
+    """What ``vibration_take`` is asked for; see ``mosca.machines.vibration`` for their meaning."""
 
     axes: Literal["normal", "xyz"] = "normal"
     direction: tuple[float, float, float] | None = None

@@ -10,10 +10,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mosca.closed_loop.delay import FlightLog
-from mosca.closed_loop.input_integral import InputIntegral
-from mosca.closed_loop.late_pose_filter import LatePoseFilter, MotionNoise
 from mosca.data.arrays import Array
+from mosca.machines.closed_loop.delay import FlightLog
+from mosca.machines.closed_loop.input_integral import InputIntegral
+from mosca.machines.closed_loop.late_pose_filter import LatePoseFilter, MotionNoise
 from scenarios.spec.flight import FlightSpec
 from twin.scenes.flight import ATTITUDE_GAIN, CONTROL_STEPS, GRAVITY, PHYSICS_STEP_S, RATE_GAIN, Reference
 from twin.scenes.live_flight import Aboard

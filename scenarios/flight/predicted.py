@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 
 from mosca.camera.projection import project
-from mosca.closed_loop.delay import DelayEstimate, estimate_delay
 from mosca.data.arrays import Array
 from mosca.data.rig import Rig
 from mosca.errors import InputError
+from mosca.machines.closed_loop.delay import DelayEstimate, estimate_delay
 from scenarios.build.scene import build_scene
 from scenarios.flight.loop import PoseLink, live_flight, pilot_of
 from scenarios.flight.pilot import Pilot

@@ -6,9 +6,9 @@ from pathlib import Path
 from mosca.data.bodies import BodyPoses, RigidBody
 from mosca.data.tracks import Tracks
 from mosca.data.truth import Truth
-from mosca.identification.identify import IdentifiedModel
+from mosca.machines.identification.identify import IdentifiedModel
+from mosca.machines.vibration.analysis import Vibration
 from mosca.skeleton.marker_frames import MarkerFrames
-from mosca.vibration.analysis import Vibration
 from reports.viewer import RerunLog
 from scenarios.run.identification import identified
 from scenarios.run.labels import surface_labels

@@ -13,7 +13,7 @@ from mosca.data.tracks import write_npz
 from mosca.errors import InputError
 from mosca.formats.bodies.bodies_csv import write_bodies_csv
 from mosca.formats.tracks.tracks_csv import write_tracks_csv
-from mosca.identification.model_file import write_model
+from mosca.machines.identification.model_file import write_model
 from reports.calibration_page import write_calibration_page
 from reports.page import write_page
 from reports.record import write_record

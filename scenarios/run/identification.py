@@ -4,10 +4,10 @@ from pathlib import Path
 
 from mosca.data.bodies import BodyPoses, RigidBody
 from mosca.errors import InputError
-from mosca.identification.deck import PAPER, poses_in_axes
-from mosca.identification.held_inputs import HeldInputs
-from mosca.identification.identify import IdentifiedModel, IdentifySettings, identify
-from mosca.identification.velocities import planar_path
+from mosca.machines.identification.deck import PAPER, poses_in_axes
+from mosca.machines.identification.held_inputs import HeldInputs
+from mosca.machines.identification.identify import IdentifiedModel, IdentifySettings, identify
+from mosca.machines.identification.velocities import planar_path
 from scenarios.build.scene import build_scene
 from scenarios.score.identification import TrueDrive, driven_inputs, fit_scores, true_drive, velocity_scores
 from scenarios.spec.faults import LateCommandsFault

@@ -12,8 +12,8 @@ from mosca.data.rig import Rig
 from mosca.data.truth import Truth
 from mosca.diagnostics.camera_health import CameraHealth
 from mosca.diagnostics.sensor import Estimate, LearnedSensor
+from mosca.machines.vibration.analysis import Vibration
 from mosca.skeleton.isb_angles import isb_angles
-from mosca.vibration.analysis import Vibration
 from reports.evidence import CameraView, ErrorTable, Evidence, MarkerCounts
 from reports.metrics import METRICS
 from reports.record import Metric, MetricBlocks, RunRecord

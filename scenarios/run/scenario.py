@@ -15,13 +15,13 @@ from mosca.data.rig import Rig
 from mosca.data.tracks import Tracks, table
 from mosca.data.truth import Truth, write_truth
 from mosca.errors import CalibrationError, InputError
-from mosca.identification.identify import IdentifiedModel
+from mosca.machines.identification.identify import IdentifiedModel
+from mosca.machines.vibration.analysis import Vibration
 from mosca.pipeline import PipelineSettings, Step
 from mosca.rigid_bodies.ambiguity import check_bodies
 from mosca.rigid_bodies.tracker import body_poses, labelled_by_bodies
 from mosca.skeleton.marker_frames import MarkerFrames
 from mosca.synchronisation import Assembly
-from mosca.vibration.analysis import Vibration
 from reports.evidence import Evidence
 from reports.record import RunRecord
 from reports.viewer import RerunLog

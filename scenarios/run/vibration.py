@@ -7,9 +7,9 @@ from typing import Literal
 import numpy as np
 
 from mosca.errors import InputError
-from mosca.formats.vibration.modes_file import write_modes
-from mosca.vibration.analysis import Vibration, VibrationSettings, analyse
-from mosca.vibration.displacements import displacements
+from mosca.machines.vibration.analysis import Vibration, VibrationSettings, analyse
+from mosca.machines.vibration.displacements import displacements
+from mosca.machines.vibration.modes_file import write_modes
 from reports.vibration_evidence import VibrationEvidence
 from scenarios.spec.faults import RateFault
 from scenarios.spec.scenario import Scenario

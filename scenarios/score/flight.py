@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from mosca.closed_loop.delay import DelayEstimate
 from mosca.data.arrays import Array
+from mosca.machines.closed_loop.delay import DelayEstimate
 from scenarios.score.tracks import BLOCKS, ratio_of_sums
 from scenarios.types import Score
 

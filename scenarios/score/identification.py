@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from mosca.data.arrays import Array, set_read_only
-from mosca.identification.held_inputs import HeldInputs, IntervalGrid
-from mosca.identification.identify import IdentifiedModel, fit_percent
-from mosca.identification.output_error import OutputModel, OutputRecord, fit
-from mosca.identification.velocities import OUTPUTS, BodyVelocities
+from mosca.machines.identification.held_inputs import HeldInputs, IntervalGrid
+from mosca.machines.identification.identify import IdentifiedModel, fit_percent
+from mosca.machines.identification.output_error import OutputModel, OutputRecord, fit
+from mosca.machines.identification.velocities import OUTPUTS, BodyVelocities
 from scenarios.score.tracks import BLOCKS, ratio_of_sums
 from scenarios.types import Score
 from twin.scenes.driving import true_velocities

@@ -8,7 +8,7 @@ import numpy as np
 
 from mosca.data.arrays import Array
 from mosca.data.rig import principal_distances_px
-from mosca.self_orientation.camera_path import CameraPath
+from mosca.machines.self_orientation.camera_path import CameraPath
 from scenarios.session.self_orientation import SelfOrientation
 
 PAPER_Z_M = 27.2022596e-3

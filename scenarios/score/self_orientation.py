@@ -16,11 +16,11 @@ from mosca.data.arrays import Array
 from mosca.data.bodies import RigidBody
 from mosca.data.rig import Camera, Pose
 from mosca.data.targets import CodedTarget
-from mosca.self_orientation.camera_path import CameraPath, at_instants, mean_nees, pose_errors
-from mosca.self_orientation.registration import Registration
-from mosca.self_orientation.resection import Resected, ResectionSettings, resect_frames
-from mosca.self_orientation.rig_side import LeverArm, camera_by_rig, with_clock
-from mosca.self_orientation.shutter import TargetImages
+from mosca.machines.self_orientation.camera_path import CameraPath, at_instants, mean_nees, pose_errors
+from mosca.machines.self_orientation.registration import Registration
+from mosca.machines.self_orientation.resection import Resected, ResectionSettings, resect_frames
+from mosca.machines.self_orientation.rig_side import LeverArm, camera_by_rig, with_clock
+from mosca.machines.self_orientation.shutter import TargetImages
 from reports.self_orientation_evidence import SelfOrientationEvidence
 from scenarios.build.cameras import fitted_cameras
 from scenarios.build.survey import survey_flight

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from mosca.data.arrays import Array
-from mosca.vibration.analysis import Vibration
-from mosca.vibration.displacements import channels_of
-from mosca.vibration.modal import damping_bound, frequency_bound, mac
+from mosca.machines.vibration.analysis import Vibration
+from mosca.machines.vibration.displacements import channels_of
+from mosca.machines.vibration.modal import damping_bound, frequency_bound, mac
 from scenarios.types import Score
 from twin.scenes.plate import PlateModes
 

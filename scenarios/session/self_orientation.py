@@ -21,13 +21,13 @@ from mosca.diagnostics.light_marker.brightness import Brightness
 from mosca.diagnostics.light_marker.offsets import FlashOffset
 from mosca.diagnostics.light_marker.window import LampWatch, LampWindow, clock_offset
 from mosca.errors import CalibrationError
-from mosca.self_orientation.camera_path import CameraPath
-from mosca.self_orientation.images import coded_in, coded_settings, target_images
-from mosca.self_orientation.lamp import lamp_in_flight
-from mosca.self_orientation.registration import Registration, register_field
-from mosca.self_orientation.resection import LensErrors, Resected, ResectionSettings, resect_frames
-from mosca.self_orientation.rig_side import LeverArm, body_path, with_calibration
-from mosca.self_orientation.shutter import TargetImages
+from mosca.machines.self_orientation.camera_path import CameraPath
+from mosca.machines.self_orientation.images import coded_in, coded_settings, target_images
+from mosca.machines.self_orientation.lamp import lamp_in_flight
+from mosca.machines.self_orientation.registration import Registration, register_field
+from mosca.machines.self_orientation.resection import LensErrors, Resected, ResectionSettings, resect_frames
+from mosca.machines.self_orientation.rig_side import LeverArm, body_path, with_calibration
+from mosca.machines.self_orientation.shutter import TargetImages
 from scenarios.build.survey import own_camera, survey_field, survey_flight, told_field, told_lever_arm
 from scenarios.session.estimated import SESSION_SEED, SessionCalibration, at_rest
 from scenarios.spec.scenario import Scenario

@@ -28,7 +28,7 @@ from mosca.formats.tracks.marker_table import MarkerTable
 from mosca.formats.tracks.tracks_file import read_tracks, write_tracks
 from mosca.formats.tracks.trc import read_trc
 from mosca.formats.wand_points import read_wand_points
-from mosca.identification.commands import read_commands
+from mosca.machines.identification.commands import read_commands
 from reports.record import read_record
 from scenarios.score.reference import read_reference_csv
 

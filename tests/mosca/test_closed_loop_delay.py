@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from mosca.closed_loop.delay import FlightLog, estimate_delay
-from mosca.closed_loop.delay_margin import PositionLoop, delay_margin_s, mean_age_s
-from mosca.closed_loop.filtered_loop import FilteredLoop
-from mosca.closed_loop.late_pose_filter import MotionNoise
 from mosca.errors import InputError
+from mosca.machines.closed_loop.delay import FlightLog, estimate_delay
+from mosca.machines.closed_loop.delay_margin import PositionLoop, delay_margin_s, mean_age_s
+from mosca.machines.closed_loop.filtered_loop import FilteredLoop
+from mosca.machines.closed_loop.late_pose_filter import MotionNoise
 
 STEP_S = 0.001
 

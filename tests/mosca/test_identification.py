@@ -9,14 +9,14 @@ from scipy.integrate import quad
 from scipy.signal import lfilter
 
 from mosca.errors import InputError
-from mosca.identification.arx import arx_poles, continuous
-from mosca.identification.held_inputs import HeldInputs, IntervalGrid, on_grid
-from mosca.identification.identify import IdentifySettings, fit_on, fit_percent, identify
-from mosca.identification.model_file import transfer_function
-from mosca.identification.modes import interval_means, logs_of, poles_of, states
-from mosca.identification.output_error import OutputModel, OutputRecord, estimate, fit
-from mosca.identification.realization import realization
-from mosca.identification.velocities import mean_velocities, smoothed_velocities
+from mosca.machines.identification.arx import arx_poles, continuous
+from mosca.machines.identification.held_inputs import HeldInputs, IntervalGrid, on_grid
+from mosca.machines.identification.identify import IdentifySettings, fit_on, fit_percent, identify
+from mosca.machines.identification.model_file import transfer_function
+from mosca.machines.identification.modes import interval_means, logs_of, poles_of, states
+from mosca.machines.identification.output_error import OutputModel, OutputRecord, estimate, fit
+from mosca.machines.identification.realization import realization
+from mosca.machines.identification.velocities import mean_velocities, smoothed_velocities
 
 TWO_POLES = Known(((40.0,), (-60.0, 200.0)), (1.0, 14.0, 40.0))  # poles -4 and -10
 

@@ -7,9 +7,9 @@ from scipy.spatial.transform import Rotation
 from mosca.data.bodies import BodyPoses, RigidBody
 from mosca.data.tracks import Tracks
 from mosca.errors import InputError
-from mosca.identification.commands import read_commands
-from mosca.identification.deck import PAPER, DeckAxes, in_axes, learned_deck, poses_in_axes, read_axes
-from mosca.identification.velocities import planar_path
+from mosca.machines.identification.commands import read_commands
+from mosca.machines.identification.deck import PAPER, DeckAxes, in_axes, learned_deck, poses_in_axes, read_axes
+from mosca.machines.identification.velocities import planar_path
 from mosca.rigid_bodies.tracker import body_poses
 
 NAMES = ("T3", "T6", "T8", "T10", "T13")

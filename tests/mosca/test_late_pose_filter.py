@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from mosca.closed_loop.input_integral import InputIntegral
-from mosca.closed_loop.late_pose_filter import LatePoseFilter, MotionNoise
+from mosca.machines.closed_loop.input_integral import InputIntegral
+from mosca.machines.closed_loop.late_pose_filter import LatePoseFilter, MotionNoise
 
 NOISE = MotionNoise(0.3, 0.7)
 SIGMA = (0.05, 0.4)

@@ -14,12 +14,19 @@ from mosca.data.rig import Camera, OpenCVLens, Pose, Rig
 from mosca.data.rotations import quaternion_from_rotation
 from mosca.data.targets import CodedTarget, PlacedTarget, TestField
 from mosca.errors import InputError
-from mosca.self_orientation.camera_path import CameraPath, at_instants, in_frame, mean_nees, moved, pose_errors
-from mosca.self_orientation.comparison import compare, estimated_lever_arm
-from mosca.self_orientation.registration import Registration, register_field
-from mosca.self_orientation.resection import LensErrors, ResectionSettings, resect_frames
-from mosca.self_orientation.rig_side import LeverArm, body_path, camera_by_rig, with_clock
-from mosca.self_orientation.shutter import TargetImages
+from mosca.machines.self_orientation.camera_path import (
+    CameraPath,
+    at_instants,
+    in_frame,
+    mean_nees,
+    moved,
+    pose_errors,
+)
+from mosca.machines.self_orientation.comparison import compare, estimated_lever_arm
+from mosca.machines.self_orientation.registration import Registration, register_field
+from mosca.machines.self_orientation.resection import LensErrors, ResectionSettings, resect_frames
+from mosca.machines.self_orientation.rig_side import LeverArm, body_path, camera_by_rig, with_clock
+from mosca.machines.self_orientation.shutter import TargetImages
 
 LENS = OpenCVLens(930.0, 932.0, 641.0, 357.0, k1=-0.21, k2=0.05, p1=4e-4, p2=-3e-4)
 CAMERA = Camera("front", 1280, 720, LENS, Pose(np.eye(3), np.zeros(3)))

@@ -19,11 +19,18 @@ from vibration_records import (
 
 from mosca.data.arrays import Array
 from mosca.errors import InputError
-from mosca.vibration.analysis import Vibration, VibrationSettings, analyse
-from mosca.vibration.likelihood import expected_periodogram, fit_mode
-from mosca.vibration.modal import damping_bound, frequency_bound, looks_steady, mac, phase_collinearity, real_shape
-from mosca.vibration.spectra import filled, noise_floor, spectra
-from mosca.vibration.subspace import correlations
+from mosca.machines.vibration.analysis import Vibration, VibrationSettings, analyse
+from mosca.machines.vibration.likelihood import expected_periodogram, fit_mode
+from mosca.machines.vibration.modal import (
+    damping_bound,
+    frequency_bound,
+    looks_steady,
+    mac,
+    phase_collinearity,
+    real_shape,
+)
+from mosca.machines.vibration.spectra import filled, noise_floor, spectra
+from mosca.machines.vibration.subspace import correlations
 
 LENGTH_S = 40.0
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from vibration_records import FREQUENCIES_HZ, RATE_HZ, plate_shapes, plate_values, record_of
 
-from mosca.vibration.analysis import analyse
-from mosca.vibration.modal import mac
+from mosca.machines.vibration.analysis import analyse
+from mosca.machines.vibration.modal import mac
 
 algorithms = pytest.importorskip("pyoma2.algorithms", reason="pyOMA-2 is not installed (bench extra)")
 setups = pytest.importorskip("pyoma2.setup", reason="pyOMA-2 is not installed (bench extra)")

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from mosca.closed_loop.delay_margin import PositionLoop
-from mosca.closed_loop.filtered_loop import FilteredLoop
-from mosca.closed_loop.late_pose_filter import MotionNoise
 from mosca.errors import InputError
+from mosca.machines.closed_loop.delay_margin import PositionLoop
+from mosca.machines.closed_loop.filtered_loop import FilteredLoop
+from mosca.machines.closed_loop.late_pose_filter import MotionNoise
 from scenarios.cli.flight import flight as flight_verbs
 from scenarios.commands.flight_map import FlightOutcome, cell_of, described, wilson95
 from scenarios.flight.predicted import fly_predicted

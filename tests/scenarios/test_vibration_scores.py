@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from vibration_records import NOISE_M, PLACES, RATE_HZ, record_of
 
-from mosca.vibration.analysis import Vibration, VibrationSettings
-from mosca.vibration.modal import Mode, damping_bound
-from mosca.vibration.spectra import NoiseFloor, Spectra
-from mosca.vibration.subspace import Poles
+from mosca.machines.vibration.analysis import Vibration, VibrationSettings
+from mosca.machines.vibration.modal import Mode, damping_bound
+from mosca.machines.vibration.spectra import NoiseFloor, Spectra
+from mosca.machines.vibration.subspace import Poles
 from scenarios.score.vibration import vibration_scores
 from twin.scenes.plate import ThinPlate
 

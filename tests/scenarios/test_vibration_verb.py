@@ -11,8 +11,8 @@ from vibration_records import FREQUENCIES_HZ, NOISE_M, PLACES, RATE_HZ, plate_sh
 from mosca.data.tracks import Tracks
 from mosca.errors import InputError
 from mosca.formats.tracks.tracks_file import write_tracks
-from mosca.vibration.displacements import displacements
-from mosca.vibration.modal import mac
+from mosca.machines.vibration.displacements import displacements
+from mosca.machines.vibration.modal import mac
 
 
 def tracks_of(values, *, labels=True, carrier=None):

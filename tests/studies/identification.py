@@ -2,7 +2,7 @@
 
 Run: ``python -m tests.studies.identification [--drives N] [--seconds S] [--orders N]``. The robot drives on contact
 physics; poses have the noise that the 13 targets' stated covariance gives (``--sigma`` of a target [m]), drawn from
-the least squares' own covariance. Nothing is rendered. Each drive's model is fitted by ``mosca.identification``: with
+the least squares' own covariance. Nothing is rendered. Each drive's model is fitted as by ``mosca identify``: with
 ``--orders`` above 1 the order is chosen, as ``mosca identify`` does, else it is 1. The best linear model is that of
 the true mean velocities of the next drives joined (``scenarios.score.identification``); the last is the unseen drive.
 """
@@ -13,10 +13,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from mosca.data.bodies import BodyPoses
-from mosca.identification.held_inputs import HeldInputs
-from mosca.identification.identify import IdentifySettings, fit_percent, identify
-from mosca.identification.output_error import OutputEstimate, OutputModel, OutputRecord, estimate, fit
-from mosca.identification.velocities import OUTPUTS, PlanarPath, mean_velocities, planar_path
+from mosca.machines.identification.held_inputs import HeldInputs
+from mosca.machines.identification.identify import IdentifySettings, fit_percent, identify
+from mosca.machines.identification.output_error import OutputEstimate, OutputModel, OutputRecord, estimate, fit
+from mosca.machines.identification.velocities import OUTPUTS, PlanarPath, mean_velocities, planar_path
 from scenarios.score.identification import MOST_DELAY_S, TrueDrive, best_linear, driven_inputs, true_drive
 from twin.scenes.robot import DECK_CENTRE_M, TARGET_XY_M, build_robot
 from twin.scenes.scene import Scene

@@ -16,7 +16,7 @@ from mosca.data.rig import Rig
 from mosca.diagnostics.light_marker.brightness import Brightness
 from mosca.diagnostics.light_marker.offsets import FlashOffset, align, edges_of
 from mosca.errors import InputError
-from mosca.self_orientation.lamp import lamp_image
+from mosca.machines.self_orientation.lamp import lamp_image
 
 MARGIN_PX = 6.0
 """Beyond the lamp's image: its blur, and where the poses may be off."""

@@ -12,10 +12,10 @@ from scipy.stats import t as student
 
 from mosca.data.arrays import Array
 from mosca.errors import InputError
-from mosca.identification.arx import arx_poles, continuous
-from mosca.identification.held_inputs import HeldInputs, IntervalGrid
-from mosca.identification.modes import logs_of, poles_of
-from mosca.identification.output_error import (
+from mosca.machines.identification.arx import arx_poles, continuous
+from mosca.machines.identification.held_inputs import HeldInputs, IntervalGrid
+from mosca.machines.identification.modes import logs_of, poles_of
+from mosca.machines.identification.output_error import (
     FEWEST_BLOCKS,
     OutputEstimate,
     OutputModel,
@@ -27,8 +27,8 @@ from mosca.identification.output_error import (
     regressors,
     slowest_rate,
 )
-from mosca.identification.realization import Realization, realization
-from mosca.identification.velocities import (
+from mosca.machines.identification.realization import Realization, realization
+from mosca.machines.identification.velocities import (
     OUTPUTS,
     UNITS,
     BodyVelocities,

@@ -17,7 +17,7 @@ from mosca.data.arrays import Array, set_read_only
 from mosca.data.bodies import BodyPoses
 from mosca.data.rotations import rotation_from_quaternion
 from mosca.errors import InputError
-from mosca.identification.held_inputs import IntervalGrid
+from mosca.machines.identification.held_inputs import IntervalGrid
 from mosca.smoothing.rts import axis_moves, smooth_states
 from mosca.tracking.motion_models import motion
 

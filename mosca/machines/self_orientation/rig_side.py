@@ -12,8 +12,8 @@ from mosca.data.calibration import Calibration
 from mosca.data.rig import Pose
 from mosca.data.rotations import rotation_from_quaternion
 from mosca.errors import InputError
-from mosca.self_orientation.camera_path import CameraPath, in_frame, moved
-from mosca.self_orientation.registration import Registration, pose_shift
+from mosca.machines.self_orientation.camera_path import CameraPath, in_frame, moved
+from mosca.machines.self_orientation.registration import Registration, pose_shift
 
 RIG = "rig "
 """How the names of the rig's own parameters begin among the shared ones."""

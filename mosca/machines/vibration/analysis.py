@@ -12,12 +12,12 @@ from scipy.stats import kurtosis
 
 from mosca.data.arrays import Array
 from mosca.errors import InputError
-from mosca.vibration.displacements import Displacements
-from mosca.vibration.findings import findings_of
-from mosca.vibration.likelihood import ModeFit, expected_periodogram, fit_mode
-from mosca.vibration.modal import Mode, looks_steady, mac, phase_collinearity, real_shape
-from mosca.vibration.spectra import NoiseFloor, Spectra, filled, noise_floor, spectra
-from mosca.vibration.subspace import Candidate, Poles, SubspaceSettings, candidates, correlations, poles_of
+from mosca.machines.vibration.displacements import Displacements
+from mosca.machines.vibration.findings import findings_of
+from mosca.machines.vibration.likelihood import ModeFit, expected_periodogram, fit_mode
+from mosca.machines.vibration.modal import Mode, looks_steady, mac, phase_collinearity, real_shape
+from mosca.machines.vibration.spectra import NoiseFloor, Spectra, filled, noise_floor, spectra
+from mosca.machines.vibration.subspace import Candidate, Poles, SubspaceSettings, candidates, correlations, poles_of
 
 _FILLED_BY = 8  # patterns: as many modes as a record of few targets tells apart
 _LEAST_EVIDENCE = 30.0

@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation
 from mosca.data.arrays import Array, set_read_only
 from mosca.data.rig import Pose
 from mosca.errors import InputError
-from mosca.self_orientation.camera_path import CameraPath, at_instants, pose_errors
-from mosca.self_orientation.rig_side import LeverArm
+from mosca.machines.self_orientation.camera_path import CameraPath, at_instants, pose_errors
+from mosca.machines.self_orientation.rig_side import LeverArm
 
 NAMES = ("X", "Y", "Z", "omega", "alpha", "kappa")
 FEWEST = 2

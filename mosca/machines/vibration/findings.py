@@ -3,9 +3,9 @@
 import numpy as np
 
 from mosca.data.arrays import Array
-from mosca.vibration.displacements import Displacements
-from mosca.vibration.modal import Mode, damping_bound
-from mosca.vibration.spectra import NoiseFloor, Spectra
+from mosca.machines.vibration.displacements import Displacements
+from mosca.machines.vibration.modal import Mode, damping_bound
+from mosca.machines.vibration.spectra import NoiseFloor, Spectra
 
 HIGHEST_SHARE = 0.4
 """Of the frame rate: frequencies up to here are claimed."""

@@ -21,8 +21,8 @@ from scipy.optimize import least_squares
 from scipy.stats import t as student
 
 from mosca.data.arrays import Array, set_read_only
-from mosca.identification.held_inputs import HeldInputs, IntervalGrid, on_grid
-from mosca.identification.modes import columns, gains, interval_means, poles_of, states
+from mosca.machines.identification.held_inputs import HeldInputs, IntervalGrid, on_grid
+from mosca.machines.identification.modes import columns, gains, interval_means, poles_of, states
 
 MOST_BLOCKS, FEWEST_BLOCKS = 30, 8
 MEMORIES = 10

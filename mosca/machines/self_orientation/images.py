@@ -8,7 +8,7 @@ from mosca.data.found_targets import CodedDetections
 from mosca.data.frames import CameraInfo, Frame, mid_exposure_ns
 from mosca.data.targets import CodedTarget, TestField
 from mosca.errors import InputError
-from mosca.self_orientation.shutter import TargetImages
+from mosca.machines.self_orientation.shutter import TargetImages
 
 
 def coded_settings(field: TestField, colour: Literal["white", "black", "both"] = "both") -> CodedSettings:

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from mosca.data.files.whole_file import write_text
-from mosca.vibration.analysis import Vibration
-from mosca.vibration.modal import Mode
+from mosca.machines.vibration.analysis import Vibration
+from mosca.machines.vibration.modal import Mode
 
 SUFFIXES = (".json", ".csv")
 

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import expm, solve_discrete_are
 
-from mosca.closed_loop.delay_margin import PositionLoop
-from mosca.closed_loop.late_pose_filter import MotionNoise
 from mosca.data.arrays import Array
+from mosca.machines.closed_loop.delay_margin import PositionLoop
+from mosca.machines.closed_loop.late_pose_filter import MotionNoise
 
 LONGEST_S = 0.5
 """Delays up to this are tried."""

@@ -10,7 +10,7 @@ from mosca.data.arrays import Array
 from mosca.data.frames import Frame
 from mosca.data.rig import Camera, Pose
 from mosca.data.rotations import rotation_from_vector
-from mosca.self_orientation.resection import Resected
+from mosca.machines.self_orientation.resection import Resected
 
 ROW_ROUNDS = 2
 """The row says when the lamp is exposed, and that where it is: the second round moves it by less than 0.1 px."""

@@ -3,7 +3,7 @@
 Whittle's likelihood: ordinates of a long periodogram are independent and exponential about their expectation. That of
 a sampled oscillator on white force over a finite record is known in closed form, so that the record's length gives no
 bias (debiased Whittle likelihood, Sykulski et al., Biometrika 2019). It reaches the bound of
-``mosca.vibration.modal.frequency_bound``, and its curvature gives the standard deviations.
+``mosca.machines.vibration.modal.frequency_bound``, and its curvature gives the standard deviations.
 """
 
 from collections.abc import Callable

@@ -24,8 +24,8 @@ from mosca.data.rig import Camera, Pose, Rig
 from mosca.data.rotations import quaternion_from_rotation, rotation_from_vector
 from mosca.data.targets import CodedTarget, TestField
 from mosca.errors import InputError
-from mosca.self_orientation.camera_path import CameraPath, SharedErrors
-from mosca.self_orientation.shutter import TargetImages, at_central_row
+from mosca.machines.self_orientation.camera_path import CameraPath, SharedErrors
+from mosca.machines.self_orientation.shutter import TargetImages, at_central_row
 
 FEWEST_TARGETS = 4
 STEPS = 20

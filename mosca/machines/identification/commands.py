@@ -15,7 +15,7 @@ import numpy as np
 from mosca.data.arrays import Array, set_read_only
 from mosca.errors import InputError
 from mosca.formats.tracks.csv_columns import parsed, read_named, read_rows
-from mosca.identification.held_inputs import HeldInputs
+from mosca.machines.identification.held_inputs import HeldInputs
 
 CLOCKS = ("time_ns", "time_s", "frame")
 SIDES = (("left", "right"), ("pwm_left", "pwm_right"))

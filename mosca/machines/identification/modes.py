@@ -9,7 +9,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from mosca.data.arrays import Array
-from mosca.identification.held_inputs import InputsOnGrid, IntervalGrid
+from mosca.machines.identification.held_inputs import InputsOnGrid, IntervalGrid
 
 
 def poles_of(logs: Array) -> Array:

@@ -7,8 +7,8 @@ The output's noise is in the regressors y(k-i), which pulls the poles to 0.
 import numpy as np
 
 from mosca.data.arrays import Array
-from mosca.identification.held_inputs import on_grid
-from mosca.identification.output_error import OutputRecord
+from mosca.machines.identification.held_inputs import on_grid
+from mosca.machines.identification.output_error import OutputRecord
 
 
 def arx_poles(record: OutputRecord, order: int, delay_s: float) -> Array:

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.linalg import svd
 
 from mosca.data.arrays import Array, set_read_only
-from mosca.vibration.modal import mac, phase_collinearity
+from mosca.machines.vibration.modal import mac, phase_collinearity
 
 _Pole = tuple[int, float, float, Array, bool]
 

@@ -12,8 +12,8 @@ import numpy as np
 
 from mosca.data.arrays import Array
 from mosca.data.files.whole_file import write_text
-from mosca.identification.identify import IdentifiedModel, IdentifiedOutput
-from mosca.identification.modes import poles_of
+from mosca.machines.identification.identify import IdentifiedModel, IdentifiedOutput
+from mosca.machines.identification.modes import poles_of
 
 FORMAT = 1
 

@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mosca.closed_loop.input_integral import InputIntegral
 from mosca.data.arrays import Array
+from mosca.machines.closed_loop.input_integral import InputIntegral
 
 _AXES = np.eye(3)
 

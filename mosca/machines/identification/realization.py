@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from mosca.data.arrays import Array, set_read_only
-from mosca.identification.held_inputs import on_grid
-from mosca.identification.output_error import OutputRecord
+from mosca.machines.identification.held_inputs import on_grid
+from mosca.machines.identification.output_error import OutputRecord
 
 
 @dataclass(frozen=True, eq=False)

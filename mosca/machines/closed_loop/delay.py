@@ -11,9 +11,9 @@ from typing import ClassVar
 import numpy as np
 from scipy.optimize import minimize
 
-from mosca.closed_loop.late_pose_filter import MotionNoise
 from mosca.data.arrays import Array, set_read_only
 from mosca.errors import InputError
+from mosca.machines.closed_loop.late_pose_filter import MotionNoise
 from mosca.numba_support.decorators import kernel
 
 FEWEST_POSES = 100
