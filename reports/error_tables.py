@@ -64,10 +64,8 @@ def _could_be_seen(evidence: Evidence, marker: int) -> Array:
     """Return in which frames (t,) two cameras could see a marker, or its place is known where that is not."""
     assert evidence.truth_xyz is not None
     if evidence.could_see is not None:
-        seen: Array = evidence.could_see[:, marker].sum(axis=1) >= 2
-        return seen
-    known: Array = np.isfinite(evidence.truth_xyz[:, marker]).all(axis=1)
-    return known
+        return np.asarray(evidence.could_see[:, marker].sum(axis=1) >= 2)
+    return np.asarray(np.isfinite(evidence.truth_xyz[:, marker]).all(axis=1))
 
 
 def _gaps(frames: Array, seconds: Array) -> tuple[int, float]:

@@ -8,7 +8,7 @@ from scenarios.cli.options import OUT_FILE, Number, echo_lines
 from scenarios.cli.progress import Progress
 
 
-class Numbers(click.ParamType):
+class Numbers(click.ParamType):  # type: ignore[type-arg]  # generic from click 8.2 on
     """Numbers in a range: ``A,B,...`` or ``FROM:UNTIL:STEP``, both ends included."""
 
     name = "A,B,... or FROM:UNTIL:STEP"

@@ -188,8 +188,10 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
     timings |= collected.seconds
     record = record_of(spec, name, options.source, replace(worth, scores=scores), timings, built.known)
     evidence = evidence_of(spec, believed, worth, done.person, done.vibration, done.shown)
-    more = {} if oriented is None else {"self_orientation": oriented.evidence}
-    evidence = replace(evidence, **more, flight=None if flight is None else flight_evidence(flight))
+    if oriented is not None:
+        evidence = replace(evidence, self_orientation=oriented.evidence)
+    if flight is not None:
+        evidence = replace(evidence, flight=flight_evidence(flight))
     if continuous is not None:
         evidence = as_worn(evidence, spec, continuous)
     commands = None if built.scene is None else built.scene.commands

@@ -77,4 +77,5 @@ def flight_scores(path: FlownPath, delay: DelayEstimate | None) -> dict[str, Sco
 def joined(steps: Sequence[Any], **rest: Any) -> FlownPath:
     """Return the path of control steps with the fields of ``FlownPath`` that are one a step; ``rest``: the others."""
     names = ("time_s", "position", "wanted", "estimated", "covariance", "pose_age_s")
-    return FlownPath(*(np.array([getattr(step, name) for step in steps]) for name in names), **rest)
+    columns: dict[str, Any] = {name: np.array([getattr(step, name) for step in steps]) for name in names}
+    return FlownPath(**columns, **rest)

@@ -83,9 +83,8 @@ def scored(
     unjudged = tuple(name for name in spec.limits if name.startswith("joint_") and truth.joints is None)
     if scene is None:  # where bodies are between exposures, only the twin's scene tells
         unjudged += tuple(name for name in spec.limits if name in VIRTUAL)
-    return Scored(
-        scores, premises_met(spec, truth, name, disturbed), collected, truth, pairs, joints, modes, unjudged, objects
-    )
+    met = premises_met(spec, truth, name, disturbed)
+    return Scored(scores, met, collected, truth, pairs, joints, modes, unjudged, objects=objects)
 
 
 def not_judged(spec: Scenario, judged: Collection[str]) -> tuple[str, ...]:

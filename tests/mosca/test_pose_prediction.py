@@ -161,6 +161,25 @@ def test_learned_acceleration_and_covariance_follow_the_motion():
     assert 16.0 <= found[1] <= 64.0
 
 
+@pytest.mark.parametrize(("times_stated", "allowed"), [(1.0, (1.0,)), (4.0, (2.0, 4.0, 8.0))])
+def test_errors_that_are_stated_too_small_are_not_taken_for_accelerations(times_stated, allowed):
+    """Uniform motion with errors of four times their stated size: their size is learned, and no acceleration."""
+    rng = np.random.default_rng(11)
+    times = np.arange(300) * PERIOD_NS
+    rotations, xyz = uniform(times * 1e-9)
+    stated_m, stated_rad = 5e-5, 1e-4
+    noisy = xyz + rng.normal(0, times_stated * stated_m, xyz.shape)
+    turned = Rotation.from_rotvec(rng.normal(0, times_stated * stated_rad, xyz.shape)) * rotations
+    predictor = BodyPredictor()
+    predictor.update(poses_of(times, turned, noisy, stated_m, stated_rad))
+    assert set(predictor.scales) <= set(allowed)
+    assert max(predictor.strengths) <= 1.0
+    found = predictor.at(int(times[-1]) + 20_000_000)
+    off = found.position - uniform(times[-1] * 1e-9 + 0.02)[1][0]
+    # within four standard deviations of what is then stated, along each axis
+    assert (np.abs(off) < 4 * np.sqrt(np.diag(found.covariance)[:3])).all()
+
+
 def test_an_instant_between_is_the_dense_solution_of_the_same_model():
     """Least squares over the joint covariance of the instants (Rasmussen and Williams 2006, eq. 2.25)."""
     rng = np.random.default_rng(9)
