@@ -120,6 +120,81 @@ GLOSSARY = {
     "noise_floor_ratio": Term(
         "Noise of the measured vibration against what the tracks state; 1 where that is right.", "measured / expected"
     ),
+    "self_position_rms": Term(
+        "How far the camera's own poses, from a test field in its images, lie from the true ones.",
+        f"{_RMS} over its frames",
+    ),
+    "self_angle_rms": Term(
+        "How far the camera's own rotations are from the true ones.", f"{_RMS} of the rotation vector, 3D"
+    ),
+    "self_nees": Term(
+        "Whether the covariance of the camera's own poses is right: 6 where it is.", f"{_NEES}; position and rotation"
+    ),
+    "self_completeness": Term(
+        "Share of the camera's frames of which a pose was found.", "frames with a pose / frames"
+    ),
+    "rig_camera_position_rms": Term(
+        "How far the same camera's poses by the rig lie from the true ones.", f"{_RMS} over its frames"
+    ),
+    "rig_camera_angle_rms": Term(
+        "How far its rotations by the rig are from the true ones.", f"{_RMS} of the rotation vector, 3D"
+    ),
+    "rig_camera_nees": Term(
+        "Whether the covariance of the camera's poses by the rig is right: 6 where it is.",
+        f"{_NEES}; position and rotation",
+    ),
+    "light_clock_error": Term(
+        "Error of the offset between the two recordings' clocks, found from a lamp that both see blink.",
+        "|estimated - true offset|",
+    ),
+    "budget_explained": Term(
+        "Share of the difference of the two sides that the listed sources of error explain, each switched off alone.",
+        "sum over sources of sum(c' d) / sum(d' d), d: difference in position, c: what the source changes in it",
+    ),
+    "object_position_rms": Term(
+        "How far virtual objects are from their bodies at the instant at which they are shown.",
+        f"{_RMS} of distances",
+    ),
+    "object_angle_rms": Term(
+        "How far virtual objects are turned from their bodies when they are shown.", f"{_RMS} of the rotation vector"
+    ),
+    "object_nees": Term(
+        "Whether the covariance stated for what is shown is right: 3 where it is.", f"{_NEES}; positions"
+    ),
+    "object_age_p99": Term(
+        "Time from the exposure of what is shown to its display.", "99 % quantile over the displays"
+    ),
+    "objects_current": Term(
+        "Share of the displays at which objects are shown from poses that are new enough.",
+        "displays that are interpolated or extrapolated / displays",
+    ),
+    "flight_rms": Term(
+        "How far the drone is from where it was to be, while it flies on the measured poses.", f"{_RMS} of distances"
+    ),
+    "flight_max": Term("The farthest that the drone came from where it was to be.", "maximum of the distances"),
+    "flight_sigma_ratio": Term(
+        "How many stated standard deviations of the poses the drone is off its path.",
+        "rms off the path / rms of the poses' stated 3D standard deviation",
+    ),
+    "prediction_rms": Term(
+        "How far the predicted position, by which the drone is steered, lies from the true one.",
+        f"{_RMS} of distances",
+    ),
+    "prediction_nees": Term(
+        "Whether the covariance of the predicted positions is right: 3 where it is.", f"{_NEES}; positions"
+    ),
+    "crashes": Term(
+        "Whether the drone left the working space, came below 5 cm or tilted by more than 90 degrees.", "0 or 1"
+    ),
+    "pose_delay": Term(
+        "Mean time from mid-exposure to the arrival of a pose, estimated from the flight's own log.",
+        "maximum likelihood (Ljung 1999, section 7)",
+    ),
+    "pose_delay_error": Term("Error of that estimate.", "|estimated - true mean delay|"),
+    "pose_delay_mismatch": Term(
+        "Difference of the estimate from the delay that the predictor believes in.",
+        "|estimated - believed mean delay|",
+    ),
     "reprojection_rms": Term(
         "How far image points lie from the projections of their 3D points. It needs no truth, and is no error in "
         "space.",

@@ -194,9 +194,8 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
         evidence = replace(evidence, flight=flight_evidence(flight))
     if continuous is not None:
         evidence = as_worn(evidence, spec, continuous)
-    commands = None if built.scene is None else built.scene.commands
-    found = (own, poses, done.person, done.vibration, done.model, flight)
-    return RunResult(record, evidence, written, worth.truth, commands, *found)
+    found = (getattr(built.scene, "commands", None), own, poses, done.person, done.vibration, done.model, flight)
+    return RunResult(record, evidence, written, worth.truth, *found)
 
 
 def _filled(spec: Scenario, collected: Collected, tracks: Tracks) -> Tracks:
