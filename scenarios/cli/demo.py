@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from scenarios.cli.options import OUT_FOLDER
+from scenarios.cli.options import OUT_FOLDER, SCENARIO
 from scenarios.cli.progress import Progress
 
 
@@ -16,7 +16,9 @@ def demo() -> None:
 
 @demo.command("lab")
 @click.argument("folder", type=OUT_FOLDER)
-@click.option("--scenario", default="drone", show_default=True, help="scenario with a [calibration], or its file")
+@click.option(
+    "--scenario", type=SCENARIO, default="drone", show_default=True, help="scenario with a [calibration], or its file"
+)
 @click.option("--seconds", type=float, default=2.0, show_default=True, help="length of the take")
 @click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE", help="change a key of the scenario")
 @click.option("--workers", type=click.IntRange(1, 64), help="rendering threads  [default: all cores]")

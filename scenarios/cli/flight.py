@@ -4,7 +4,7 @@ from typing import Any
 
 import click
 
-from scenarios.cli.options import OUT_FILE, Number, echo_lines
+from scenarios.cli.options import OUT_FILE, SCENARIO, Number, echo_lines
 from scenarios.cli.progress import Progress
 
 
@@ -43,7 +43,7 @@ def flight() -> None:
 
 
 @flight.command("map")
-@click.argument("scenario")
+@click.argument("scenario", type=SCENARIO)
 @click.option("--latency", type=Numbers(1, 1000), default="20:100:20", show_default=True, help="mean delays [ms]")
 @click.option(
     "--dropout", type=Numbers(0, 1), default="0,0.2,0.4,0.6", show_default=True, help="shares of poses lost"

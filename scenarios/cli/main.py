@@ -32,7 +32,8 @@ from scenarios.cli import skeleton as cli_skeleton
 from scenarios.cli import station as cli_station
 from scenarios.cli import tracks as cli_tracks
 from scenarios.cli import vibration as cli_vibration
-from scenarios.cli.options import FILE, OUT_FILE, OUT_FOLDER, OutFile, log_to_stderr, print_table, table
+from scenarios.cli.grouped import GroupedCommands
+from scenarios.cli.options import FILE, OUT_FILE, OUT_FOLDER, SCENARIO, OutFile, log_to_stderr, print_table, table
 from scenarios.cli.progress import Progress
 from scenarios.run.interrupt import EXIT_STOPPED, was_interrupted
 
@@ -40,7 +41,7 @@ LOG = logging.getLogger(__name__)
 EXIT_PASSED, EXIT_BROKEN, EXIT_ERROR = 0, 1, 2
 
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+@click.group(cls=GroupedCommands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
 @click.version_option(__version__, prog_name="mosca")
 @click.option("-v", "--verbose", count=True, help="log each stage of the work; -vv: more")
 @click.option("-q", "--quiet", is_flag=True, help="log errors alone, and show no progress")
@@ -53,7 +54,7 @@ def cli(verbose: int, quiet: bool) -> None:
 
 
 @cli.command()
-@click.argument("scenario")
+@click.argument("scenario", type=SCENARIO)
 @click.option("--source", default="twin", help="twin | recording:DIR | hardware:RIG.toml", show_default=True)
 @click.option("--seed", type=int, help="another seed than the scenario's")
 @click.option(

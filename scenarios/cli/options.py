@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import click
+from click.shell_completion import CompletionItem
 
 from mosca.data.files.whole_file import check_folder, check_writable
 
@@ -21,6 +22,27 @@ class Number(click.FloatRange):
         if not math.isfinite(number):
             self.fail(f"{number:g} is no finite number.", param, ctx)
         return number
+
+
+class ScenarioName(click.Path):
+    """A scenario's file, or the name of a built-in one; shells complete both."""
+
+    name = "scenario"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return it as given: what it means is looked up by the verb."""
+        return value
+
+    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+        """Return names that begin so, in full or by their last part, and files."""
+        from scenarios.spec.catalog import built_in, scenario_name
+
+        found = [
+            name
+            for name in map(scenario_name, built_in())
+            if name.startswith(incomplete) or name.split("/")[-1].startswith(incomplete)
+        ]
+        return [*map(CompletionItem, found), *super().shell_complete(ctx, param, incomplete)]
 
 
 class OutFile(click.Path):
@@ -51,6 +73,7 @@ class OutFolder(click.Path):
         return path
 
 
+SCENARIO = ScenarioName()
 FILE = click.Path(path_type=Path)
 OUT_FILE, OUT_FOLDER = OutFile(), OutFolder(path_type=Path)
 LAG = click.option("--lag", type=int, metavar="FRAMES", help="smooth each position with so many frames after it")

@@ -2,14 +2,19 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from click.shell_completion import ShellComplete
 from command_line import mosca, mosca_alone, refusal
 from tiny_scenario import write_tiny
+
+from scenarios.cli.grouped import SECTIONS
+from scenarios.cli.main import cli
 
 
 def scenario(tmp_path, top="", cameras="", limits="position_rms = 0.01"):
@@ -157,3 +162,23 @@ def test_new_list_and_schema(tmp_path):
     assert "subjects/actor" in listed.stdout
     assert json.loads(mosca("schema", "scenario", cwd=tmp_path).stdout)["title"] == "Scenario"
     assert os.path.getsize(Path(tmp_path, "my.toml")) > 0
+
+
+def test_help_lists_each_command_in_one_section():
+    sections = [name for names in SECTIONS.values() for name in names]
+    assert sorted(sections) == sorted(cli.commands)
+    shown = mosca("--help", cwd=".").stdout
+    assert not re.search(r"[\w,]\.\.\.", shown)  # nothing is cut
+    for title, names in SECTIONS.items():
+        part = shown.split(f"\n{title}:\n", 1)[1].split("\n\n", 1)[0]
+        assert re.findall(r"^  (\S+) ", part, re.MULTILINE) == list(names)
+
+
+@pytest.mark.parametrize(
+    ("typed", "offered"), [("subjects/ro", "subjects/robot"), ("rob", "subjects/robot"), ("flight/h", "flight/hover")]
+)
+def test_a_shell_completes_names_of_scenarios(typed, offered):
+    completion = ShellComplete(cli, {}, "mosca", "_MOSCA_COMPLETE")
+    assert offered in [item.value for item in completion.get_completions(["run"], typed)]
+    assert "--seed" in [item.value for item in completion.get_completions(["run", "x"], "--s")]
+    assert "calibrate" in [item.value for item in completion.get_completions([], "cal")]

@@ -1,0 +1,34 @@
+"""The list of commands in ``mosca --help``, by what one wants to do, as in the README."""
+
+import click
+
+SECTIONS: dict[str, tuple[str, ...]] = {
+    "Scenarios": ("run", "list", "new", "demo", "suite", "report", "view"),
+    "Calibration": ("target", "calibrate", "rig"),
+    "Trajectories": ("reconstruct", "live", "labels", "bodies", "edit", "zones"),
+    "People and machines": ("skeleton", "motion", "identify", "vibration", "self-orient", "flight"),
+    "Lab": ("capture", "station", "twin"),
+    "Files": ("schema",),
+}
+
+LONGEST = 120
+"""Characters of what is said of a command; its first sentence fits."""
+
+
+class GroupedCommands(click.Group):
+    """A group of commands whose help lists them by section; one without a section comes last."""
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write a list of commands for each section."""
+        listed = {name for names in SECTIONS.values() for name in names}
+        others = tuple(name for name in self.list_commands(ctx) if name not in listed)
+        width = max(map(len, self.commands), default=0)
+        for title, names in {**SECTIONS, "More": others}.items():
+            rows = []
+            for name in names:
+                command = self.get_command(ctx, name)
+                if command is not None:
+                    rows.append((name.ljust(width), command.get_short_help_str(LONGEST)))
+            if rows:
+                with formatter.section(title):
+                    formatter.write_dl(rows)
