@@ -30,6 +30,7 @@ from scenarios.cli import rig as cli_rig
 from scenarios.cli import self_orient as cli_self_orient
 from scenarios.cli import skeleton as cli_skeleton
 from scenarios.cli import station as cli_station
+from scenarios.cli import track_files as cli_track_files
 from scenarios.cli import tracks as cli_tracks
 from scenarios.cli import vibration as cli_vibration
 from scenarios.cli.grouped import GroupedCommands
@@ -289,6 +290,7 @@ cli.add_command(cli_tracks.reconstruct)
 cli.add_command(cli_tracks.labels)
 cli.add_command(cli_tracks.bodies)
 cli.add_command(cli_tracks.zones)
+cli.add_command(cli_track_files.tracks)
 cli.add_command(cli_skeleton.skeleton)
 cli.add_command(cli_vibration.vibration)
 cli.add_command(cli_flight.flight)

@@ -1,0 +1,90 @@
+"""``mosca tracks``: what a file of tracks holds, and the same tracks in another format."""
+
+from pathlib import Path
+
+import numpy as np
+
+from mosca.data.arrays import Array
+from mosca.data.tracks import Tracks
+from mosca.errors import InputError
+from mosca.formats.tracks.tracks_file import check_tracks_file, read_tracks, write_tracks
+from scenarios.commands.labels import rate_of
+
+MOST_ROWS = 200
+"""Tracks of which a row is shown."""
+
+
+def tracks_info(path: Path) -> tuple[list[str], list[tuple[str, ...]]]:
+    """Return lines about the tracks of a file, and a row for each track: name, samples, share, gaps, longest gap [s].
+
+    InputError where the file cannot be read.
+    """
+    tracks = read_tracks(path)
+    if not len(tracks):
+        return [f"{path}: no tracks"], []
+    frames = np.unique(tracks.frame)
+    rate_hz = rate_of(tracks, None, path) if len(frames) > 1 else float("nan")
+    seconds = float(np.ptp(tracks.time_ns)) * 1e-9
+    low, high = np.nanmin(tracks.xyz, axis=0), np.nanmax(tracks.xyz, axis=0)
+    statuses, counts = np.unique(tracks.status, return_counts=True)
+    span = " x ".join(f"{edge:.3g}" for edge in high - low)
+    sigma = np.sqrt(np.trace(tracks.covariance, axis1=1, axis2=2))
+    lines = [
+        f"{path}: {len(np.unique(tracks.track))} tracks, {len(tracks)} samples in {len(frames)} frames, "
+        f"{seconds:.3f} s at {rate_hz:.6g} Hz",
+        f"positions within {span} m, from ({', '.join(f'{x:.3g}' for x in low)}) m",
+        "samples " + ", ".join(f"{status} {count}" for status, count in zip(statuses, counts, strict=True)),
+    ]
+    known = sigma[np.isfinite(sigma)]
+    stated = (
+        f"stated 3D standard deviation {1e3 * np.median(known):.3g} mm (median)" if len(known) else "no covariances"
+    )
+    lines.append(f"{stated}; {np.sum(np.unique(tracks.label) != '')} names")
+    numbers = np.unique(tracks.track)
+    rows = [_row(tracks, number, frames, rate_hz) for number in numbers[:MOST_ROWS].tolist()]
+    if len(numbers) > MOST_ROWS:
+        lines.append(f"the first {MOST_ROWS} tracks are shown")
+    return lines, rows
+
+
+def convert_tracks(path: Path, out: Path, rate_hz: float | None, names: tuple[str, ...]) -> list[str]:
+    """Write the tracks of ``path`` to ``out`` in the format of its suffix; return the lines to print.
+
+    ``rate_hz``: stated in C3D and TRC files, default: that of the samples' times; ``names``: the labels to keep, all
+    where empty. InputError where a file cannot be read or written, or a name is not there.
+    """
+    check_tracks_file(out)
+    tracks = read_tracks(path)
+    tracks = _of_names(tracks, names, path)
+    write_tracks(tracks, out, rate_of(tracks, rate_hz, path))
+    kept = f"{len(np.unique(tracks.track))} tracks, {len(tracks)} samples"
+    lost = []
+    if out.suffix.lower() in (".c3d", ".trc"):
+        lost = (
+            [f"{out.suffix} holds no covariances; .csv and .npz do"] if np.isfinite(tracks.covariance).any() else []
+        )
+    return [f"{out}: {kept}", *lost]
+
+
+def _of_names(tracks: Tracks, names: tuple[str, ...], path: Path) -> Tracks:
+    there = np.unique(tracks.label)
+    for name in names:
+        if name not in there:
+            known = ", ".join(there[there != ""][:12].tolist()) or "none"
+            raise InputError(f"--only {name}: {path} has no marker of that name; names there: {known}")
+    return tracks.select(np.flatnonzero(np.isin(tracks.label, names))) if names else tracks
+
+
+def _row(tracks: Tracks, number: int, frames: Array, rate_hz: float) -> tuple[str, ...]:
+    mine = tracks.track == number
+    names = [name for name in np.unique(tracks.label[mine]).tolist() if name]
+    at = np.searchsorted(frames, np.unique(tracks.frame[mine]))
+    missing = np.diff(at) - 1
+    holes = missing[missing > 0]
+    return (
+        "/".join(names) or str(number),
+        str(len(at)),
+        f"{100 * len(at) / len(frames):.1f}",
+        str(len(holes)),
+        f"{holes.max(initial=0) / rate_hz:.2f}",
+    )
