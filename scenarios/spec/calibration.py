@@ -36,14 +36,14 @@ class SwappedSessionFault(Table):
     """Two cameras are swapped in the session; an earlier calibration exists."""
 
     kind: Literal["swapped_cameras"]
-    cameras: tuple[str, str]
+    cameras: tuple[str, str] = Field(description="names of the two cameras")
 
 
 class MovedCameraFault(Table):
     """A camera was rotated since an earlier calibration, with which the session is compared."""
 
     kind: Literal["moved_camera"]
-    camera: str
+    camera: str = Field(description="name of the camera")
     turn_px: float = Field(5.0, description="how far its image moved [px]")
 
 
@@ -84,7 +84,7 @@ class CalibrationSpec(Table):
     lengths: bool = Field(False, description="hold the result against a certified bar that it did not use")
     earlier: bool = Field(False, description="hold the result against an earlier calibration, the true one")
     exterior_only: bool = Field(False, description="keep the earlier calibration's lenses, estimate the poses")
-    fault: CalibrationFault | None = None
+    fault: CalibrationFault | None = Field(None, description="what is wrong with the session, and must be found")
 
     @model_validator(mode="after")
     def _fits(self) -> "CalibrationSpec":

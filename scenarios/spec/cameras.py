@@ -86,8 +86,12 @@ class TimingSpec(Table):
     strobe_s: Positive | None = Field(None, description="how long the light is on [s]; default: always")
     strobe_delay_s: float = Field(0.0, description="from the opening (own) or the pulse (rig) to the light [s]")
     strobe: Literal["own", "rig"] = Field("own", description="whose light: each camera's, or one for the rig")
-    stamp_event: Literal["exposure_start", "exposure_middle", "readout"] = "exposure_start"
-    clock: Literal["session", "device", "host"] = "session"
+    stamp_event: Literal["exposure_start", "exposure_middle", "readout"] = Field(
+        "exposure_start", description="instant of the exposure that the camera stamps"
+    )
+    clock: Literal["session", "device", "host"] = Field(
+        "session", description="whose clock stamps: the session's, the camera's own, or the computer's at arrival"
+    )
     clock_offset_s: float = Field(0.0, description="what the camera's clock reads at the session's start [s]")
     clock_drift_ppm: float = Field(0.0, description="how much faster the camera's clock runs")
     stamp_resolution_ns: int = Field(1, ge=1, description="tick of the camera's clock [ns]")
@@ -229,13 +233,15 @@ class ContextSpec(Table):
     ambient: NotNegative = Field(0.01, description="light of a white surface in the room, over the full well")
     lamp: NotNegative = Field(0.02, description="what the camera's lamp adds at at_m, over the full well")
     at_m: Positive = Field(3.0, description="distance at which the lamp is so bright [m]")
-    clothes: tuple[ClothSpec, ...] = ()
+    clothes: tuple[ClothSpec, ...] = Field(
+        (), description="cloths on the scene's bodies; [[surroundings.context.clothes]]"
+    )
 
 
 class RingLightSpec(Table):
     """What cameras see of each other's ring lights."""
 
-    radius_m: Positive = 0.04
+    radius_m: Positive = Field(0.04, description="of the ring about the lens [m]")
     strength: Positive = Field(20.0, description="times as bright as a marker, seen head on")
     half_deg: Annotated[float, Field(gt=0, lt=90)] = Field(30.0, description="angle at which it is half as bright")
 
@@ -243,22 +249,27 @@ class RingLightSpec(Table):
 class ShinySpotSpec(Table):
     """A fixed point that reflects light like a marker."""
 
-    position_m: Vector
-    radius_m: Positive
-    strength: Positive
+    position_m: Vector = Field(description="its centre, world frame [m]")
+    radius_m: Positive = Field(description="of the ball [m]")
+    strength: Positive = Field(description="times as bright as a marker")
     facing: Vector | None = Field(None, description="where it shines best; default: everywhere alike")
-    half_deg: Annotated[float, Field(gt=0, lt=90)] = 20.0
-    at_m: Positive | None = None
+    half_deg: Annotated[float, Field(gt=0, lt=90)] = Field(
+        20.0, description="angle from 'facing' at which it is half as bright"
+    )
+    at_m: Positive | None = Field(
+        None,
+        description="distance at which it is so bright, which falls with its square [m]; default: the same at all",
+    )
 
 
 class MirrorSpec(Table):
     """A reflecting rectangle, in which the cameras see the targets once more."""
 
-    center_m: Vector
-    normal: Vector
+    center_m: Vector = Field(description="its middle, world frame [m]")
+    normal: Vector = Field(description="where it faces")
     x_axis: Vector = Field(description="direction of its first side, at right angles to the normal")
-    size_m: tuple[Positive, Positive]
-    reflectance: Annotated[float, Field(gt=0, le=1)] = 0.9
+    size_m: tuple[Positive, Positive] = Field(description="lengths of its sides [m]")
+    reflectance: Annotated[float, Field(gt=0, le=1)] = Field(0.9, description="share of the light that it returns")
 
 
 class GlareSpec(Table):
@@ -274,6 +285,6 @@ class SurroundingsSpec(Table):
     backdrop: BackdropSpec = BackdropSpec()
     context: ContextSpec | None = None
     ring_light: RingLightSpec | None = None
-    spots: tuple[ShinySpotSpec, ...] = ()
-    mirrors: tuple[MirrorSpec, ...] = ()
+    spots: tuple[ShinySpotSpec, ...] = Field((), description="shiny spots; [[surroundings.spots]]")
+    mirrors: tuple[MirrorSpec, ...] = Field((), description="mirrors; [[surroundings.mirrors]]")
     glare: GlareSpec = GlareSpec()

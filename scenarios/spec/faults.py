@@ -11,7 +11,7 @@ class SwapFault(Table):
     """The calibrations of two cameras are swapped."""
 
     kind: Literal["swap_cameras"]
-    cameras: tuple[str, str]
+    cameras: tuple[str, str] = Field(description="names of the two cameras")
 
 
 class LensFault(Table):
@@ -24,15 +24,15 @@ class ClockFault(Table):
     """Some cameras expose late, without effect on their time stamps."""
 
     kind: Literal["clock_shift"]
-    cameras: tuple[str, ...] = Field(min_length=1)
-    delay_s: float
+    cameras: tuple[str, ...] = Field(min_length=1, description="names of the cameras that are late")
+    delay_s: float = Field(description="how much later they expose [s]")
 
 
 class TurnFault(Table):
     """One camera was rotated since it was calibrated."""
 
     kind: Literal["turned_camera"]
-    camera: str
+    camera: str = Field(description="name of the camera")
     turn_px: float = Field(description="how far its image moves [px]")
 
 
@@ -47,7 +47,7 @@ class MovedFault(Table):
     """Some cameras were calibrated in a frame that is shifted against the others': those of a zone, for example."""
 
     kind: Literal["moved_cameras"]
-    cameras: tuple[str, ...] = Field(min_length=1)
+    cameras: tuple[str, ...] = Field(min_length=1, description="names of the cameras")
     shift_m: Vector = Field(description="where they are believed to stand minus where they do, world frame [m]")
 
 

@@ -17,6 +17,7 @@ from mosca.data.files.toml import (
     UnboundedTomlError,
     Vector,
     check,
+    described,
     parse_toml,
     read_toml,
 )
@@ -79,7 +80,7 @@ class Capture(Table):
 class ZoneSpec(Table):
     """A part of the working space with cameras of its own; zones overlap, and their tracks are stitched."""
 
-    name: str = Field(min_length=1)
+    name: str = Field(min_length=1, description="its name in tracks and notes")
     cameras: tuple[str, ...] = Field(min_length=2, description="its own cameras; no other zone has them")
     center_m: Vector = Field(description="centre of its box, world frame [m]")
     size_m: tuple[Positive, Positive, Positive] = Field(description="edges of its box [m]")
@@ -117,7 +118,7 @@ class Premises(Table):
 class LengthSpec(Table):
     """A certified length that is seen: a scale bar, two balls of a wand. It is measured without any truth."""
 
-    name: str = Field(min_length=1)
+    name: str = Field(min_length=1, description="its name in notes and on the page")
     length_m: Positive = Field(description="distance of its two markers' centres [m]")
     within: Annotated[float, Field(gt=0, lt=0.5)] = Field(
         0.02, description="share by which two markers' distance may differ and still be taken for it"
@@ -154,7 +155,7 @@ class Scenario(Table):
     )
     working_space: WorkingSpace
     capture: Capture = Capture()
-    scene: SceneSpec
+    scene: SceneSpec = Field(description="what is before the cameras, by its kind")
     glow: GlowSpec | None = None
     lamps: LampsSpec | None = None
     cameras: Cameras = Cameras()
@@ -168,7 +169,7 @@ class Scenario(Table):
     camera: tuple[CameraSpec, ...] = Field((), description="what is different with one camera, by its name")
     zone: tuple[ZoneSpec, ...] = Field((), description="volumes with cameras of their own, two or more; [[zone]]")
     calibration: CalibrationSpec | None = None
-    fault: FaultSpec | None = None
+    fault: FaultSpec | None = Field(None, description="what is done wrong in a control, unknown to the pipeline")
     pipeline: PipelineSpec = PipelineSpec()
     continuous: ContinuousSpec | None = Field(None, description="cameras that are not synchronised")
     skeleton: SkeletonSpec | None = Field(None, description="the skeleton of the scene's person, fitted and scored")
@@ -397,4 +398,4 @@ def _flat(values: dict[str, Any], start: str = "") -> dict[str, Any]:
 
 def scenario_schema() -> dict[str, Any]:
     """Return the JSON schema of scenario files."""
-    return Scenario.model_json_schema()
+    return described(Scenario.model_json_schema())

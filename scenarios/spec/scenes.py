@@ -186,7 +186,7 @@ class LightScene(Table):
     kind: Literal["light"]
     bit_s: Positive = Field(0.04, description="length of a bit of its code [s]")
     order: int = Field(8, ge=3, le=12, description="its code repeats after 2^order - 1 bits")
-    marker_diameter_m: Positive | None = None
+    marker_diameter_m: Positive | None = Field(None, description="diameter of the light's ball [m]")
     speed_mps: NotNegative = Field(0.3, description="how it is waved [m/s]")
 
 

@@ -30,7 +30,7 @@ import tomli_w
 from pydantic import Field, create_model, field_validator
 
 from mosca.data.files.caliscope import is_caliscope, rig_from_caliscope
-from mosca.data.files.toml import Positive, Table, check, read_toml
+from mosca.data.files.toml import Positive, Table, check, described, read_toml
 from mosca.data.files.whole_file import write_text
 from mosca.data.rig import (
     LENS_MODELS,
@@ -55,6 +55,23 @@ LIMITS = {
     **dict.fromkeys(("tauX", "tauY"), Tilt),
 }
 """Of the lenses' fields that have any."""
+LENS_KEYS = {
+    "c_mm": "principal distance [mm]",
+    "xp_px": "principal point, x [px]",
+    "yp_px": "principal point, y [px]",
+    "mx_mm_per_px": "pixel pitch along x [mm], held in adjustments",
+    "my_mm_per_px": "pixel pitch along y [mm]",
+    "a": "affinity: shear of the image axes",
+    **{f"K{k}_per_mm{2 * k}": f"radial distortion of order {2 * k + 1} [1/mm^{2 * k}]" for k in (1, 2, 3)},
+    **{f"P{k}_per_mm": f"decentring distortion, coefficient {k} [1/mm]" for k in (1, 2)},
+    **{f"f{axis}_px": f"focal length along {axis} [px]" for axis in "xy"},
+    **{f"c{axis}_px": f"principal point, {axis} [px]" for axis in "xy"},
+    **{f"k{k}": f"distortion coefficient k{k}, as OpenCV has it" for k in range(1, 7)},
+    **{f"p{k}": f"tangential distortion p{k}, as OpenCV has it" for k in (1, 2)},
+    **{f"s{k}": f"thin prism s{k}, as OpenCV has it" for k in range(1, 5)},
+    **{f"tau{axis}": f"tilt of the sensor about its {axis.lower()} axis [rad]" for axis in "XY"},
+}
+"""What each field of the lenses is."""
 Pixels = Annotated[int, Field(gt=0, le=65535)]
 
 
@@ -66,9 +83,13 @@ class LensTable(Table):
 
 def _table_of(lens: type[Lens], text: str) -> type[LensTable]:
     columns: dict[str, Any] = {
-        f.name: (LIMITS.get(f.name, f.type), ... if f.default is MISSING else f.default) for f in fields(lens)
+        f.name: (
+            LIMITS.get(f.name, f.type),
+            Field(... if f.default is MISSING else f.default, description=LENS_KEYS[f.name]),
+        )
+        for f in fields(lens)
     }
-    columns["model"] = (Literal[lens.model], ...)
+    columns["model"] = (Literal[lens.model], Field(description="lens model"))
     return create_model(f"{lens.__name__}Table", __base__=LensTable, __doc__=text, **columns)
 
 
@@ -91,8 +112,10 @@ else:
 class PoseTable(Table):
     """Exterior orientation ``world_from_camera``: centre [m] and rotation, a unit quaternion wxyz."""
 
-    position_m: tuple[float, float, float]
-    rotation_wxyz: tuple[float, float, float, float]
+    position_m: tuple[float, float, float] = Field(description="centre of projection in the world [m]")
+    rotation_wxyz: tuple[float, float, float, float] = Field(
+        description="world_from_camera, unit quaternion; camera axes: right, down, ahead"
+    )
 
     @field_validator("position_m")
     @classmethod
@@ -119,13 +142,17 @@ class CameraTable(Table):
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_ .-]*$", description="letters, digits, _ . -")]
     size: Annotated[tuple[Pixels, Pixels], Field(description="[width, height] in px")]
-    lens: Annotated[AnyLensTable | None, Field(discriminator="model")] = None
+    lens: Annotated[AnyLensTable | None, Field(discriminator="model")] = Field(
+        None, description="interior orientation, by the lens's model"
+    )
     pose: PoseTable | None = None
     residual_px: Annotated[
         float, Field(ge=0, description="what the lens model leaves of the images, rms an axis [px]")
     ] = 0.0
-    hardware: dict[str, Any] = Field(default_factory=dict)
-    twin: dict[str, Any] = Field(default_factory=dict)
+    hardware: dict[str, Any] = Field(default_factory=dict, description="the device and how it is set; kept as it is")
+    twin: dict[str, Any] = Field(
+        default_factory=dict, description="the virtual camera's own settings; kept as they are"
+    )
 
 
 class RigFile(Table):
@@ -134,13 +161,15 @@ class RigFile(Table):
     FILE_KIND: ClassVar[str] = "rig"
 
     camera: Annotated[tuple[CameraTable, ...], Field(min_length=1, description="one [[camera]] a camera")]
-    hardware: dict[str, Any] = Field(default_factory=dict)
-    twin: dict[str, Any] = Field(default_factory=dict)
+    hardware: dict[str, Any] = Field(
+        default_factory=dict, description="what all cameras share: rate, trigger; kept as it is"
+    )
+    twin: dict[str, Any] = Field(default_factory=dict, description="what all virtual cameras share; kept as it is")
 
 
 def rig_schema() -> dict[str, Any]:
     """Return the JSON schema of the rig file, for editors that complete and check it."""
-    return RigFile.model_json_schema()
+    return described(RigFile.model_json_schema())
 
 
 def read_rig_file(path: Path) -> RigFile:

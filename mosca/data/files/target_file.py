@@ -37,7 +37,7 @@ from mosca.data.files.target_tables import (
     WandPointsTable,
     WandTable,
 )
-from mosca.data.files.toml import Positive, Table, check, read_toml
+from mosca.data.files.toml import Positive, Table, check, described, read_toml
 from mosca.errors import InputError
 
 Column = Literal["u", "v", "X", "Y", "Z", "-"]
@@ -54,9 +54,9 @@ class PointsCamera(Table):
 
     name: str = Field(min_length=1, description="the camera's name")
     file: str = Field(min_length=1, description="text file of measured points, relative to the recording")
-    lens: LensModel | None = None
-    size_px: Size | None = None
-    pixel_pitch_mm: Positive | None = None
+    lens: LensModel | None = Field(None, description="lens model; default: the target's")
+    size_px: Size | None = Field(None, description="[width, height] of its images; default: the target's")
+    pixel_pitch_mm: Positive | None = Field(None, description="mx of a Mosca lens; default: the target's")
 
 
 class PointsTarget(Table):
@@ -69,11 +69,15 @@ class PointsTarget(Table):
 
     kind: Literal["points"] = Field(description='"points"')
     unit: Literal["mm", "cm", "m"] = Field(description='unit of X, Y, Z: "mm", "cm" or "m"')
-    columns: tuple[Column, ...] = NEEDED_COLUMNS
-    pixel_origin: PixelOrigin = "centre"
-    lens: LensModel = "mosca"
-    size_px: Size | None = None
-    pixel_pitch_mm: Positive = 0.01
+    columns: tuple[Column, ...] = Field(
+        NEEDED_COLUMNS, description="order of the file's columns, '-' for one to skip"
+    )
+    pixel_origin: PixelOrigin = Field(
+        "centre", description="what (0, 0) is: the first pixel's centre or corner; 'one': its centre is (1, 1)"
+    )
+    lens: LensModel = Field("mosca", description="lens model of all cameras that name none")
+    size_px: Size | None = Field(None, description="[width, height] of the images of all cameras that name none")
+    pixel_pitch_mm: Positive = Field(0.01, description="mx of a Mosca lens, held in the adjustment")
     camera: Annotated[tuple[PointsCamera, ...], Field(min_length=1, description="[[camera]] tables")]
 
     @model_validator(mode="after")
@@ -135,7 +139,7 @@ def read_wand_points_table(path: Path) -> WandPointsTable:
 def target_schema() -> dict[str, Any]:
     """Return the JSON schema of the target file of all kinds, for editors that complete and check it."""
     every = Annotated[PointsTarget | CalibrationTable, Field(discriminator="kind")]
-    return TypeAdapter(every).json_schema()
+    return described(TypeAdapter(every).json_schema())
 
 
 def read_measured_points(path: Path, target: PointsTarget) -> MeasuredPoints:

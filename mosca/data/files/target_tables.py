@@ -87,11 +87,11 @@ CalibrationTarget = TestField | Board | Wand | SingleLight | LFrame | ScaleBar
 class FieldTargetTable(Table):
     """``[[target]]``: coded where it has a ``number``, else a plain disc."""
 
-    number: Number | None = None
-    name: Name | None = None
+    number: Number | None = Field(None, description="number of a coded target; none: a plain disc")
+    name: Name | None = Field(None, description="default: code/NUMBER or round/ROW")
     position_m: Place = Field(description="[x, y, z] of the centre in the field's axes")
-    normal: Place = (0.0, 0.0, 1.0)
-    x_axis: Place | None = None
+    normal: Place = Field((0.0, 0.0, 1.0), description="where its face looks, the field's axes")
+    x_axis: Place | None = Field(None, description="to the right on its face; default: level")
 
 
 class FieldTable(Table):
@@ -99,10 +99,14 @@ class FieldTable(Table):
 
     kind: Literal["field"]
     dot_radius_m: Length = Field(description="radius of the coded targets' centre dots")
-    ring_inner_m: Length | None = None
-    ring_outer_m: Length | None = None
-    plate_m: Length | None = None
-    plain_radius_m: Length | None = None
+    ring_inner_m: Length | None = Field(
+        None, description="inner radius of the code ring [m]; default: twice dot_radius_m"
+    )
+    ring_outer_m: Length | None = Field(
+        None, description="outer radius of the code ring [m]; default: three times dot_radius_m"
+    )
+    plate_m: Length | None = Field(None, description="edge of the black plate [m]; default: eight times dot_radius_m")
+    plain_radius_m: Length | None = Field(None, description="radius of plain discs [m]; default: dot_radius_m")
     sigma_m: Sigma = 0.0
     target: Annotated[tuple[FieldTargetTable, ...], Field(min_length=1, description="[[target]] tables")]
 
@@ -143,9 +147,13 @@ class BoardTable(Table):
     columns: Annotated[int, Field(ge=3, le=200, description="squares from left to right")]
     rows: Annotated[int, Field(ge=3, le=200, description="squares from top to bottom")]
     square_m: Length = Field(description="edge of a square")
-    margin_m: Annotated[float, Field(ge=0, le=FARTHEST_M)] | None = None
-    marker_m: Length | None = None
-    dictionary: str | None = None
+    margin_m: Annotated[float, Field(ge=0, le=FARTHEST_M)] | None = Field(
+        None, description="white around the squares [m]; default: square_m"
+    )
+    marker_m: Length | None = Field(None, description="ChArUco: edge of a marker [m]")
+    dictionary: str | None = Field(
+        None, description="ChArUco: OpenCV's name of the markers' dictionary, for example DICT_5X5_50"
+    )
     sigma_m: Sigma = 0.0
     inverted: bool = Field(False, description="black and white are exchanged, margin included")
     from_behind: bool = Field(False, description="its mirror image is seen on the other side, at the same corners")
@@ -170,7 +178,7 @@ class WandPointsCamera(Table):
     """``[[points.camera]]``: a camera of a table of image points; its size defaults to ``size_px`` of the table."""
 
     name: Name
-    size_px: Size | None = None
+    size_px: Size | None = Field(None, description="[width, height] of its images; default: the table's")
 
 
 class WandPointsTable(Table):
@@ -182,10 +190,14 @@ class WandPointsTable(Table):
     """
 
     y_axis: Literal["up", "down"] = Field(description='"up": origin at the lower left; "down": at the upper left')
-    pixel_origin: PixelOrigin = "one"
+    pixel_origin: PixelOrigin = Field(
+        "one", description="what (0, 0) is: the first pixel's centre or corner; 'one': its centre is (1, 1)"
+    )
     sigma_px: Annotated[float, Field(gt=0, le=100, description="standard deviation of a coordinate")] = 1.0
-    size_px: Size | None = None
-    camera: Annotated[tuple[WandPointsCamera, ...], Field(max_length=MOST_CAMERAS)] = ()
+    size_px: Size | None = Field(None, description="[width, height] of all images")
+    camera: Annotated[tuple[WandPointsCamera, ...], Field(max_length=MOST_CAMERAS)] = Field(
+        (), description="cameras in the order of the columns; [[points.camera]]"
+    )
 
     @model_validator(mode="after")
     def _complete(self) -> "WandPointsTable":
@@ -221,7 +233,7 @@ class LightTable(Table):
     between: tuple[Name, Name] | None = Field(None, description="two cameras whose distance is known")
     apart_m: Length | None = Field(None, description="distance of their centres of projection")
     sigma_px: Annotated[float, Field(gt=0, le=100, description="standard deviation of a coordinate")] = 1.0
-    pixel_origin: PixelOrigin = "centre"
+    pixel_origin: PixelOrigin = Field("centre", description="what (0, 0) is in the table of image points")
 
     def made(self) -> SingleLight:
         """Return the light; ValueError where half of its scale is missing."""
@@ -259,10 +271,10 @@ class ScaleBarTable(Table):
     kind: Literal["scale_bar"]
     length_m: Length = Field(description="certified distance of the centres")
     sigma_m: Sigma
-    numbers: tuple[Number, Number] | None = None
-    dot_radius_m: Length | None = None
-    round_radius_m: Length | None = None
-    ball_diameter_m: Length | None = None
+    numbers: tuple[Number, Number] | None = Field(None, description="numbers of coded ends")
+    dot_radius_m: Length | None = Field(None, description="coded ends: radius of the centre dots [m]")
+    round_radius_m: Length | None = Field(None, description="ends that are plain discs: their radius [m]")
+    ball_diameter_m: Length | None = Field(None, description="ends that are balls: their diameter [m]")
 
     def made(self) -> ScaleBar:
         """Return the bar; ValueError where its ends are missing or given twice."""

@@ -47,6 +47,32 @@ class Table(BaseModel):
 T = TypeVar("T", bound=BaseModel)
 
 
+def described(schema: dict[str, Any]) -> dict[str, Any]:
+    """Return a JSON schema whose keys that are tables have their table's own first sentence as description.
+
+    Those that have a description keep it; ``schema`` is changed.
+    """
+    tables = schema.get("$defs", {})
+    for table in (schema, *tables.values()):
+        for key in table.get("properties", {}).values():
+            if "description" not in key and (name := _table_of(key)) in tables:
+                text = " ".join(tables[name].get("description", "").split("\n\n")[0].split())
+                if text:
+                    key["description"] = text.split(". ")[0].rstrip(".") + "."
+    return schema
+
+
+def _table_of(key: Any) -> str:
+    """Return the name of the one table that a key, or each of its list, is; "" where there is none or a choice."""
+    if "$ref" in key:
+        return str(key["$ref"]).rsplit("/", 1)[-1]
+    found = [_table_of(one) for one in key.get("anyOf", ())] + [
+        _table_of(key[name]) for name in ("items",) if name in key
+    ]
+    tables = [name for name in found if name]
+    return tables[0] if len(tables) == 1 else ""
+
+
 def read_toml(path: Path) -> dict[str, Any]:
     """Return the TOML document at ``path``; InputError where it is missing or not TOML."""
     try:

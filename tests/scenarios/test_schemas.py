@@ -1,0 +1,38 @@
+"""Schemas for editors: every key says what it is."""
+
+import pytest
+
+from mosca.data.files.rig_file import rig_schema
+from mosca.data.files.target_file import target_schema
+from mosca.data.files.toml import Table, described
+from mosca.formats.bodies.model_file import model_schema
+from scenarios.spec.scenario import scenario_schema
+
+
+@pytest.mark.parametrize("made", [scenario_schema, rig_schema, target_schema, model_schema])
+def test_every_key_is_described(made):
+    schema = made()
+    tables = {"": schema, **schema.get("$defs", {})}
+    keys = {
+        f"{name}.{key}": entry for name, table in tables.items() for key, entry in table.get("properties", {}).items()
+    }
+    assert len(keys) >= 5
+    silent = [name for name, entry in keys.items() if not entry.get("description") and "const" not in entry]
+    assert [name for name in silent if not name.endswith((".kind", ".model"))] == []
+
+
+def test_a_table_that_says_nothing_of_a_key_says_what_the_table_is():
+    class Inner(Table):
+        """A box. It has edges.
+
+        And more.
+        """
+
+    class Outer(Table):
+        one: Inner | None = None
+        many: tuple[Inner, ...] = ()
+        number: int = 0
+
+    keys = described(Outer.model_json_schema())["properties"]
+    assert (keys["one"]["description"], keys["many"]["description"]) == ("A box.", "A box.")
+    assert "description" not in keys["number"]
