@@ -241,15 +241,22 @@ def list_() -> None:
 
 @cli.command()
 @click.argument("path", type=OUT_FILE)
-def new(path: Path) -> None:
-    """Write a commented scenario file to start from.
+@click.option(
+    "--subject", type=click.Choice(["cloud", "actor", "drone", "robot"]), default="cloud", show_default=True
+)
+@click.option("--cameras", type=click.IntRange(2, 100), default=4, show_default=True, help="on a ring")
+@click.option(
+    "--claim", default="1 mm", show_default=True, help="largest rms error: '1 mm', or '0.05 %' of the space"
+)
+def new(path: Path, subject: str, cameras: int, claim: str) -> None:
+    """Write a commented scenario file to start from, and the schema by which editors complete it.
 
     \b
-    Example:  mosca new my_lab.toml
+    Example:  mosca new my_lab.toml --subject actor --cameras 6 --claim "0.5 mm"
     """
-    from scenarios.spec.catalog import write_template
+    from scenarios.spec.catalog import write_new
 
-    write_template(path)
+    write_new(path, subject, cameras, claim)
     click.echo(f"{path} written; edit it, then: mosca run {path}")
 
 

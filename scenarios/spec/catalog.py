@@ -1,15 +1,16 @@
 """Where scenario files are found, and the commented one to start from. No heavy imports: answers at once."""
 
 import difflib
+import json
 from dataclasses import dataclass
 from pathlib import Path
 
 from mosca.data.files.whole_file import write_text
 from mosca.errors import InputError
-from scenarios.spec.scenario import Scenario, load_scenario
+from scenarios.spec.new_scenario import SCHEMA, new_scenario
+from scenarios.spec.scenario import Scenario, load_scenario, scenario_schema
 
 LIBRARY = Path(__file__).resolve().parents[1] / "library"
-TEMPLATE = Path(__file__).with_name("template.toml.txt")
 
 
 @dataclass(frozen=True)
@@ -71,12 +72,18 @@ def entries(paths: tuple[Path, ...], tier: str | None = None, overrides: tuple[s
     return [e for e in found if tier is None or tier == "full" or e.spec.tier == tier]
 
 
-def write_template(path: Path) -> None:
-    """Write a commented scenario to start from; an existing file is left alone."""
+def write_new(path: Path, subject: str = "cloud", cameras: int = 4, claim: str = "1 mm") -> None:
+    """Write a commented scenario to start from, and the schema for editors beside it where it is not there.
+
+    An existing file is left alone; arguments as of ``new_scenario``.
+    """
     if path.exists():
         raise InputError(f"{path}: exists already; choose another name")
     if path.suffix != ".toml":
         raise InputError(f"{path}: a scenario file ends in .toml")
     if not path.parent.is_dir():
         raise InputError(f"{path}: no folder {path.parent}; make it first")
-    write_text(path, TEMPLATE.read_text(encoding="utf-8"))
+    write_text(path, new_scenario(subject, cameras, claim))
+    schema = path.with_name(SCHEMA)
+    if not schema.exists():
+        write_text(schema, json.dumps(scenario_schema(), indent=2) + "\n")

@@ -10,7 +10,10 @@ from hypothesis import strategies as st
 from mosca.data.files.toml import _models_in, check, read_toml
 from mosca.data.settings import DetectionSettings, MatchSettings, TrackSettings
 from mosca.errors import InputError
-from scenarios.spec.catalog import TEMPLATE, built_in, entries, find, scenario_name, write_template
+from scenarios.build.camera_ring import ring
+from scenarios.build.cameras import with_chip
+from scenarios.spec.catalog import built_in, entries, find, scenario_name, write_new
+from scenarios.spec.new_scenario import SUBJECTS
 from scenarios.spec.scenario import PipelineSpec, Scenario, load_scenario, scenario_schema, set_key
 
 GOOD = """
@@ -101,15 +104,32 @@ def test_finding_by_name():
         find("acter")
 
 
-def test_the_template_is_a_scenario(tmp_path):
+@pytest.mark.parametrize("subject", SUBJECTS)
+def test_a_new_file_is_a_scenario_of_what_was_chosen(tmp_path, subject):
     path = tmp_path / "mine.toml"
-    write_template(path)
-    load_scenario(path)
-    assert path.read_text() == TEMPLATE.read_text()
+    write_new(path, subject, 5, "0.7 mm")
+    spec = load_scenario(path)
+    assert (spec.scene.kind, len(ring(with_chip(spec), spec.working_space).cameras)) == (subject, 5)
+    assert spec.limits["position_rms"] == pytest.approx(0.0007)
+    assert spec.calibration is not None
+    # editors find the schema beside it, and it is the one that is printed
+    first = path.read_text().splitlines()[0]
+    assert json.loads((tmp_path / first.removeprefix("#:schema ")).read_text()) == scenario_schema()
     with pytest.raises(InputError, match="exists already"):
-        write_template(path)
+        write_new(path)
     with pytest.raises(InputError, match=r"\.toml"):
-        write_template(tmp_path / "mine.txt")
+        write_new(tmp_path / "mine.txt")
+
+
+def test_a_claim_is_a_length_or_a_share(tmp_path):
+    write_new(tmp_path / "share.toml", claim="0.05 %")
+    spec = load_scenario(tmp_path / "share.toml")
+    assert spec.limits["relative_accuracy"] == pytest.approx(0.0005)
+    assert "position_rms" not in spec.limits
+    for claim in ("soon", "1", "-1 mm", "1 kg", '1 mm"', "%"):
+        with pytest.raises(InputError, match="--claim"):
+            write_new(tmp_path / "bad.toml", claim=claim)
+    assert not (tmp_path / "bad.toml").exists()
 
 
 def test_schema_is_json_and_knows_the_kinds():
