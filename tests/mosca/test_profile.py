@@ -10,10 +10,16 @@ from mosca.detection.detect import NO_STATISTICS, detect_with_statistics
 from mosca.detection.disc_fit import profile as profiles
 
 SNR = 64
+MEASURED = 30
+"""Images after those that teach."""
 
 
 class Taught(NamedTuple):
-    """Of the images after those that taught; efficiencies of 1,200 errors are known to 4 %."""
+    """Of the images after those that taught.
+
+    Efficiencies of 12,000 errors are known to 1 %; a gross error among those of the smallest costs 8 %. Noise is
+    drawn from expected images, and which numbers are drawn hangs on their last digits: elsewhere they are others.
+    """
 
     efficiency: float
     chi2: float
@@ -22,10 +28,10 @@ class Taught(NamedTuple):
     profile: np.ndarray  # limb, skew and tails
 
 
-def taught(diameter, blur, contrast, rounds=7, n=200, **odd):
-    rng, learned = np.random.default_rng(1), NO_STATISTICS
+def taught(diameter, blur, contrast, rounds=7, n=200, seed=1, **odd):
+    rng, learned = np.random.default_rng(seed), NO_STATISTICS
     off, stated, place = [], [], []
-    for k in range(rounds + 3):
+    for k in range(rounds + MEASURED):
         image, truth, gain = frame(rng, diameter, blur, contrast, SNR, n, **odd)
         (found,), new = detect_with_statistics([image], ["a"], statistics=learned)
         learned = learned.plus(new)
@@ -70,7 +76,7 @@ def test_errors_of_a_sharp_lens_do_not_follow_the_place_within_a_pixel(diameter,
     without_profiles()
     theirs = taught(diameter, 0.0, 200, **lens)
     assert theirs.efficiency < ours.efficiency - 0.05, "the control: with a Gaussian edge"
-    assert theirs.wave_px > 0.0018
+    assert theirs.wave_px > ours.wave_px + 0.0007
 
 
 def test_the_light_of_sharp_targets_has_its_middle_at_theirs():
@@ -81,11 +87,12 @@ def test_the_light_of_sharp_targets_has_its_middle_at_theirs():
 @pytest.mark.parametrize(("diameter", "smear"), [(2.0, 6.0), (5.3, 6.0), (8.3, 6.0)])
 def test_targets_that_moved_while_exposed_reach_the_bound(diameter, smear):
     """As ellipses of the same second moments: 0.77, 0.88 and 0.86, chi-squares 1.3, 0.6 and 0.8."""
-    ours = taught(diameter, 0.5, 200, rounds=3, smear=smear)
-    assert ours.efficiency > 0.92
-    assert ours.wave_px < 0.003
-    assert 0.85 < ours.chi2 < (1.6 if diameter < 3 else 1.15)
-    assert not ours.profile.any()
+    ours = [taught(diameter, 0.5, 200, rounds=3, seed=seed, smear=smear) for seed in range(4)]
+    assert np.mean([one.efficiency for one in ours]) > 0.92
+    for one in ours:
+        assert one.wave_px < 0.003
+        assert 0.85 < one.chi2 < (1.6 if diameter < 3 else 1.15)
+        assert not one.profile.any()
 
 
 def test_targets_that_are_smeared_teach_nothing():

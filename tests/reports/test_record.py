@@ -41,7 +41,7 @@ def test_numbers_of_a_block_stand_on_one_line(tmp_path: Path) -> None:
     record = example_record()
     write_record(record, tmp_path / "record.json")
     lines = (tmp_path / "record.json").read_text().splitlines()
-    assert len(lines) < 140
+    assert len(lines) < 160  # a number of a block on a line of its own would make thousands
     assert sum('"sums": [' in line and line.count(",") == 20 for line in lines) == 1
 
 

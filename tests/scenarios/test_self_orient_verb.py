@@ -102,7 +102,7 @@ def test_poses_are_found_and_compared(flown):
         rows = list(csv.DictReader(file))
     place = np.array([[float(row[axis]) for axis in "xyz"] for row in rows])
     n = len(place)
-    assert n >= 6
+    assert n >= 4  # of eight frames the two at either end give none
     index = [int(row["frame"]) for row in rows]
     # 0.03 px at 380 px a radian, 1.5 m away, 12 targets: 0.05 mm across; along the view some times that
     assert np.abs(place - flown.position[index]).max() < 0.0015
