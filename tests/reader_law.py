@@ -38,7 +38,7 @@ ALLOWED = {
     ("mosca/formats/tracks/c3d.py", "ezc3d.c3d"): "behind c3d_checks",
     ("mosca/numba_support/cache.py", "read_bytes"): OWN,
     ("scenarios/run/kept_calibrations.py", "pickle.loads"): "of a file that it wrote itself, behind its digest",
-    ("scenarios/spec/catalog.py", "read_text"): OWN,
+    ("scenarios/spec/new_scenario.py", "read_text"): OWN,
     ("scenarios/fidelity/peers.py", "numpy.load"): OWN,
     ("scenarios/run/one_writer.py", "open"): "the lock, which must be open for writing; its first bytes are read",
     ("hardware/drivers/webcam.py", "read_text"): "the operating system's names of cameras",
