@@ -32,18 +32,17 @@ def marker_table(evidence: Evidence) -> list[dict[str, Any]]:
         return []
     distance_mm = 1e3 * errors.distance_m()
     seconds = 1e-9 * np.asarray(evidence.truth_time_ns, float)
-    table = []
-    for index, (name, rows) in enumerate(
-        zip(evidence.truth_names, per_marker(evidence.truth_names, errors.marker), strict=True)
-    ):
+    table: list[dict[str, Any]] = []
+    could_be = evidence.could_be_measured().T
+    rows_of = per_marker(evidence.truth_names, errors.marker)
+    for name, rows, could in zip(evidence.truth_names, rows_of, could_be, strict=True):
         one = distance_mm[rows]
-        could = _could_be_seen(evidence, index)
         found = len(rows) if evidence.could_see is None else int(could[errors.frame[rows]].sum())
         gaps, longest_s = _gaps(np.sort(errors.frame[rows]), seconds)
         known = len(one) > 0
         table.append(
             {
-                "index": index,
+                "index": len(table),
                 "name": name,
                 "cells": (
                     number_cell(float(np.sqrt(np.mean(one**2))) if known else None, "mm"),
@@ -58,14 +57,6 @@ def marker_table(evidence: Evidence) -> list[dict[str, Any]]:
             }
         )
     return table
-
-
-def _could_be_seen(evidence: Evidence, marker: int) -> Array:
-    """Return in which frames (t,) two cameras could see a marker, or its place is known where that is not."""
-    assert evidence.truth_xyz is not None
-    if evidence.could_see is not None:
-        return np.asarray(evidence.could_see[:, marker].sum(axis=1) >= 2)
-    return np.asarray(np.isfinite(evidence.truth_xyz[:, marker]).all(axis=1))
 
 
 def _gaps(frames: Array, seconds: Array) -> tuple[int, float]:

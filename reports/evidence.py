@@ -189,6 +189,13 @@ class Evidence:
             if len(markers) and not 0 <= markers.min() <= markers.max() < len(self.truth_names):
                 raise ValueError(f"evidence: errors of marker {markers.max()}, {len(self.truth_names)} named")
 
+    def could_be_measured(self) -> Array:
+        """Return which markers two cameras could see (t, m); where that is not known, whose place is."""
+        assert self.truth_xyz is not None
+        if self.could_see is not None:
+            return np.asarray(self.could_see.sum(axis=2) >= 2)
+        return np.asarray(np.isfinite(self.truth_xyz).all(axis=2))
+
 
 def true_positions(evidence: Evidence) -> Array:
     """Return the true position (k, 3) of each sample of the error table: the truth nearest in time [m]."""

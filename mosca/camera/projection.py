@@ -189,6 +189,12 @@ def _plain_lens(model: str, xy: Array, v: Array, pitch_from: Lens | None) -> Len
     return FisheyeLens(fx, fy, cx, cy)
 
 
+def inside_image(camera: Camera, xy_px: Array) -> Array:
+    """Return which of pixels (n, 2) lie within the camera's image (n,); NaN does not."""
+    with np.errstate(invalid="ignore"):
+        return np.asarray(((xy_px > -0.5) & (xy_px < (camera.width - 0.5, camera.height - 0.5))).all(axis=1))
+
+
 def cross_matrices(v: Array) -> Array:
     """Return the matrices (n, 3, 3) [v]x of vectors (n, 3): [v]x w = v x w."""
     matrices = np.zeros((len(v), 3, 3))

@@ -30,7 +30,7 @@ cases, more than five never. (Counted over the whole code in the tests.)
 """
 
 import math
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Literal
@@ -45,7 +45,7 @@ from mosca.coded_targets.ring_sampling import MARGIN, START, WORD
 from mosca.data.arrays import Array
 from mosca.data.found_targets import CodedDetections
 from mosca.data.target_codes import ring_code
-from mosca.data.targets import PLATE, RING_INNER, RING_OUTER
+from mosca.data.targets import PLATE, RING_INNER, RING_OUTER, CodedTarget
 from mosca.detection.local_background import ROUNDING_DN2
 from mosca.errors import InputError
 
@@ -98,6 +98,19 @@ class CodedSettings:
 
 
 DEFAULTS = CodedSettings()
+
+
+def settings_of(coded: Sequence[CodedTarget], colour: Literal["white", "black", "both"] = "both") -> CodedSettings:
+    """Return how ``coded`` targets, one or more of one size, are found, and no others."""
+    first = coded[0]
+    r = first.dot_radius_m
+    return CodedSettings(
+        colour=colour,
+        numbers=frozenset(one.number for one in coded),
+        ring_inner=first.ring_inner_m / r,
+        ring_outer=first.ring_outer_m / r,
+        plate=first.plate_m / r,
+    )
 
 
 def find_coded(image: Array, camera: str, settings: CodedSettings = DEFAULTS, bit_depth: int = 8) -> CodedDetections:

@@ -7,7 +7,7 @@ jitter, identity and visibility belong to ``mosca.data.truth``.
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Literal, Protocol, runtime_checkable
+from typing import Literal, Protocol, Self, runtime_checkable
 
 from mosca.data.arrays import Array, read_only_image
 
@@ -136,3 +136,24 @@ class FrameSource(Protocol):
     def __exit__(self, *exc: object) -> None:
         """Close the source."""
         ...
+
+
+class WrappedSource:
+    """A source that yields another's frames; closing it closes the other."""
+
+    def __init__(self, source: FrameSource) -> None:
+        self._source = source
+        self.cameras = source.cameras
+
+    def __iter__(self) -> Iterator[Frame]:
+        return iter(self._source)
+
+    def close(self) -> None:
+        """Close the source."""
+        self._source.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()

@@ -69,10 +69,7 @@ def _with_truth(evidence: Evidence) -> Played:
     error[at] = errors.error_xyz_m[rows]
     true = np.asarray(truth[frames])
     state = np.full(error.shape[:2], HIDDEN)
-    if evidence.could_see is not None:
-        state[evidence.could_see[frames].sum(axis=2) >= 2] = MISSED
-    else:
-        state[np.isfinite(true).all(axis=2)] = MISSED
+    state[evidence.could_be_measured()[frames]] = MISSED
     state[at] = FOUND
     used = None
     if evidence.measured_by is not None and errors.sample is not None:
@@ -213,8 +210,7 @@ def _images(evidence: Evidence, shown: Played) -> dict[str, Any]:
     """Return the kept frame sets, each at its instant of the page, with detections in 1/16 px."""
     kept, left_out = images_that_fit(evidence.kept_sets)
     first = int(shown.frame[0])
-    stride = frame_stride(int(shown.frame[-1]) - first + 1) if len(shown.frame) > 1 else 1
-    stride = int(shown.frame[1] - first) if len(shown.frame) > 1 else stride
+    stride = int(shown.frame[1] - first) if len(shown.frame) > 1 else 1
     sets = [
         {
             "at": int(np.clip(round((one.pulse - first) / stride), 0, len(shown.frame) - 1)),

@@ -14,7 +14,7 @@ from reports.images import stretched
 MOST_SETS = 40
 """Frame sets whose images are kept."""
 VIEW_AT = 0.4
-"""Where in the run a page begins: a share of its length."""
+"""Where in the run a page begins, and the pictures of the cameras are taken: a share of its length."""
 MOST_FRAMES = 500
 """Instants of the page; of longer runs every second, third ... frame."""
 LONGEST_PX = 720

@@ -3,9 +3,9 @@
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
-from mosca.data.frames import Frame, FrameSource
+from mosca.data.frames import Frame, FrameSource, WrappedSource
 from mosca.data.rig import Rig
 from mosca.errors import InputError
 from mosca.recording import RecordingWriter, open_recording
@@ -72,27 +72,6 @@ def patient(settings: AssemblySettings, source: FrameSource) -> AssemblySettings
     wanted = max(info.frame_rate_hz for info in source.cameras)
     size = sum(info.image_bytes for info in source.cameras)
     return replace(settings, open_pulses=max(settings.open_pulses, min(round(wanted), PATIENCE_BYTES // size)))
-
-
-class WrappedSource:
-    """A source that yields another's frames; closing it closes the other."""
-
-    def __init__(self, source: FrameSource) -> None:
-        self._source = source
-        self.cameras = source.cameras
-
-    def __iter__(self) -> Iterator[Frame]:
-        return iter(self._source)
-
-    def close(self) -> None:
-        """Close the source."""
-        self._source.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
 
 
 class Recorded(WrappedSource):

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import spearmanr
+from scipy.stats import binomtest, spearmanr
 
 from mosca.data.files.whole_file import write_text
 from mosca.errors import InputError
@@ -23,7 +23,6 @@ from scenarios.score.flight import flight_scores
 from scenarios.spec.catalog import find
 from scenarios.spec.scenario import Scenario, load_scenario
 
-Z95 = 1.959964
 RESAMPLES = 2000
 LEAST_SECONDS = 1.0
 
@@ -135,10 +134,8 @@ def cell_of(spec: Scenario, outcomes: Sequence[FlightOutcome]) -> MapCell:
 
 def wilson95(count: int, n: int) -> tuple[float, float]:
     """Return the 95 % interval of a share of which ``count`` of ``n`` were seen (Wilson 1927)."""
-    share, z2 = count / n, Z95**2 / n
-    middle = (share + z2 / 2) / (1 + z2)
-    half = Z95 / (1 + z2) * np.sqrt(share * (1 - share) / n + z2 / (4 * n))
-    return max(0.0, float(middle - half)), min(1.0, float(middle + half))
+    found = binomtest(count, n).proportion_ci(0.95, method="wilson")
+    return float(found.low), float(found.high)
 
 
 def margin_of(spec: Scenario, sigma_m: float) -> float:

@@ -17,7 +17,7 @@ from mosca.errors import InputError
 from mosca.formats.bodies.bodies_csv import write_bodies_csv
 from mosca.formats.bodies.body_file import read_bodies
 from mosca.formats.tracks.tracks_file import read_tracks
-from mosca.machines.self_orientation.comparison import NAMES, Comparison, compare, estimated_lever_arm
+from mosca.machines.self_orientation.comparison import GAP_PERIODS, NAMES, Comparison, compare, estimated_lever_arm
 from mosca.machines.self_orientation.images import coded_in, coded_settings, target_images
 from mosca.machines.self_orientation.lamp import lamp_in_flight
 from mosca.machines.self_orientation.registration import Registration, register_field
@@ -28,8 +28,6 @@ from mosca.recording import open_recording
 from mosca.rigid_bodies.tracker import body_poses
 
 Report = Callable[[int, int | None], None]
-GAP_PERIODS = 2.5
-"""Of the tracks' frames: poses farther apart are not interpolated between."""
 NO_FIELD_MOTION = Registration(Pose(np.eye(3), np.zeros(3)), np.zeros((6, 6)), 0.0, 0)
 """Of a rig whose world is the test field's frame, as that of a rig calibrated with it."""
 
@@ -151,9 +149,8 @@ class SelfOrientOptions:
             lines.append(told)
         path = replace(own.path, time_ns=own.path.time_ns - round(offset_s * 1e9))
         gap_s = GAP_PERIODS * float(np.median(np.diff(body.time_ns))) * 1e-9
-        in_field = replace(there, covariance=there.covariance)
         if self.seat is None:
-            carried = camera_by_rig(body, LeverArm(Pose(np.eye(3), np.zeros(3)), np.zeros((6, 6))), in_field)
+            carried = camera_by_rig(body, LeverArm(Pose(np.eye(3), np.zeros(3)), np.zeros((6, 6))), there)
             lever = estimated_lever_arm(path, carried, gap_s)
             lines.append(
                 "where the camera sits on the body is estimated from these takes: mean differences are then "
@@ -162,7 +159,7 @@ class SelfOrientOptions:
         else:
             seat = _one_of(read_rig(self.seat), self.name, self.seat).world_from_camera
             lever = LeverArm(seat, np.zeros((6, 6)))
-        by_rig = with_clock(camera_by_rig(body, lever, in_field), sigma_s)
+        by_rig = with_clock(camera_by_rig(body, lever, there), sigma_s)
         return lines + table_lines(compare(path, by_rig, gap_s))
 
     def _registered(self, field: TestField) -> Registration:

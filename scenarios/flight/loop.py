@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mosca.camera.projection import cross_matrices
 from mosca.data.arrays import Array
 from mosca.data.bodies import BodyPoses, RigidBody
 from mosca.data.rotations import rotation_from_quaternion
@@ -95,6 +96,5 @@ def steered_point(scene: Scene) -> Array:
 def at_point(pose: BodyPoses, point: Array) -> tuple[Array, Array]:
     """Return position (3,) [m] and covariance (3, 3) [m^2] of a body's ``point`` (3,), for a single pose."""
     arm = rotation_from_quaternion(pose.quaternion[0]) @ point
-    x, y, z = arm
-    by = np.hstack([np.eye(3), -np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])])
+    by = np.hstack([np.eye(3), -cross_matrices(arm[None])[0]])
     return pose.position[0] + arm, by @ pose.covariance[0] @ by.T

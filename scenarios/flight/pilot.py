@@ -68,7 +68,7 @@ class Pilot:
     """
 
     def __init__(self, spec: FlightSpec, shift_s: float, seed: int, keeps_log: bool = True) -> None:
-        self._spec, self._shift_s, self._keeps_log = spec, shift_s, keeps_log
+        self._spec, self.shift_s, self._keeps_log = spec, shift_s, keeps_log
         self.noise = motion_noise(spec)
         self._waiting: list[tuple[float, float, Array, Array]] = []
         self._inputs = InputIntegral()
@@ -124,7 +124,7 @@ class Pilot:
         while self._waiting and self._waiting[0][0] <= time_s:
             pose = ArrivedPose(*heapq.heappop(self._waiting))
             self.arrived.append(pose)
-            stamp_s = pose.frame_s + self._shift_s
+            stamp_s = pose.frame_s + self.shift_s
             if self._filter is None:
                 self._filter = LatePoseFilter(
                     self.noise, stamp_s, pose.position, np.zeros(3), _START_SIGMA, inputs=self._inputs
@@ -156,7 +156,7 @@ class Pilot:
         if self._filter is not None and self._keeps_log:
             found = self._filter.at(max(time_s, self._filter.newest_s))
             at, covariance = found.position, found.covariance[:3, :3]
-            age_s = time_s - self._filter.newest_s + self._shift_s
+            age_s = time_s - self._filter.newest_s + self.shift_s
         self.steps.append(
             ControlStep(time_s, aboard.position, aboard.velocity, wanted.at(time_s)[0], at, covariance, age_s)
         )

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mosca.camera.projection import project
+from mosca.camera.projection import cross_matrices, project_with_jacobians
 from mosca.data.arrays import Array
 from mosca.data.rig import Rig
 from mosca.errors import InputError
@@ -21,13 +21,10 @@ from scenarios.build.scene import build_scene
 from scenarios.flight.loop import PoseLink, live_flight, pilot_of
 from scenarios.flight.pilot import Pilot
 from scenarios.score.flight import FlownPath, joined
-from scenarios.spec.faults import WrongDelayFault
 from scenarios.spec.scenario import Scenario
 from twin.scenes.live_flight import LiveFlight
 from twin.streams import rng
 
-_STEP_M = 1e-4
-"""Of the projection's derivative: images move by hundredths of a pixel."""
 _CELL_M = 0.05
 """The covariance changes by a few percent of itself over a metre."""
 
@@ -58,16 +55,11 @@ class PoseNoise:
     def _computed(self, position: Array) -> Array:
         unknowns = 6 + 2 * len(self.rig.cameras)
         information = np.diag(np.concatenate([np.zeros(6), np.repeat(self.shared_px, 2) ** -2.0]))
-        steps = _STEP_M * np.eye(3)
+        points, arms = position + self.markers, cross_matrices(self.markers)
         for c, camera in enumerate(self.rig.cameras):
-            points = position + self.markers
-            moved = np.concatenate([points[:, None] + steps, points[:, None] - steps], axis=1)
-            image = project(camera, moved.reshape(-1, 3)).reshape(len(points), 6, 2)
-            slope = (image[:, :3] - image[:, 3:]).transpose(0, 2, 1) / (2 * _STEP_M)
-            for marker, jacobian, sigma in zip(self.markers, slope, self.sigma_px[:, c], strict=True):
+            slope = project_with_jacobians(camera, points).by_point
+            for arm, jacobian, sigma in zip(arms, slope, self.sigma_px[:, c], strict=True):
                 if np.isfinite(sigma) and np.isfinite(jacobian).all():
-                    x, y, z = marker
-                    arm = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
                     row = np.zeros((2, unknowns))
                     row[:, :6] = np.hstack([jacobian, -jacobian @ arm])
                     row[:, 6 + 2 * c : 8 + 2 * c] = np.eye(2)
@@ -111,16 +103,13 @@ def flown(spec: Scenario, pilot: Pilot, flight: LiveFlight, calibration_m2: Arra
     """Return a flight that is over, with its delay; ``calibration_m2`` (3, 3): of the error that all poses share."""
     assert spec.flight is not None
     delay_s = spec.flight.delay_s(spec.capture.exposure_s)
-    believed_s = delay_s if spec.flight.compensate else 0.0
-    if isinstance(spec.fault, WrongDelayFault):
-        believed_s += spec.fault.offset_s
     stated = [float(np.trace(one.covariance)) for one in pilot.arrived]
     path = joined(
         pilot.steps,
         calibration_m2=calibration_m2,
         pose_sigma_m=float(np.sqrt(np.mean(stated))) if stated else 0.0,
         true_delay_s=delay_s,
-        believed_delay_s=believed_s,
+        believed_delay_s=delay_s - pilot.shift_s,
         crash=flight.crash,
         crashed_s=flight.crashed_s,
         scored_from_s=spec.flight.handover_s + spec.flight.settle_s,

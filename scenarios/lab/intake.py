@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 from hardware.pulse_numbers.camera_state import NumberedBuffer
 from hardware.source import HardwareSource
-from mosca.data.frames import Frame
+from mosca.data.frames import Frame, WrappedSource
 from mosca.synchronisation import Assembly
-from scenarios.build.frame_sources import WrappedSource
 from scenarios.lab.recorder import LostSets, Recorder
 
 if TYPE_CHECKING:

@@ -11,8 +11,7 @@ from hardware.source import HardwareSource, OpenCamera, OpenTrigger
 from hardware.transport.sender import Sender
 from hardware.trigger import Trigger
 from hardware.triggers import open_trigger
-from mosca.data.frames import Frame, FrameSource
-from scenarios.build.frame_sources import WrappedSource
+from mosca.data.frames import Frame, FrameSource, WrappedSource
 
 WAIT_S = 0.1
 LATE_S = 0.1

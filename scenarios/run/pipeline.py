@@ -19,7 +19,7 @@ from mosca.pipeline import PipelineSettings, Step, run
 from mosca.recording import RecordingWriter
 from mosca.synchronisation import Assembly
 from reports.evidence import CameraView
-from reports.playback.keeper import PageKeeper
+from reports.playback.keeper import VIEW_AT, PageKeeper
 from reports.viewer import RerunLog
 from scenarios.build.frame_sources import Recorded, SelectedCameras
 from scenarios.build.robot_commands import write_commands
@@ -29,9 +29,6 @@ from scenarios.score.cramer_rao import needs_bound, pulses_asked
 from scenarios.spec.scenario import Scenario
 from scenarios.spec.scenes import RobotScene
 from scenarios.types import Collected, RunOptions, TruthSource
-
-VIEW_AT = 0.4
-"""Where in the run the picture of a camera is taken: a share of its length."""
 
 
 def collected_of(

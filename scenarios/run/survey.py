@@ -52,7 +52,7 @@ class Survey:
         with timed(timings, "self_orientation"):
             found = self_orientation(self._spec, self.prepared, self._watch, poses, bodies, self._rig, self._workers)
         with timed(timings, "error_budget"):
-            return self_orientation_scores(self._spec, found, bodies[0])
+            return self_orientation_scores(self._spec, found)
 
 
 def surveyed(

@@ -7,7 +7,7 @@ from mosca.data.arrays import Array
 from mosca.data.bodies import FEWEST_MARKERS, BodyPoses, RigidBody
 from mosca.data.rotations import rotation_from_quaternion
 from mosca.data.truth import Truth
-from scenarios.score.tracks import BLOCKS, SEEN_CAMERAS, SEEN_SHARE, ratio_of_sums
+from scenarios.score.tracks import SEEN_CAMERAS, SEEN_SHARE, block_of, ratio_of_sums
 from scenarios.types import Score
 from twin.scenes.scene import Scene
 
@@ -34,7 +34,7 @@ def body_scores(poses: BodyPoses, bodies: tuple[RigidBody, ...], truth: Truth) -
     definition onto its true markers.
     """
     frames = len(truth.time_ns)
-    block = np.minimum(np.arange(frames) * min(BLOCKS, frames) // max(frames, 1), BLOCKS - 1)
+    block = block_of(frames)
     blocks = int(block.max(initial=0)) + 1
     away2, turn2, count, seen = (np.zeros(blocks) for _ in range(4))
     marker_seen = (truth.visible >= SEEN_SHARE).sum(axis=2) >= SEEN_CAMERAS

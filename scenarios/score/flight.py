@@ -8,7 +8,7 @@ import numpy as np
 
 from mosca.data.arrays import Array
 from mosca.machines.closed_loop.delay import DelayEstimate
-from scenarios.score.tracks import BLOCKS, ratio_of_sums
+from scenarios.score.tracks import block_of, ratio_of_sums
 from scenarios.types import Score
 
 
@@ -50,7 +50,7 @@ def flight_scores(path: FlownPath, delay: DelayEstimate | None) -> dict[str, Sco
     scores = {"crashes": Score(float(bool(path.crash)), 1)}
     rows = np.flatnonzero(path.scored)
     if len(rows):
-        block = np.arange(len(rows)) * min(BLOCKS, len(rows)) // len(rows)
+        block = block_of(len(rows))
         count = np.bincount(block).astype(float)
         off2 = ((path.position[rows] - path.wanted[rows]) ** 2).sum(axis=1)
         error = path.estimated[rows] - path.position[rows]

@@ -20,7 +20,7 @@ from mosca.data.joint_motion import JointMotion
 from mosca.data.tracks import Tracks
 from mosca.data.truth import Truth
 from mosca.errors import InputError
-from scenarios.score.tracks import BLOCKS, in_time, nearest, pair, ratio_of_sums
+from scenarios.score.tracks import block_of, in_time, nearest, pair, ratio_of_sums
 from scenarios.types import Score
 
 CENTRES = tuple(
@@ -99,7 +99,7 @@ def joint_scores(centres: JointErrors, rotations: JointErrors) -> dict[str, Scor
     frames = len(centres.known)
     if not frames:
         return {}
-    block = np.minimum(np.arange(frames) * min(BLOCKS, frames) // frames, BLOCKS - 1)
+    block = block_of(frames)
     found = _blocks(block, centres.found) + _blocks(block, rotations.found)
     known = _blocks(block, centres.known) + _blocks(block, rotations.known)
     items = int(centres.known.sum() + rotations.known.sum())
@@ -169,7 +169,7 @@ def label_scores(labelled: Tracks, truth: Truth, working_space_m: float) -> dict
     if not frames:
         return {}
     pairs = pair(labelled, truth, working_space_m)
-    block = np.minimum(np.arange(frames) * min(BLOCKS, frames) // frames, BLOCKS - 1)
+    block = block_of(frames)
     given = labelled.label[pairs.row]
     right = given == np.asarray(truth.names, dtype=np.str_)[pairs.marker]
     named = nearest(truth.time_ns, labelled.time_ns[(labelled.label != "") & (labelled.status == "measured")])

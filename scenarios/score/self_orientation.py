@@ -13,10 +13,10 @@ import numpy as np
 
 from mosca.camera.eccentricity import eccentricity_px
 from mosca.data.arrays import Array
-from mosca.data.bodies import RigidBody
 from mosca.data.rig import Camera, Pose
 from mosca.data.targets import CodedTarget
 from mosca.machines.self_orientation.camera_path import CameraPath, at_instants, mean_nees, pose_errors
+from mosca.machines.self_orientation.comparison import GAP_PERIODS
 from mosca.machines.self_orientation.registration import Registration
 from mosca.machines.self_orientation.resection import Resected, ResectionSettings, resect_frames
 from mosca.machines.self_orientation.rig_side import LeverArm, camera_by_rig, with_clock
@@ -27,14 +27,18 @@ from scenarios.build.survey import survey_flight
 from scenarios.score.paper_difference import enough_alone
 from scenarios.score.tracks import BLOCKS, ratio_of_sums
 from scenarios.session.estimated import true_pixels
-from scenarios.session.self_orientation import BODY, SESSION_M, SelfOrientation, true_lever_arm
+from scenarios.session.self_orientation import (
+    SESSION_M,
+    SelfOrientation,
+    drone_from_definition,
+    drone_pose,
+    true_lever_arm,
+)
 from scenarios.spec.scenario import Scenario
 from scenarios.types import Score, Scored
 
 PAPER = (-5.2618e-3, 8.0955e-3, 27.2022596e-3, -0.08392, 0.0232, 0.03281)
 """Mean differences of the Mosca paper's Table 4: X, Y, Z [m], omega, alpha, kappa (no unit is given)."""
-GAP_PERIODS = 2.5
-"""Of the rig's frames: poses farther apart are not interpolated between."""
 SOURCES = {
     "shutter": "rolling shutter of the camera",
     "lens": "calibration of the camera",
@@ -70,13 +74,11 @@ class SelfOrientationScores:
 class _Sides:
     """Both sides of a take, any of its sources of error switched off."""
 
-    def __init__(
-        self, spec: Scenario, found: SelfOrientation, body: RigidBody, offset_s: float, shutter: bool
-    ) -> None:
+    def __init__(self, spec: Scenario, found: SelfOrientation, offset_s: float, shutter: bool) -> None:
         self.spec, self.found, self.offset_s, self.shutter = spec, found, offset_s, shutter
         self.there = found.prepared.there
         self.virtual = found.prepared.virtual
-        self.true_lever = LeverArm(true_lever_arm(spec, body, found.prepared), 1e-18 * np.eye(6))
+        self.true_lever = LeverArm(true_lever_arm(spec, found.prepared), 1e-18 * np.eye(6))
         self.true_field = Registration(self.there.world_from_field, 1e-18 * np.eye(6), 0.0, 0)
         frames = found.take.truth.frames
         assert frames is not None
@@ -131,18 +133,12 @@ class _Sides:
     def true_body(self) -> CameraPath:
         """Return the true poses of the body's definition at the rig's instants."""
         scene = survey_flight(self.spec).scene
-        sampler = scene.sampler()
-        number = scene.model.body(BODY).id
+        sampler, definition = scene.sampler(), drone_from_definition(scene)
         at = self.found.body
-        first = sampler.at(0.0)
-        start = Pose(sampler.data.xmat[number].reshape(3, 3).copy(), sampler.data.xpos[number].copy())
-        # the definition: the world's axes at the start, from the markers' middle
-        drone_from_definition = start.inverse() @ Pose(np.eye(3), first.marker_xyz.mean(axis=0))
         rotations, positions = [], []
         for time_ns in at.time_ns.tolist():
             sampler.at(time_ns * 1e-9)
-            there = Pose(sampler.data.xmat[number].reshape(3, 3).copy(), sampler.data.xpos[number].copy())
-            pose = there @ drone_from_definition
+            pose = drone_pose(scene, sampler) @ definition
             rotations.append(pose.rotation)
             positions.append(pose.translation)
         n = len(positions)
@@ -183,9 +179,9 @@ class _Sides:
         return TargetImages(seen.frame, seen.time_ns, seen.number[good], xy[good], seen.covariance_px2[good])
 
 
-def self_orientation_scores(spec: Scenario, found: SelfOrientation, body: RigidBody) -> SelfOrientationScores:
+def self_orientation_scores(spec: Scenario, found: SelfOrientation) -> SelfOrientationScores:
     """Return metrics, table, budget and errors over time."""
-    sides = _Sides(spec, found, body, found.offset_s, spec.self_orientation.shutter == "rolling")  # type: ignore[union-attr]
+    sides = _Sides(spec, found, found.offset_s, spec.self_orientation.shutter == "rolling")  # type: ignore[union-attr]
     own, path = found.own, found.own.path
     rows = np.array([sides.row_of[int(frame)] for frame in own.frame])
     own_errors = pose_errors(path, sides.true_rotation[rows], sides.true_position[rows])
@@ -201,7 +197,7 @@ def self_orientation_scores(spec: Scenario, found: SelfOrientation, body: RigidB
         "light_clock_error": Score(abs(found.clock.offset_s - sides.true_offset_s()), 1),
     }
     bands = {"own": mean_nees(path, own_errors)[1], "by_rig": mean_nees(rig, rig_errors)[1]}
-    as_paper = _Sides(spec, found, body, whole_frames_offset(found), shutter=False)
+    as_paper = _Sides(spec, found, whole_frames_offset(found), shutter=False)
     budget, total, without = budget_of(as_paper)
     scores["budget_explained"] = Score(float(sum(one["position_share"] for one in budget.values())), len(total))
     difference = pose_errors(rig, mine.rotation, mine.position)

@@ -73,13 +73,18 @@ def pair(
     )  # fmt: skip
 
 
+def block_of(n: int) -> Array:
+    """Return the block (n,) of each of ``n`` rows in order of time; there are BLOCKS, or ``n`` where that is less."""
+    return np.asarray(np.arange(n) * min(BLOCKS, n) // max(n, 1))
+
+
 def metrics(matched: TruthPairs, working_space_m: float) -> dict[str, Score]:
     """Return all metrics that a pairing gives, by name (DESIGN's names); lengths in m, image errors in px."""
     frames = len(matched.seen)
     if frames == 0:
         return {}
     k = len(matched.frame)
-    block = np.minimum(np.arange(frames) * min(BLOCKS, frames) // frames, BLOCKS - 1)
+    block = block_of(frames)
     count = int(block.max()) + 1
 
     def of_pairs(values: Array) -> Array:

@@ -9,7 +9,7 @@ from mosca.calibration.common.robust_fit import rigid
 from mosca.data.arrays import Array, set_read_only
 from mosca.data.bodies import RigidBody
 from mosca.rigid_bodies.pose import vector_of
-from scenarios.score.tracks import BLOCKS, ratio_of_sums
+from scenarios.score.tracks import BLOCKS, block_of, ratio_of_sums
 from scenarios.types import Score
 from scenarios.virtual.objects import CURRENT, ShownPoses
 from twin.scenes.scene import Scene
@@ -57,7 +57,7 @@ def object_scores(
     ``calibration_m2``: covariance (n, 3, 3) that the calibration's error adds to points (n, 3).
     """
     n = len(shown)
-    block = np.arange(n) * min(BLOCKS, n) // max(n, 1)
+    block = block_of(n)
     blocks = min(BLOCKS, n)
 
     def over_blocks(values: Array, rows: Array) -> tuple[Array, Array]:

@@ -7,12 +7,12 @@ import numpy as np
 from mosca.calibration.quality.point_covariance import calibration_covariance
 from mosca.calibration.session import EstimateSettings, Shown, Target_co, calibrate_session
 from mosca.calibration.single_camera.interior_orientation import LensChoice
-from mosca.camera.projection import image_grid, project, rays
+from mosca.camera.projection import image_grid, inside_image, project, rays
 from mosca.data.arrays import Array
 from mosca.data.calibration import Calibration
 from mosca.data.calibration_evidence import CalibrationEvidence
 from mosca.data.files.target_tables import CalibrationTarget
-from mosca.data.rig import Camera, Rig
+from mosca.data.rig import Rig
 from mosca.triangulation.triangulate import triangulate
 from scenarios.session.faults import swapped, turned
 from scenarios.session.scenes import Session, axes_session, bar_session, target_session
@@ -61,15 +61,9 @@ class SessionCalibration:
         found = [np.zeros((0, 3, 3))]
         for first in range(0, len(xyz), AT_ONCE):
             some = xyz[first : first + AT_ONCE]
-            seen = np.column_stack([_in_image(one, some) for one in self.calibration.rig.cameras])
+            seen = np.column_stack([inside_image(one, project(one, some)) for one in self.calibration.rig.cameras])
             found.append(np.nan_to_num(calibration_covariance(self.calibration, some, seen)))
         return np.concatenate(found)
-
-
-def _in_image(camera: Camera, xyz: Array) -> Array:
-    xy = project(camera, xyz)
-    end = np.array([camera.width, camera.height]) - 0.5
-    return np.asarray(((xy > -0.5) & (xy < end)).all(axis=1))
 
 
 def _score(value: float, n: int) -> Score:

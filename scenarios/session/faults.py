@@ -6,10 +6,9 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from mosca.data.frames import Frame, FrameSource
+from mosca.data.frames import Frame, FrameSource, WrappedSource
 from mosca.data.rig import Pose, principal_distances_px
 from mosca.errors import InputError
-from scenarios.build.frame_sources import WrappedSource
 from twin.cameras.virtual_camera import VirtualCamera
 
 

@@ -33,6 +33,7 @@ from scenarios.session.estimated import SESSION_SEED, SessionCalibration, at_res
 from scenarios.spec.scenario import Scenario
 from twin.cameras.exposure.mount import Mount
 from twin.cameras.virtual_camera import VirtualCamera
+from twin.scenes.scene import Scene, SceneSampler
 from twin.scenes.survey_flight import FACING_DRONE, SurveyField, field_at_rest, field_by_hand, seen_by_drone
 from twin.source import TwinSource
 from twin.streams import rng
@@ -150,7 +151,7 @@ def self_orientation(
         prepared,
         take,
         own,
-        told_lever_arm(spec, true_lever_arm(spec, body, prepared)),
+        told_lever_arm(spec, true_lever_arm(spec, prepared)),
         with_calibration(body_path(poses, BODY), body, rig.calibration),
         clock.offset_s if by_light else 0.0,
         clock.offset_sigma_s if by_light else 1e-6,
@@ -160,18 +161,25 @@ def self_orientation(
     )
 
 
-def true_lever_arm(spec: Scenario, body: RigidBody, prepared: Prepared) -> Pose:
-    """Return body_from_camera in the axes of the body's definition: the world's at the start, from its markers'
-    middle (``scenarios.score.bodies.rigid_bodies``).
+def true_lever_arm(spec: Scenario, prepared: Prepared) -> Pose:
+    """Return body_from_camera in the axes of the body's definition."""
+    drone_from_camera = prepared.virtual.camera.world_from_camera
+    return drone_from_definition(survey_flight(spec).scene).inverse() @ drone_from_camera
+
+
+def drone_from_definition(scene: Scene) -> Pose:
+    """Return where the body's definition is on the drone: the world's axes at the start, from its markers' middle
+    (``scenarios.score.bodies.rigid_bodies``).
     """
-    scene = survey_flight(spec).scene
     sampler = scene.sampler()
-    state = sampler.at(0.0)
+    middle = sampler.at(0.0).marker_xyz.mean(axis=0)
+    return drone_pose(scene, sampler).inverse() @ Pose(np.eye(3), middle)
+
+
+def drone_pose(scene: Scene, sampler: SceneSampler) -> Pose:
+    """Return world_from_drone at the instant that ``sampler`` was last asked for."""
     number = scene.model.body(BODY).id
-    world_from_drone = Pose(sampler.data.xmat[number].reshape(3, 3).copy(), sampler.data.xpos[number].copy())
-    middle = state.marker_xyz.mean(axis=0)
-    at_start = world_from_drone @ prepared.virtual.camera.world_from_camera
-    return Pose(at_start.rotation, at_start.translation - middle)
+    return Pose(sampler.data.xmat[number].reshape(3, 3).copy(), sampler.data.xpos[number].copy())
 
 
 def _calibrated(

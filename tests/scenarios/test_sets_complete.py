@@ -9,8 +9,8 @@ from command_line import mosca
 from tiny_scenario import write_tiny
 
 import scenarios.run.scenario as runner
+from mosca.data.frames import WrappedSource
 from mosca.recording import open_recording
-from scenarios.build.frame_sources import WrappedSource
 from scenarios.score.delivery import expected_share
 from scenarios.spec.scenario import load_scenario
 from scenarios.types import RunOptions

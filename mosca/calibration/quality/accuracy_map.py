@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mosca.calibration.quality.jacobian import sensitivity
+from mosca.camera.projection import inside_image
 from mosca.data.arrays import Array
 from mosca.data.calibration import Calibration
 from mosca.data.calibration_evidence import AccuracyGrid
@@ -40,8 +41,7 @@ def accuracy_map(
     count = np.zeros(len(grid), dtype=np.int64)
     for k, camera in enumerate(rig.cameras):
         one = sensitivity(rig, k, calibration.parameters, grid)
-        with np.errstate(invalid="ignore"):
-            seen = ((one.xy_px > -0.5) & (one.xy_px < (camera.width - 0.5, camera.height - 0.5))).all(axis=1)
+        seen = inside_image(camera, one.xy_px)
         by_point = one.by_point[seen] / detection_sigma_px
         total[seen] += np.swapaxes(by_point, 1, 2) @ by_point
         moved = np.swapaxes(by_point, 1, 2) @ one.by_parameter[seen] / detection_sigma_px

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mosca.calibration.common.robust_fit import similarity
-from mosca.camera.projection import image_grid, lens_directions, lens_pixels, project
+from mosca.camera.projection import image_grid, inside_image, lens_directions, lens_pixels, project
 from mosca.data.arrays import Array
 from mosca.data.rig import Camera, Pose, Rig
 from mosca.data.rotations import nearest_rotation
@@ -153,9 +153,7 @@ def _measured(seen_by: Rig, measured_by: Rig, points: Array) -> Array:
 
 
 def _inside(camera: Camera, xy: Array) -> Array:
-    with np.errstate(invalid="ignore"):
-        seen = ((xy > -0.5) & (xy < (camera.width - 0.5, camera.height - 0.5))).all(axis=1, keepdims=True)
-    return np.where(seen, xy, np.nan)
+    return np.where(inside_image(camera, xy)[:, None], xy, np.nan)
 
 
 def _carried(camera: Camera, scale: float, motion: Pose) -> Camera:

@@ -10,7 +10,7 @@ from scipy.spatial import ConvexHull, Delaunay, QhullError
 from mosca.calibration.quality.findings import note, refuse, warn
 from mosca.calibration.quality.jacobian import own_lens_parameters, principal_distance_column
 from mosca.calibration.quality.limits import QualityLimits
-from mosca.camera.projection import project
+from mosca.camera.projection import inside_image, project
 from mosca.data.arrays import Array
 from mosca.data.calibration import Calibration, Finding
 from mosca.data.rig import Camera
@@ -186,8 +186,7 @@ def _in_words(calibration: Calibration, one: int, other: int, count: int) -> str
 
 def _inside(camera: Camera, points: Array) -> Array:
     with np.errstate(invalid="ignore"):
-        xy = project(camera, points)
-        return np.asarray(((xy > -0.5) & (xy < (camera.width - 0.5, camera.height - 0.5))).all(axis=1))
+        return inside_image(camera, project(camera, points))
 
 
 def coverage(calibration: Calibration, camera: int, cells: tuple[int, int]) -> Array:

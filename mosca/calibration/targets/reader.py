@@ -9,7 +9,7 @@ import numpy as np
 from mosca.calibration.targets.find_balls import read_wand
 from mosca.calibration.targets.read_session import MarkReader
 from mosca.coded_targets.boards import find_board, other_looks
-from mosca.coded_targets.detect import CodedSettings, find_coded
+from mosca.coded_targets.detect import find_coded, settings_of
 from mosca.data.arrays import Array
 from mosca.data.boards import Board
 from mosca.data.files.target_tables import CalibrationTarget
@@ -61,15 +61,7 @@ class FieldReader:
                 "the target has no coded targets, so that its marks cannot be told apart; give them numbers"
             )
         self.mark_of = {one.number: k for k, one in coded}
-        first = coded[0][1]
-        r = first.dot_radius_m
-        self._settings = CodedSettings(
-            colour="both",
-            numbers=frozenset(self.mark_of),
-            ring_inner=first.ring_inner_m / r,
-            ring_outer=first.ring_outer_m / r,
-            plate=first.plate_m / r,
-        )
+        self._settings = settings_of([one for _, one in coded])
         self._enough = min(FEWEST, len(coded))
         self._others: Counter[int] = Counter()
         self._to_look_for_others = LOOKED_FOR_OTHERS

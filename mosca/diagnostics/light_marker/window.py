@@ -6,12 +6,11 @@ the square of the distance, which is taken off.
 """
 
 from collections.abc import Iterable, Iterator
-from typing import Self
 
 import numpy as np
 
 from mosca.data.arrays import Array
-from mosca.data.frames import Frame, FrameSource, mid_exposure_ns
+from mosca.data.frames import Frame, FrameSource, WrappedSource, mid_exposure_ns
 from mosca.data.rig import Rig
 from mosca.diagnostics.light_marker.brightness import Brightness
 from mosca.diagnostics.light_marker.offsets import FlashOffset, align, edges_of
@@ -59,31 +58,20 @@ class LampWindow:
         return Brightness(start, exposure, light, float(change.max()), self._full, bool(peak.max() >= self._full))
 
 
-class LampWatch:
+class LampWatch(WrappedSource):
     """A rig's source that measures a lamp at ``xyz`` (3,) [m, world] in the frames of still cameras on the way."""
 
     def __init__(self, source: FrameSource, rig: Rig, xyz: Array, diameter_m: float) -> None:
-        self._source = source
-        self.cameras = source.cameras
+        super().__init__(source)
         bits = {info.name: info.bit_depth for info in source.cameras}
         self.windows = {one.name: LampWindow(one.name, bits[one.name]) for one in rig.cameras if one.name in bits}
         self._places = {one.name: lamp_image(one, xyz, diameter_m) for one in rig.cameras}
 
     def __iter__(self) -> Iterator[Frame]:
-        for frame in self._source:
+        for frame in super().__iter__():
             if frame.camera in self.windows:
                 self.windows[frame.camera].take(frame, *self._places[frame.camera])
             yield frame
-
-    def close(self) -> None:
-        """Close the source."""
-        self._source.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
 
     def best(self) -> Brightness:
         """Return the brightness in the camera that sees most of the lamp's edges; InputError where none does."""

@@ -20,6 +20,7 @@ FEWEST_POSES = 100
 LONGEST_S = 0.3
 """Delays up to this are tried."""
 _GRID_S = 0.02
+"""Step of the delays of which the likeliest begins the search, and the search's unit."""
 WORST_SIGMA_S = 0.002
 """Where the motion tells a delay no better than this, none is given."""
 _CURVED_S = 0.001

@@ -19,6 +19,9 @@ from mosca.machines.self_orientation.rig_side import LeverArm
 NAMES = ("X", "Y", "Z", "omega", "alpha", "kappa")
 FEWEST = 2
 
+GAP_PERIODS = 2.5
+"""Of the rig's frames: poses farther apart are not interpolated between."""
+
 
 @dataclass(frozen=True, eq=False)
 class Comparison:

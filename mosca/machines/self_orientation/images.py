@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Iterator
 from typing import Literal
 
-from mosca.coded_targets.detect import CodedSettings, find_coded
+from mosca.coded_targets.detect import CodedSettings, find_coded, settings_of
 from mosca.data.found_targets import CodedDetections
 from mosca.data.frames import CameraInfo, Frame, mid_exposure_ns
 from mosca.data.targets import CodedTarget, TestField
@@ -18,14 +18,7 @@ def coded_settings(field: TestField, colour: Literal["white", "black", "both"] =
         raise InputError(
             "the test field has no coded targets, so that its marks cannot be told apart; give them numbers"
         )
-    r = coded[0].dot_radius_m
-    return CodedSettings(
-        colour=colour,
-        numbers=frozenset(one.number for one in coded),
-        ring_inner=coded[0].ring_inner_m / r,
-        ring_outer=coded[0].ring_outer_m / r,
-        plate=coded[0].plate_m / r,
-    )
+    return settings_of(coded, colour)
 
 
 def coded_in(

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mosca.calibration.quality.point_covariance import calibration_shift
-from mosca.camera.projection import cross_matrices, project
+from mosca.camera.projection import cross_matrices, inside_image, project
 from mosca.data.arrays import Array, set_read_only
 from mosca.data.bodies import BodyPoses, RigidBody
 from mosca.data.calibration import Calibration
@@ -50,7 +50,7 @@ def with_calibration(path: CameraPath, body: RigidBody, calibration: Calibration
     n, m, u = len(path), len(body.markers), len(calibration.parameters)
     arm = np.einsum("nij,kj->nki", path.rotation, body.positions)
     xyz = (path.position[:, None] + arm).reshape(-1, 3)
-    seen = np.column_stack([_inside(project(one, xyz), one.width, one.height) for one in calibration.rig.cameras])
+    seen = np.column_stack([inside_image(one, project(one, xyz)) for one in calibration.rig.cameras])
     shift = np.nan_to_num(calibration_shift(calibration, xyz, seen)).reshape(n, m, 3, u)
     names = tuple(f"{RIG}{name}" for name in calibration.parameters)
     return path.with_shared(names, calibration.covariance, pose_shift(arm, shift))
@@ -87,7 +87,3 @@ def _both(rotation: Array) -> Array:
     both = np.zeros((len(rotation), 6, 6))
     both[:, :3, :3], both[:, 3:, 3:] = rotation, rotation
     return both
-
-
-def _inside(xy: Array, width: int, height: int) -> Array:
-    return np.asarray(((xy > -0.5) & (xy < np.array([width, height]) - 0.5)).all(axis=1))
