@@ -32,6 +32,15 @@ NO_FIELD_MOTION = Registration(Pose(np.eye(3), np.zeros(3)), np.zeros((6, 6)), 0
 """Of a rig whose world is the test field's frame, as that of a rig calibrated with it."""
 
 
+@dataclass(frozen=True, eq=False)
+class _Flight:
+    """The camera's frames, kept where the lamp in them is wanted; its row time [s], and the bits of a pixel."""
+
+    frames: list[Frame]
+    row_s: float
+    bit_depth: int
+
+
 @dataclass(frozen=True)
 class SelfOrientOptions:
     """The options of ``mosca self-orient``, under their names."""
@@ -58,7 +67,8 @@ class SelfOrientOptions:
         """Resect, compare and write what is asked for; return the lines to print."""
         self._check()
         camera, field = self._camera(), self._field()
-        seen, frames, row_s = self._seen(camera, field, progress)
+        seen, flight = self._seen(camera, field, progress)
+        row_s = flight.row_s
         settings = ResectionSettings(fewest=self.fewest, row_time_s=row_s)
         try:
             own = resect_frames(seen, camera, field, settings=settings)
@@ -66,7 +76,7 @@ class SelfOrientOptions:
             raise InputError(f"{self.recording}: {error}") from None
         lines = described(camera.name, own, len(seen), row_s)
         if self.tracks is not None:
-            lines += self._beside_rig(own, camera, field, frames, row_s)
+            lines += self._beside_rig(own, camera, field, flight)
         if self.out is not None:
             write_bodies_csv(own.poses(camera.name), self.out)
             lines.append(f"poses in {self.out}")
@@ -107,10 +117,8 @@ class SelfOrientOptions:
             )
         return field
 
-    def _seen(
-        self, camera: Camera, field: TestField, progress: Report
-    ) -> tuple[list[TargetImages], list[Frame], float]:
-        """Return the images of targets, the frames where the lamp is wanted, and the row time [s]."""
+    def _seen(self, camera: Camera, field: TestField, progress: Report) -> tuple[list[TargetImages], _Flight]:
+        """Return the images of targets, and the flight's frames where the lamp in them is wanted."""
         seen, frames = [], []
         row_ns = 0
         with open_recording(self.recording, Rig((camera,)), self.fps) as source:
@@ -120,11 +128,10 @@ class SelfOrientOptions:
                 if self.light is not None:
                     frames.append(frame)
                 progress(k + 1, None)
-        return seen, frames, row_ns * 1e-9 if self.row_time is None else self.row_time
+            bits = source.cameras[0].bit_depth
+        return seen, _Flight(frames, row_ns * 1e-9 if self.row_time is None else self.row_time, bits)
 
-    def _beside_rig(
-        self, own: Resected, camera: Camera, field: TestField, frames: list[Frame], row_s: float
-    ) -> list[str]:
+    def _beside_rig(self, own: Resected, camera: Camera, field: TestField, flight: _Flight) -> list[str]:
         assert self.tracks is not None
         assert self.body is not None
         bodies = read_bodies(self.body)
@@ -145,7 +152,7 @@ class SelfOrientOptions:
             )
         offset_s, sigma_s = (self.offset or 0.0), 0.0
         if self.light is not None:
-            offset_s, sigma_s, told = self._clock(own, camera, there, frames, row_s)
+            offset_s, sigma_s, told = self._clock(own, camera, there, flight)
             lines.append(told)
         path = replace(own.path, time_ns=own.path.time_ns - round(offset_s * 1e9))
         gap_s = GAP_PERIODS * float(np.median(np.diff(body.time_ns))) * 1e-9
@@ -177,9 +184,7 @@ class SelfOrientOptions:
         except InputError as error:
             raise InputError(f"{self.registration}: {error}") from None
 
-    def _clock(
-        self, own: Resected, camera: Camera, there: Registration, frames: list[Frame], row_s: float
-    ) -> tuple[float, float, str]:
+    def _clock(self, own: Resected, camera: Camera, there: Registration, flight: _Flight) -> tuple[float, float, str]:
         """Return the offset of the camera's stamps [s], its standard deviation, and the line that says so."""
         assert self.light is not None
         assert self.rig_recording is not None
@@ -191,8 +196,8 @@ class SelfOrientOptions:
             for _ in watch:
                 pass
             rig_light = watch.best()
-        window = LampWindow(camera.name, 8)
-        for frame, xy, radius, away in lamp_in_flight(own, camera, frames, place, self.light_diameter, row_s):
+        window, lamp = LampWindow(camera.name, flight.bit_depth), self.light_diameter
+        for frame, xy, radius, away in lamp_in_flight(own, camera, flight.frames, place, lamp, flight.row_s):
             window.take(frame, xy, radius, away)
         found = clock_offset(camera.name, rig_light, window.brightness())
         told = (
