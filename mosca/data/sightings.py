@@ -1,11 +1,11 @@
 """Image points of a calibration session, with mark, exposure and camera."""
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
-from mosca.data.arrays import Array, set_read_only
+from mosca.data.arrays import Array, read_only, set_read_only
 
 
 @dataclass(frozen=True, eq=False)
@@ -15,7 +15,9 @@ class Sightings:
     ``cameras``: their names; ``sizes`` (c, 2) width and height of their images [px]; ``frames``: how many frame sets
     there are. Of each image point: ``camera`` (n,) and ``frame`` (n,) indices; ``mark`` (n,) which of the target's
     marks it is (a row of its list of positions), -1 where that is not known; ``xy_px`` (n, 2); ``covariance_px2`` (n,
-    2, 2) of its random error; ``diameter_px`` (n,) of the mark's image, longer axis, NaN where it has none.
+    2, 2) of its random error; ``diameter_px`` (n,) of the mark's image, longer axis, NaN where it has none;
+    ``ellipticity`` (n, 2) of the mark's image and ``ellipticity_sigma`` (n,) as in ``Detections``, zero where they
+    are not known (the default for all).
     """
 
     cameras: tuple[str, ...]
@@ -27,12 +29,18 @@ class Sightings:
     xy_px: Array
     covariance_px2: Array
     diameter_px: Array
+    ellipticity: Array = field(default_factory=lambda: np.zeros((0, 2)))
+    ellipticity_sigma: Array = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "cameras", tuple(self.cameras))
         n, c = len(self.xy_px), len(self.cameras)
         set_read_only(self, np.int64, sizes=(c, 2), camera=(n,), frame=(n,), mark=(n,))
         set_read_only(self, xy_px=(n, 2), covariance_px2=(n, 2, 2), diameter_px=(n,))
+        ellipticity = self.ellipticity if len(self.ellipticity) else np.zeros((n, 2))
+        object.__setattr__(self, "ellipticity", read_only(ellipticity, (n, 2), "ellipticity"))
+        sigma = self.ellipticity_sigma if len(self.ellipticity_sigma) else np.zeros(n)
+        object.__setattr__(self, "ellipticity_sigma", read_only(sigma, (n,), "ellipticity_sigma"))
         for name, index, end in (("camera", self.camera, c), ("frame", self.frame, self.frames)):
             if len(index) and (index.min() < 0 or index.max() >= end):
                 raise ValueError(f"{name}: {index.min()} to {index.max()} given, 0 to {end - 1} allowed")
@@ -47,7 +55,7 @@ class Sightings:
 
     def only(self, keep: Array) -> "Sightings":
         """Return the image points ``keep`` (mask or indices), cameras and frames counted as before."""
-        points = ("camera", "frame", "mark", "xy_px", "covariance_px2", "diameter_px")
+        points = [one.name for one in fields(self) if one.name not in ("cameras", "sizes", "frames")]
         return replace(self, **{name: getattr(self, name)[keep] for name in points})
 
     def without(self, cameras: Collection[str]) -> "Sightings":
@@ -76,6 +84,8 @@ class Sightings:
             stacked("xy_px", (2,)),
             stacked("covariance_px2", (2, 2)),
             stacked("diameter_px", ()),
+            stacked("ellipticity", (2,)),
+            stacked("ellipticity_sigma", ()),
         )
 
 
@@ -89,3 +99,10 @@ class Part:
     xy_px: Array
     covariance_px2: Array
     diameter_px: Array
+    ellipticity: Array = field(default_factory=lambda: np.zeros((0, 2)))
+    ellipticity_sigma: Array = field(default_factory=lambda: np.zeros(0))
+
+    def __post_init__(self) -> None:
+        if not len(self.ellipticity):
+            object.__setattr__(self, "ellipticity", np.zeros((len(self.mark), 2)))
+            object.__setattr__(self, "ellipticity_sigma", np.zeros(len(self.mark)))

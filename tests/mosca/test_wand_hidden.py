@@ -1,5 +1,7 @@
 """Balls that the wand's own bar hides in part: their shift is learned and stretches neither wand nor rig."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from wand_scenes import behind_bars, rig, seen, similarity, waved
@@ -66,3 +68,36 @@ def test_distances_that_others_imply_on_a_line_count_once():
     left = rods_between(tracks.only(tracks.point != 0), 1.0)
     assert len(left.first) == 3 * frames - 1
     assert 0 not in left.first
+
+
+def test_images_that_are_cut_are_left_out_and_told():
+    along, frames = (0.0, 0.15, 0.5), 200
+    cameras, world = rig(4, seed=4), waved(frames, along=along, seed=4)
+    sightings = seen(cameras, world, NOISE_PX, blunders=0.0, seed=4)
+    rng = np.random.default_rng(1)
+    cut = rng.random(len(sightings)) < 0.15
+    # a chord across a disc of 4 px: depth b, minor axis and centre off by b / 2, at any angle
+    half, angle = rng.uniform(0.7, 1.2, len(sightings)), rng.uniform(0, 2 * np.pi, len(sightings))
+    at = np.column_stack([np.cos(angle), np.sin(angle)])
+    stretch = -np.log(1 - half / 4)[:, None] * -np.column_stack([np.cos(2 * angle), np.sin(2 * angle)])
+    shifted = replace(
+        sightings,
+        xy_px=sightings.xy_px + np.where(cut, half, 0.0)[:, None] * at,
+        ellipticity=np.where(cut[:, None], stretch, 0.0),
+        ellipticity_sigma=np.full(len(sightings), 0.005),
+    )
+    lenses = [camera.lens for camera in cameras]
+    found = calibrate_wand(shifted, Wand(along, 1e-6), np.random.default_rng(0), lenses)
+    told = [one.message for one in found.findings if one.code == "hidden-balls"]
+    # a ball that one camera alone sees has no position that tells what its image should be
+    ball = sightings.frame * len(along) + sightings.mark
+    judged = cut & (np.bincount(ball)[ball] > 1)
+    wanted = f"{judged.sum()} of {len(sightings)} images of balls are cut by what is before them, and left out"
+    assert told == [wanted]
+    assert found.body_px < NOISE_PX
+    assert 0.8 < found.sigma0 < 1.2
+    # blurred by motion or by a lens: all are ellipses, and none is left out
+    blurred = replace(sightings, ellipticity=np.tile([0.3, 0.0], (len(sightings), 1)))
+    found = calibrate_wand(blurred, Wand(along, 1e-6), np.random.default_rng(0), lenses)
+    assert len(found.sightings) == len(sightings)
+    assert "hidden-balls" not in {one.code for one in found.findings}

@@ -17,6 +17,7 @@ CODES: dict[str, str] = {
     "scale-error": "lengths that were not used come out wrong",
     "weak-parameter": "a parameter that the data hardly determine was held",
     "blunders": "many image points do not fit",
+    "hidden-balls": "balls whose image is cut by what is before them are left out",
     "target-shape": "the target's marks are elsewhere on it than its file says",
     "unit-weight": "residuals are not as large as the image points' own errors",
     "left-out": "cameras that saw too little are not in the rig, as was asked for",

@@ -54,7 +54,14 @@ def read_wand(detections: Detections, wand: Wand, camera: int, frame: int) -> Pa
     rows = np.array(found[0][1])
     mark = np.full(balls, -1) if symmetric else np.arange(balls)
     return Part(
-        camera, frame, mark, detections.xy_px[rows], detections.covariance_px2[rows], detections.diameter_px[rows]
+        camera,
+        frame,
+        mark,
+        detections.xy_px[rows],
+        detections.covariance_px2[rows],
+        detections.diameter_px[rows],
+        detections.ellipticity[rows],
+        detections.ellipticity_sigma[rows],
     )
 
 

@@ -1,6 +1,7 @@
 """From the frames of a calibration session to sightings: every image is read for the target's marks."""
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from itertools import islice
 from typing import Protocol
 
@@ -100,7 +101,7 @@ def _parts(frame_set: FrameSet, infos: Sequence[CameraInfo], reader: MarkReader,
         if frame is None or frame.image is None:
             continue
         seen = reader.read(frame.image, info.name, info.bit_depth)
-        yield Part(camera, number, seen.mark, seen.xy_px, seen.covariance_px2, seen.diameter_px)
+        yield replace(seen, camera=camera, frame=number)
 
 
 def _nothing_shown(looked: str, infos: Sequence[CameraInfo], reader: MarkReader) -> InputError:

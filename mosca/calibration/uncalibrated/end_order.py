@@ -67,6 +67,8 @@ def _middles(sightings: Sightings, frame: Array, camera: Array, ends: Array, len
         xy_px=ends.mean(axis=1),
         covariance_px2=np.tile(np.eye(2), (n, 1, 1)),
         diameter_px=np.full(n, np.nan),
+        ellipticity=np.zeros((n, 2)),
+        ellipticity_sigma=np.zeros(n),
     )
     return point_views(middles, 1, lenses)
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from mosca.calibration.bundle.solver import Distances
+from mosca.calibration.quality.findings import note
 from mosca.calibration.uncalibrated.end_order import ordered
 from mosca.calibration.uncalibrated.final_adjustment import finished
 from mosca.calibration.uncalibrated.image_points import PointViews, point_views
@@ -14,6 +15,7 @@ from mosca.calibration.uncalibrated.initial_pair import wand_start
 from mosca.calibration.uncalibrated.partial_adjustment import CLEAR_SIGMAS, cleaned, intersected
 from mosca.calibration.uncalibrated.result import calibration_of, check
 from mosca.calibration.uncalibrated.view_graph import FEWEST_COMMON, check_links, common_bend
+from mosca.calibration.uncalibrated.whole_balls import whole_balls
 from mosca.camera.eccentricity import ball_eccentricity_px
 from mosca.data.calibration import Calibration
 from mosca.data.rig import Camera, Lens
@@ -51,14 +53,24 @@ def calibrate_wand(
     some = tracks.thinned(MOST_WHILE_GROWING * len(tracks.names), rng)
     bend = common_bend(some, rng)
     start = grow(wand_start(some, bend, rng), some, bend, rng)
+    whole = whole_balls(sightings, tracks, start.cameras)
+    hidden, sightings = int((~whole).sum()), sightings.only(whole)
+    tracks = point_views(sightings, balls, lenses, tracks.rods)
     _check_shape(cleaned(tracks, start.cameras, CLEAR_SIGMAS * start.spread), start.cameras, wand)
     tracks = _of_centres(tracks, start.cameras, wand.diameter_m / 2)
     final = finished(start, tracks, free)
     check(final, tracks)
     length = wand.along_m[-1] - wand.along_m[0]
-    return calibration_of(
+    found = calibration_of(
         final, tracks, sightings, f"the wand's length {length:g} m", wand.sigma_m * np.sqrt(2) / length
     )
+    if not hidden:
+        return found
+    told = note(
+        "hidden-balls",
+        f"{hidden} of {hidden + len(sightings)} images of balls are cut by what is before them, and left out",
+    )
+    return replace(found, findings=(*found.findings, told))
 
 
 def _of_centres(tracks: PointViews, cameras: Mapping[int, Camera], radius_m: float) -> PointViews:
