@@ -106,7 +106,10 @@ def detect(
     background : (H, W), as the image
         Static scene; subtracted first.
 
-    Raises InputError for an image, a background or a bit depth that do not fit each other.
+    Raises
+    ------
+    InputError
+        For an image, a background or a bit depth that do not fit each other.
     """
     image = np.asarray(image)
     bits = 8 * image.dtype.itemsize if bit_depth is None else bit_depth
@@ -130,7 +133,10 @@ def triangulate(rig: Rig, images: Mapping[str, ArrayLike], sigma_px: float = 1.0
     sigma_px :
         Standard deviation of an image coordinate [px].
 
-    Raises InputError for a camera that the rig lacks, and for tables of different lengths.
+    Raises
+    ------
+    InputError
+        For a camera that the rig lacks, and for tables of different lengths.
     """
     tables = {name: np.asarray(xy, dtype=float).reshape(-1, 2) for name, xy in images.items()}
     for name in tables:
@@ -213,7 +219,10 @@ def reconstruct(
     backgrounds : camera name -> (H, W)
         Static scene; subtracted from each image.
 
-    Raises InputError where the recording does not fit the rig.
+    Raises
+    ------
+    InputError
+        Where the recording does not fit the rig.
     """
     cameras = rig if isinstance(rig, Rig) else read_rig(Path(rig))
     with open_recording(Path(recording), cameras, fps) as source:
@@ -248,11 +257,16 @@ def calibrate(
     lengths : (recording, target file)
         Of a certified scale bar that takes no part in the calibration.
     fps :
-        Frame rate [1/s] where the recording has no times of its own.
+        Frame rate [1/s] where the recording has no times of its own; images of a target at rest need none.
     volume : (low (3,), high (3,)) [m, world]
         Where will be measured; default: where the target was.
 
-    Raises CalibrationError where the calibration must not be used, InputError where files do not fit.
+    Raises
+    ------
+    CalibrationError
+        Where the calibration must not be used.
+    InputError
+        Where files do not fit.
     """
     shown = read_target_file(Path(target))
     if isinstance(shown, PointsTarget):
@@ -260,7 +274,7 @@ def calibrate(
     rig = known if known is None or isinstance(known, Rig) else read_rig(Path(known))
     box = None if volume is None else (tuple(np.asarray(volume[0], float)), tuple(np.asarray(volume[1], float)))
     calibration, _evidence = calibrate_session(
-        Shown(shown, lambda given: open_recording(Path(recording), given, fps)),
+        Shown(shown, lambda given: open_recording(Path(recording), given, fps, times_matter=False)),
         EstimateSettings(LensChoice(lens or "mosca"), lens is None, volume=box),
         axes=None if axes is None else _shown(axes, LFrame, fps),
         lengths=None if lengths is None else _shown(lengths, ScaleBar, fps),
@@ -278,4 +292,4 @@ def _shown(files: tuple[File, File], kind: type[T], fps: float | None) -> Shown[
     target = read_target_file(path)
     if not isinstance(target, kind):
         raise InputError(f"{path}: a {type(target).__name__} given; a {kind.__name__} is wanted")
-    return Shown(target, lambda rig: open_recording(recording, rig, fps))
+    return Shown(target, lambda rig: open_recording(recording, rig, fps, times_matter=False))

@@ -10,7 +10,7 @@ import cv2
 from reports.fidelity import Check, Crop, Row, all_met, cells, verdict
 from reports.page import write_rendered
 
-SCENARIOS = "../scenarios"
+SCENARIOS = "../scenarios/library"
 """Where the documentation's page finds scenario files."""
 
 
