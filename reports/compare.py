@@ -103,14 +103,14 @@ def regressions(record: RunRecord, baseline: RunRecord) -> tuple[Regression, ...
     if record.scenario != baseline.scenario:
         raise ValueError(f"regressions: {record.scenario} compared with {baseline.scenario}")
     found = (
-        _regression(record, metric, baseline, before)
+        worsening(record, metric, baseline, before)
         for metric in record.metrics
         if (before := baseline.metric(metric.name)) is not None
     )
     return tuple(r for r in found if r is not None)
 
 
-def _versions(record: RunRecord) -> tuple[object, ...]:
+def numerical_versions(record: RunRecord) -> tuple[object, ...]:
     """Return the platform and the versions that decide about last digits."""
     versions = record.provenance.get("versions", {})
     return record.provenance.get("platform"), *(versions.get(name) for name in NUMERICAL)
@@ -121,7 +121,8 @@ def missing(record: RunRecord, baseline: RunRecord) -> tuple[str, ...]:
     return tuple(m.name for m in baseline.metrics if record.metric(m.name) is None)
 
 
-def _regression(record: RunRecord, new: Metric, baseline: RunRecord, old: Metric) -> Regression | None:
+def worsening(record: RunRecord, new: Metric, baseline: RunRecord, old: Metric) -> Regression | None:
+    """Return how much worse the metric ``new`` of ``record`` is than ``old``; None where that is no regression."""
     how = reading(old)
     if how.speed and not _speed_comparable(record, new, baseline, old):
         return None
@@ -129,7 +130,10 @@ def _regression(record: RunRecord, new: Metric, baseline: RunRecord, old: Metric
     size = abs(old.value) if how.wanted is None else how.wanted
     if not worse_by > SMALLEST_SHARE * size:
         return None
-    same_seed, same_versions = record.seed == baseline.seed, _versions(record) == _versions(baseline)
+    same_seed, same_versions = (
+        record.seed == baseline.seed,
+        numerical_versions(record) == numerical_versions(baseline),
+    )
     same_processor = record.provenance.get("processor") == baseline.provenance.get("processor")
     same_noise = same_versions and (same_processor or old.spread is not None)
     paired = same_seed and same_noise and _pairable(new, old)

@@ -271,6 +271,45 @@ COLUMNS = {
 """Columns of the metrics' table -> entry."""
 
 
+SUITE_COLUMNS = {
+    "Must": Term(
+        "What the scenario's file expects: a claim must pass, a control's planted fault must break its limits, a "
+        "fault of a calibration must be caught."
+    ),
+    "Did": Term(
+        "What happened, in capitals where that is not what it must do. WORSE: every limit is met, and a figure is "
+        "worse than in the committed baseline by more than 2 % and by more than the interval of the difference."
+    ),
+    "Nearest limit": Term(
+        "The figure that uses most of what its limit allows; amber from 85 % on.",
+        "as Of the limit on the run's page; of a range, distance from its middle / half its width",
+    ),
+    "History": Term(
+        "The main figure in earlier suites, oldest left, with its limit dashed; red points are outside. Results of "
+        "other settings or another seed are left out.",
+        "position_rms where it has a limit, else relative_accuracy, else the first limit; of a control what it must "
+        "break",
+    ),
+    "Time": Term("Wall-clock time of the scenario in this suite; others ran beside it where --jobs is above 1."),
+}
+"""Columns of a suite's page -> entry."""
+
+COMPARISON_COLUMNS = {
+    "worse, better": Term(
+        "The figure changed by more than 2 %, by more than the 95 % interval of the difference, and by more than "
+        "twice the spread over processors that a baseline states. Towards 3, 1 or 6 is better for a NEES, not less.",
+        "jackknife of the paired difference by blocks of time (Künsch 1989) for the same seed and the same versions, "
+        "else the intervals of both runs, added in quadrature",
+    ),
+    "same": Term("It did not change by that much. This does not show that nothing changed."),
+    "not comparable": Term(
+        "No better or worse is stated: the runs are of other settings, frames or expectations, the figure is a speed "
+        "of another machine, or its change cannot be told from chance."
+    ),
+}
+"""Words of a comparison's page -> entry."""
+
+
 def term(metric: str) -> Term | None:
     """Return the entry of a metric: its own, else that of the longest name that it starts with, else None."""
     names = [known for known in GLOSSARY if metric == known or metric.startswith((known + "_", known + "."))]

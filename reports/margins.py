@@ -71,3 +71,16 @@ def _shares(names: Sequence[str], values: Array) -> str:
     order = np.argsort(-values, kind="stable")[:NAMED]
     total = max(float(values.sum()), 1e-300)
     return ", ".join(f"{names[i]} has {figure(100 * float(values[i]) / total)} %" for i in order if values[i] > 0)
+
+
+def share_used(metric: Metric) -> float | None:
+    """Return ``share_of_limit``; of a range, how far the value is from its middle towards the nearer end.
+
+    1 at an end of the range, above 1 outside. None where a limit cannot be used up (0, or a share of 1) or there is
+    none.
+    """
+    if metric.within is None:
+        return share_of_limit(metric)
+    low, high = metric.within
+    half = (high - low) / 2
+    return abs(metric.value - (low + half)) / half if half > 0 else None

@@ -1,4 +1,4 @@
-"""The page of a run: one self-contained HTML file that opens offline, and the comparison of several runs."""
+"""The page of a run: one self-contained HTML file that opens offline."""
 
 import json
 import math
@@ -10,7 +10,6 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from mosca.data.files.whole_file import write_text
-from reports.compare import regressions, total_seconds
 from reports.error_tables import Cell, marker_table, number_cell
 from reports.evidence import Evidence
 from reports.glossary import COLUMNS, term
@@ -182,46 +181,6 @@ def _interval(estimate: Sequence[float] | None, stated: float | None = None) -> 
     return text if stated is None else f"{text}, stated {stated:.3g}"
 
 
-def write_comparison_page(path: Path, records: Sequence[RunRecord], labels: Sequence[str] = ()) -> None:
-    """Write ``records`` side by side to ``path``: metrics by runs, each against the first run of its scenario.
-
-    ``labels``: names of the runs (folder names, for example), one each; else their numbers.
-    """
-    names = list(labels) or [f"run {i + 1}" for i in range(len(records))]
-    firsts = [next(r for r in records if r.scenario == record.scenario) for record in records]
-    worse = [
-        {} if record is first else {r.name: r for r in regressions(record, first)}
-        for record, first in zip(records, firsts, strict=True)
-    ]
-    metric_names = list(dict.fromkeys(m.name for record in records for m in record.metrics))
-    rows = [
-        {
-            "name": name,
-            "cells": [
-                _comparison_cell(record.metric(name), None if record is first else first.metric(name), name in lost)
-                for record, first, lost in zip(records, firsts, worse, strict=True)
-            ],
-        }
-        for name in metric_names
-    ]
-    runs = [
-        {
-            "label": label,
-            "title": record.title,
-            "scenario": record.scenario,
-            "source": record.source,
-            "seed": record.seed,
-            "badge": badge(record),
-            "seconds": duration(total_seconds(record)) if record.timings else "",
-        }
-        for label, record in zip(names, records, strict=True)
-    ]
-    passed, found = sum(r.passed for r in records), sum(len(w) for w in worse)
-    text = f"{passed} of {len(records)} runs are as claimed; {found or 'no'} regression{'' if found == 1 else 's'}"
-    text += " against the first run of the same scenario."
-    write_rendered(path, "comparison.html.j2", runs=runs, rows=rows, sentence=text)
-
-
 def badge(record: RunRecord) -> dict[str, str]:
     """Return text, sign and tone of the record's verdict."""
     if record.passed and record.expect in ("fail", "caught"):
@@ -248,7 +207,7 @@ def sentence(record: RunRecord) -> str:
     complete = record.metric("completeness")
     if complete is not None:
         found.append(f"{_with_unit(complete)} of the visible markers are found")
-    claims = [f"{_words(m.name)} {_bound(m)}" for m in record.metrics if m.limit is not None]
+    claims = [f"{_words(m.name)} {bound(m)}" for m in record.metrics if m.limit is not None]
     text = ""
     if claims:
         more = f" and {len(claims) - 3} more" if len(claims) > 3 else ""
@@ -288,7 +247,7 @@ def _tiles(record: RunRecord) -> list[dict[str, str]]:
         if metric is None:
             continue
         (value,), unit = shown((metric.value,), metric.unit, metric.name)
-        note = f"limit {_bound(metric)}" if metric.limit is not None else "no limit"
+        note = f"limit {bound(metric)}" if metric.limit is not None else "no limit"
         verdict = {True: "✓ as it must be", False: "✗ not as it must be", None: ""}[metric.as_it_must]
         if metric.within is None:
             verdict = {True: "✓ limit met", False: "✗ limit broken", None: ""}[metric.passed]
@@ -364,29 +323,11 @@ def _premise_row(name: str, premise: Any) -> dict[str, Any]:
     }
 
 
-def _comparison_cell(metric: Metric | None, first: Metric | None, regressed: bool) -> dict[str, str]:
-    if metric is None:
-        return {"value": "", "unit": "", "mark": "", "note": "", "tone": ""}
-    (value,), unit = shown((metric.value,), metric.unit, metric.name)
-    notes = [f"limit {_bound(metric)}"] if metric.limit is not None else []
-    if first is not None and first.value:
-        change = 100 * (metric.value - first.value) / abs(first.value)
-        notes.append("unchanged" if change == 0 else f"{change:+.1f} %".replace("-", "−"))
-    broken = metric.as_it_must is False
-    return {
-        "value": figure(value),
-        "unit": unit,
-        "mark": ("✗" if broken else "") + (" ↑ worse" if regressed else ""),
-        "note": ", ".join(notes),
-        "tone": "bad" if broken or regressed else "",
-    }
-
-
 def _sign(metric: Metric) -> str:
     return "≤" if metric.sense == "at_most" else "≥"
 
 
-def _bound(metric: Metric) -> str:
+def bound(metric: Metric) -> str:
     """Return the limit in the unit that the value is shown in: ≤ 0.3 mm; of one with two ends, 1.5 to 6."""
     assert metric.limit is not None
     if metric.within is not None and metric.limit in metric.within:  # not a control's range, which is beyond it

@@ -1,4 +1,5 @@
-/* Tables of class "sortable": a button in each header sorts by its column; empty keys come last. */
+/* Tables of class "sortable": a button in each header sorts by its column; empty keys come last. A row of class
+   "detail" stays below the row that it belongs to. */
 (() => {
   "use strict";
   for (const table of document.querySelectorAll("table.sortable")) {
@@ -21,7 +22,12 @@
           const sign = typeof x === "number" && typeof y === "number" ? x - y : String(x).localeCompare(String(y), undefined, {numeric: true});
           return descending ? -sign : sign;
         };
-        body.append(...[...body.rows].sort(order));
+        const rows = [...body.rows].filter(row => !row.classList.contains("detail"));
+        const detail = new Map(rows.map(row => [row, row.nextElementSibling]));
+        for (const row of rows.sort(order)) {
+          body.append(row);
+          if (detail.get(row)?.classList.contains("detail")) body.append(detail.get(row));
+        }
         for (const other of heads) other.removeAttribute("aria-sort");
         head.setAttribute("aria-sort", descending ? "descending" : "ascending");
       });

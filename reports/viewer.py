@@ -3,9 +3,12 @@
 The only importer of rerun, and only inside functions: everything else runs without it. Timelines:
 "session" (time from session start) and "frame" (pulse number). Entities:
 
-    world/working_space              its box
+    world/working_space              its edges
     world/cameras/NAME               pose; .../image: pinhole, JPEG frames; .../image/detections: 2D points
-    world/points                     reconstructed points, one colour a track
+    world/points                     reconstructed points with names, coloured by error or stated deviation
+    world/trails                     the last half second of each
+    plots/...                        errors [mm], counts: the same timelines
+    legend                           what the colours mean
     world/truth                      where markers really were
     world/skeleton/joints, bones     a person's joint centres, and lines between them
     world/true_skeleton/...          where they really were
@@ -16,7 +19,7 @@ points seen through a camera are off by its distortion (exact in the 3D view).
 """
 
 import uuid
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -30,10 +33,26 @@ from mosca.data.joint_motion import JointMotion
 from mosca.data.rig import Camera, Rig, principal_distances_px, principal_point_px
 from mosca.errors import InputError
 from reports.bones import strips
+from reports.viewer_colours import (
+    LINE_SHARE,
+    POINT_SHARE,
+    TRAIL_S,
+    TRUE_POINT,
+    TRUE_SHARE,
+    Trails,
+    coloured,
+    scale_top,
+)
 
 APPLICATION = "mosca"
 JPEG_QUALITY = 75
 """Frames are for viewing here, not measuring: a sixth of the bytes of PNG."""
+CAMERA_SHARE = 0.12
+"""Length of a camera's cone as a share of the scene's diagonal."""
+MOST_BESIDE = 9
+"""Cameras that are shown beside each other; more behind each other."""
+PERSON_M = 2.0
+"""Size of a scene of which neither cameras nor working space are known: somebody who stands in it."""
 
 
 class RerunLog:
@@ -53,10 +72,16 @@ class RerunLog:
         self._stream.set_log_time_enabled(False)
         self._stream.save(path, default_blueprint=_blueprint(rig))
         self._closed = False
+        self._diagonal = _diagonal(rig, working_space)
+        self._trails = Trails()
+        self._sigma_top_mm: float | None = None
         self._log_still("world", self._rr.ViewCoordinates.RIGHT_HAND_Z_UP)
         if working_space is not None:
             center, size = (np.asarray(v, dtype=np.float64) for v in working_space)
-            box = self._rr.Boxes3D(centers=[center], sizes=[size], colors=[(230, 159, 0)])
+            box = self._rr.Boxes3D(
+                centers=[center], sizes=[size], colors=[(230, 159, 0)], fill_mode="majorwireframe",
+                radii=LINE_SHARE * self._diagonal,
+            )  # fmt: skip
             self._log_still("world/working_space", box)
         for camera in rig.cameras:
             self._log_camera(camera)
@@ -69,12 +94,14 @@ class RerunLog:
         detections: Mapping[str, Detections] | None = None,
         points_xyz: Array | None = None,
         track_ids: Array | None = None,
+        sigma_m: Array | None = None,
     ) -> None:
         """Log one pulse. ``points_xyz`` (n, 3) world [m], ``track_ids`` (n,) their identities.
 
+        ``sigma_m`` (n,): their stated standard deviations in 3D, by which they are coloured; else one colour a track.
         What is None or absent stays as it was shown last; empty arrays clear it.
         """
-        self._set_time(frame, time_ns)
+        self.set_time(frame, time_ns)
         for name, image in (images or {}).items():
             self._stream.log(f"{_entity(self._rig.camera(name))}/image", self._compressed(image))
         for name, found in (detections or {}).items():
@@ -82,15 +109,51 @@ class RerunLog:
                 found.xy_px, radii=np.maximum(found.diameter_px / 2, 2.0), colors=[(255, 157, 46)]
             )
             self._stream.log(f"{_entity(self._rig.camera(name))}/image/detections", points)
+            self.log_plots({f"detections/{name}": len(found)})
         if points_xyz is not None:
             ids = np.arange(len(points_xyz)) if track_ids is None else np.asarray(track_ids)
-            self._log_points("world/points", points_xyz, _track_colours(ids), ids)
+            names = [f"track {one}" for one in ids.tolist()]
+            self.log_points(frame, time_ns, points_xyz, ids, self._colours(ids, sigma_m), names)
+            self.log_plots({"points/measured": len(points_xyz)})
+            if sigma_m is not None and len(sigma_m):
+                self.log_plots({"sigma/rms": 1e3 * float(np.sqrt(np.mean(np.square(sigma_m))))})
+
+    def log_points(
+        self, frame: int, time_ns: int, xyz: Array, ids: Array, colours: Array, names: Sequence[str]
+    ) -> None:
+        """Log all points of one pulse (n, 3) [m] with their tracks (n,), colours (n, 3) uint8, names, and trails."""
+        self.set_time(frame, time_ns)
+        radius = POINT_SHARE * self._diagonal
+        points = self._rr.Points3D(xyz, radii=radius, colors=colours, labels=list(names))
+        values = [self._rr.AnyValues(track=np.asarray(ids, dtype=np.int64))] if len(xyz) else []
+        self._stream.log("world/points", points, *values)
+        paths = self._trails.step(time_ns, xyz, ids)
+        lines = self._rr.LineStrips3D(paths, radii=LINE_SHARE * self._diagonal, colors=colours)
+        self._stream.log("world/trails", lines)
+
+    def log_plots(self, values: Mapping[str, float]) -> None:
+        """Log figures at the instant that was set last: path below ``plots``, names escaped here -> value."""
+        for path, value in values.items():
+            kind, _, name = path.partition("/")
+            self._stream.log(f"plots/{kind}/{self._rr.escape_entity_path_part(name)}", self._rr.Scalars(value))
+
+    def log_scale(self, what: str, top_mm: float, truth: bool) -> None:
+        """Log what colours mean: from 0 to ``top_mm`` of ``what``; ``truth``: true points and ghosts are shown."""
+        text = f"**Colour of a point:** {what}, from 0 (dark violet) over {top_mm / 2:g} mm (green) to {top_mm:g} mm "
+        text += "and more (yellow)." + ("" if truth else " No truth is known here.")
+        if truth:
+            text += (
+                "\n\n**Pink:** a measured point that belongs to no marker. **Grey:** where a marker really was, and "
+            )
+            text += "no point covers it."
+        text += f"\n\n**Lines behind points:** the last {TRAIL_S:g} s of each track; cut where it was not measured."
+        self._log_still("legend", self._rr.TextDocument(text, media_type="text/markdown"))
 
     def log_truth(self, frame: int, time_ns: int, xyz: Array) -> None:
         """Log where markers really were (m, 3) at one pulse; rows of NaN are left out."""
-        self._set_time(frame, time_ns)
+        self.set_time(frame, time_ns)
         there = np.asarray(xyz)[np.isfinite(xyz).all(axis=1)]
-        points = self._rr.Points3D(there, radii=0.004, colors=[(120, 130, 140)])
+        points = self._rr.Points3D(there, radii=TRUE_SHARE * self._diagonal, colors=[TRUE_POINT])
         self._stream.log("world/truth", points)
 
     def log_skeleton(self, frame: int, time_ns: int, joints: JointMotion | None, true: bool = False) -> None:
@@ -98,7 +161,7 @@ class RerunLog:
 
         ``true``: where they really were, in grey.
         """
-        self._set_time(frame, time_ns)
+        self.set_time(frame, time_ns)
         entity, colour = ("true_skeleton", (120, 130, 140)) if true else ("skeleton", (0, 158, 115))
         centre = np.empty((0, 3)) if joints is None else joints.centre[0]
         names = () if joints is None else joints.joints
@@ -144,7 +207,8 @@ class RerunLog:
     ) -> None:
         self.close()
 
-    def _set_time(self, frame: int, time_ns: int) -> None:
+    def set_time(self, frame: int, time_ns: int) -> None:
+        """Set the instant of what is logged next: the pulse, and its time from session start [ns]."""
         self._stream.set_time("session", duration=np.timedelta64(int(time_ns), "ns"))
         self._stream.set_time("frame", sequence=int(frame))
 
@@ -162,16 +226,18 @@ class RerunLog:
             principal_point=[cx + 0.5, cy + 0.5],
             resolution=[camera.width, camera.height],
             camera_xyz=self._rr.ViewCoordinates.RDF,
-            image_plane_distance=0.3,
+            image_plane_distance=CAMERA_SHARE * self._diagonal,
         )
         self._log_still(f"{_entity(camera)}/image", pinhole)
 
-    def _log_points(self, entity: str, xyz: Array, colours: Array, ids: Array) -> None:
-        points = self._rr.Points3D(xyz, radii=0.006, colors=colours)
-        if len(xyz) == 0:
-            self._stream.log(entity, points)
-            return
-        self._stream.log(entity, points, self._rr.AnyValues(track=np.asarray(ids, dtype=np.int64)))
+    def _colours(self, ids: Array, sigma_m: Array | None) -> Array:
+        """Return colours (n, 3) by deviation, on the scale of the first points that have one; else by track."""
+        if sigma_m is None:
+            return _track_colours(ids)
+        if self._sigma_top_mm is None and len(sigma_m):
+            self._sigma_top_mm = scale_top(2e3 * np.asarray(sigma_m))
+            self.log_scale("stated standard deviation, 3D", self._sigma_top_mm, False)
+        return coloured(1e3 * np.asarray(sigma_m), self._sigma_top_mm or 1.0)
 
     def _compressed(self, image: Array) -> Any:
         return self._rr.Image(_eight_bits(image)).compress(jpeg_quality=JPEG_QUALITY)
@@ -196,17 +262,35 @@ def _rerun() -> Any:
 
 
 def _blueprint(rig: Rig) -> Any:
-    """Return the viewer's layout: the world beside at most four cameras."""
+    """Return the viewer's layout: the world above plots and legend, beside the cameras."""
     from rerun import blueprint
 
-    images = [
-        blueprint.Spatial2DView(origin=f"{_entity(camera)}/image", name=camera.name) for camera in rig.cameras[:4]
-    ]
+    images = [blueprint.Spatial2DView(origin=f"{_entity(camera)}/image", name=camera.name) for camera in rig.cameras]
     world = blueprint.Spatial3DView(origin="world", name="world")
-    return blueprint.Blueprint(
-        blueprint.Horizontal(world, blueprint.Grid(*images), column_shares=[3, 2]) if images else world,
-        collapse_panels=True,
+    plots = [
+        blueprint.TimeSeriesView(origin=f"plots/{kind}", name=name)
+        for kind, name in (
+            ("error", "error [mm]"), ("markers", "error of each marker [mm]"), ("sigma", "stated deviation [mm]"),
+            ("points", "points"), ("detections", "detections by camera"),
+        )
+    ]  # fmt: skip
+    below = blueprint.Horizontal(
+        blueprint.Tabs(*plots), blueprint.TextDocumentView(origin="legend", name="colours"), column_shares=[3, 1]
     )
+    left = blueprint.Vertical(world, below, row_shares=[3, 1])
+    views = blueprint.Grid(*images) if len(images) <= MOST_BESIDE else blueprint.Tabs(*images)
+    return blueprint.Blueprint(
+        blueprint.Horizontal(left, views, column_shares=[3, 2]) if images else left, collapse_panels=True
+    )
+
+
+def _diagonal(rig: Rig, working_space: tuple[Array, Array] | None) -> float:
+    """Return the size of the scene [m]: the working space's diagonal, else half of that of the cameras' positions."""
+    if working_space is not None:
+        return float(np.linalg.norm(working_space[1]))
+    at = np.array([camera.world_from_camera.translation for camera in rig.cameras]).reshape(-1, 3)
+    span = float(np.linalg.norm(np.ptp(at, axis=0))) / 2 if len(at) > 1 else 0.0
+    return span or PERSON_M
 
 
 def _entity(camera: Camera) -> str:

@@ -37,6 +37,10 @@ Progress = Callable[[int, int], None]
 """Called with the number of steps done and of all steps."""
 
 
+RRD_IMAGES = 100
+"""Frame sets whose images a Rerun log holds where nothing else is asked for: some ten megabytes with four cameras."""
+
+
 @dataclass(frozen=True)
 class RunOptions:
     """How a scenario is run."""
@@ -47,6 +51,8 @@ class RunOptions:
     """Rendering threads."""
     rrd: Path | None = None
     """A Rerun log to write while running."""
+    rrd_images: int = RRD_IMAGES
+    """Frame sets whose images go into it, evenly over the run."""
     record_to: Path | None = None
     """A folder to record the frames into."""
     truth: Path | None = None

@@ -4,7 +4,7 @@ from typing import Any
 
 import click
 
-from scenarios.cli.options import FILE, LAG, NOT_NEGATIVE, OUT_FILE, POSITIVE, SET, echo_lines
+from scenarios.cli.options import FILE, IMAGES, LAG, NOT_NEGATIVE, OUT_FILE, POSITIVE, SET, echo_lines
 
 
 @click.command()
@@ -14,8 +14,12 @@ from scenarios.cli.options import FILE, LAG, NOT_NEGATIVE, OUT_FILE, POSITIVE, S
 @click.option("--record", type=OUT_FILE, help="write counts and the stages' times here: .json")
 @click.option("--skeleton", type=FILE, help="follow the person of this file of 'skeleton fit': labels and joints")
 @click.option("--joints", type=OUT_FILE, help="its joint centres and rotations with covariances: .csv")
-@click.option("--rrd", type=OUT_FILE, help="points and bones for the Rerun viewer: .rrd")
-@click.option("--view", is_flag=True, help="show points and bones live in the Rerun viewer")
+@click.option("--rrd", type=OUT_FILE, help="points, trails and bones for the Rerun viewer: .rrd")
+@click.option("--view", is_flag=True, help="show points, trails and bones live in the Rerun viewer")
+@click.option(
+    "--images", type=IMAGES, default=0, show_default=True,
+    help="with --rrd or --view: images of so many frame sets a second, or of all that are shown; they cost latency",
+)  # fmt: skip
 @click.option("--virtual", type=FILE, help="a second MuJoCo scene whose mocap bodies tracked bodies move: MJCF")
 @click.option("--bodies", type=FILE, help="rigid bodies, of 'bodies learn'; a scenario brings its own")
 @click.option("--bind", multiple=True, metavar="BODY=OBJECT", help="tracked body, and mocap body that it moves")

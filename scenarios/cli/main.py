@@ -1,6 +1,5 @@
 """The command line: ``mosca VERB``. Heavy packages are imported by the verbs that need them."""
 
-import logging
 import os
 import signal
 import sys
@@ -30,16 +29,26 @@ from scenarios.cli import rig as cli_rig
 from scenarios.cli import self_orient as cli_self_orient
 from scenarios.cli import skeleton as cli_skeleton
 from scenarios.cli import station as cli_station
+from scenarios.cli import suite as cli_suite
 from scenarios.cli import track_files as cli_track_files
 from scenarios.cli import tracks as cli_tracks
 from scenarios.cli import vibration as cli_vibration
 from scenarios.cli.grouped import GroupedCommands
-from scenarios.cli.options import FILE, OUT_FILE, OUT_FOLDER, SCENARIO, OutFile, log_to_stderr, print_table, table
+from scenarios.cli.options import (
+    EXIT_BROKEN,
+    EXIT_ERROR,
+    EXIT_PASSED,
+    FILE,
+    IMAGES,
+    OUT_FILE,
+    OUT_FOLDER,
+    SCENARIO,
+    log_to_stderr,
+    print_table,
+    table,
+)  # fmt: skip
 from scenarios.cli.progress import Progress
 from scenarios.run.interrupt import EXIT_STOPPED, was_interrupted
-
-LOG = logging.getLogger(__name__)
-EXIT_PASSED, EXIT_BROKEN, EXIT_ERROR = 0, 1, 2
 
 
 @click.group(cls=GroupedCommands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
@@ -63,6 +72,9 @@ def cli(verbose: int, quiet: bool) -> None:
 )
 @click.option("--out", type=OUT_FOLDER, help="run folder  [default: runs/SCENARIO]")
 @click.option("--rrd", is_flag=True, help="also write run.rrd for the Rerun viewer")
+@click.option(
+    "--images", type=IMAGES, help="with --rrd: images of so many frame sets, evenly, or of all  [default: 100]"
+)
 @click.option("--record", type=OUT_FOLDER, help="also record the frames into this folder")
 @click.option(
     "--truth",
@@ -78,6 +90,7 @@ def run(
     overrides: tuple[str, ...],
     out: Path | None,
     rrd: bool,
+    images: int | None,
     record: Path | None,
     truth: Path | None,
     workers: int | None,
@@ -93,6 +106,8 @@ def run(
     from scenarios.spec.catalog import find, scenario_name
     from scenarios.spec.scenario import changed_keys, load_scenario
 
+    if images is not None and not rrd:
+        raise InputError("--images goes with --rrd: it is the Rerun recording that holds them; add --rrd")
     path = find(scenario)
     if seed is not None:
         overrides = (*overrides, f"seed={seed}")
@@ -104,13 +119,16 @@ def run(
     from scenarios.run.one_writer import one_writer
     from scenarios.run.record import with_changed
     from scenarios.run.scenario import run_scenario
-    from scenarios.types import RunOptions
+    from scenarios.types import RRD_IMAGES, RunOptions
 
     check_out(target)
     log = target.parent / f".{target.name}.rrd" if rrd else None
     with one_writer(target), _removed_in_the_end(log):
         with Progress(name) as shown:
-            options = RunOptions(source, workers or os.cpu_count() or 1, log, record, truth, shown)
+            options = RunOptions(
+                source, workers or os.cpu_count() or 1, log, RRD_IMAGES if images is None else images, record, truth,
+                shown,
+            )  # fmt: skip
             result = run_scenario(spec, name, path.parent, options)
         if overrides:
             result = replace(result, record=with_changed(result.record, changed_keys(path, spec)))
@@ -122,106 +140,6 @@ def run(
         write_run(result, target, log)
     click.echo(f"{target / 'report.html'}")
     sys.exit(EXIT_PASSED if result.record.passed else EXIT_BROKEN)
-
-
-@cli.command()
-@click.argument("paths", nargs=-1, type=FILE)
-@click.option("--tier", type=click.Choice(["quick", "full"]), default="quick", show_default=True)
-@click.option(
-    "--set",
-    "overrides",
-    multiple=True,
-    metavar="KEY=VALUE",
-    help="change a key in each, e.g. seed=2; then nothing is compared with the committed baselines  [repeatable]",
-)
-@click.option("--jobs", type=click.IntRange(1, 256), help="scenarios at a time  [default: all cores]")
-@click.option("--out", type=OUT_FOLDER, default=Path("runs/suite"), show_default=True, help="folder of run folders")
-@click.option("--junit", type=OutFile(makes_folders=True), help="write JUnit XML here")
-@click.option("--compare", type=FILE, help="folder of baselines to compare with  [default: the committed ones]")
-@click.option("--update-baselines", is_flag=True, help="make these results the baselines (say why in CHANGELOG)")
-@click.option(
-    "--baselines", type=OUT_FOLDER, help="folder that --update-baselines writes to  [default: the committed ones]"
-)
-@click.option(
-    "--spread",
-    "replicates",
-    type=FILE,
-    multiple=True,
-    help="with --update-baselines: folder of a run of the same product with other processor features "
-    "(.ci/processors makes them); how far metrics differ is stated in the baselines and tolerated  [repeatable]",
-)
-def suite(
-    paths: tuple[Path, ...],
-    tier: str,
-    overrides: tuple[str, ...],
-    jobs: int | None,
-    out: Path,
-    junit: Path | None,
-    compare: Path | None,
-    update_baselines: bool,
-    baselines: Path | None,
-    replicates: tuple[Path, ...],
-) -> None:
-    """Run all scenarios of a tier (or those in PATH ...) on all cores, and compare with the baselines.
-
-    \b
-    Example:  mosca suite --tier quick --junit runs/suite.xml
-    """
-    from scenarios.spec import catalog
-
-    if baselines is not None and not update_baselines:
-        raise InputError("--baselines goes with --update-baselines; to compare with a folder give --compare")
-    if replicates and not update_baselines:
-        raise InputError("--spread goes with --update-baselines; to compare with a folder give --compare")
-    if compare is not None and update_baselines:
-        raise InputError("--compare and --update-baselines exclude each other; give one of them")
-    if overrides and update_baselines and baselines is None:
-        raise InputError("--set and --update-baselines: baselines are those of the files as they are; leave one out")
-    entries = catalog.entries(paths, tier, overrides)
-    if not entries:
-        raise InputError(f"no scenario of tier '{tier}' in {', '.join(map(str, paths)) or 'the project'}")
-    from reports.compare import summary_table
-    from scenarios.run.one_writer import one_writer
-    from scenarios.suite import suite as work
-
-    if compare is not None:
-        work.check_baselines(compare)
-    for replicate in replicates:
-        work.check_replicate(entries, replicate)
-    with Progress("suite") as shown:
-        count = 0
-
-        def report(outcome: Any) -> None:
-            nonlocal count
-            count += 1
-            state = "failed" if not outcome.passed else "passed"
-            LOG.info("%s: %s, %.1f s", outcome.name, state, outcome.seconds)
-            shown(count, len(entries))
-
-        with one_writer(out):
-            outcomes = work.run_suite(entries, out, jobs or os.cpu_count() or 1, report)
-    stopped = [o.name for o in outcomes if o.error == work.STOPPED]
-    # before anything is written: no full disk loses the figures
-    print_table(summary_table([o.record for o in outcomes if o.record is not None]))
-    sys.stdout.flush()
-    if update_baselines and not stopped:
-        work.update_baselines(outcomes, baselines or work.BASELINES, replicates)
-        click.echo(f"{len(outcomes)} baselines written to {baselines or work.BASELINES}; say why in CHANGELOG.md")
-    elif compare is not None or not overrides:
-        outcomes = work.compared(outcomes, compare or work.BASELINES)
-    if junit is not None:
-        work.write_junit(outcomes, junit)
-    bad = [line for o in outcomes if o.name not in stopped for line in work.complaints(o)]
-    for line in bad:
-        click.echo(line, err=True)
-    passed = sum(o.passed for o in outcomes)
-    click.echo(f"{passed} of {len(outcomes)} scenarios as they should be; reports in {out}")
-    if stopped:
-        click.echo(f"stopped by hand: {len(stopped)} scenarios did not end: {', '.join(stopped)}", err=True)
-        sys.exit(EXIT_STOPPED)
-    if any(o.error for o in outcomes):
-        sys.exit(EXIT_ERROR)
-    sys.exit(EXIT_PASSED if passed == len(outcomes) else EXIT_BROKEN)
 
 
 @cli.command("list")
@@ -264,16 +182,17 @@ def new(path: Path, subject: str, cameras: int, claim: str) -> None:
 @click.argument("runs", nargs=-1, required=True, type=FILE)
 @click.option("--out", type=OUT_FILE, default=Path("comparison.html"), show_default=True, help="page to write")
 def report(runs: tuple[Path, ...], out: Path) -> None:
-    """Compare run folders on one page.
+    """Compare run folders, or records, on one page: what differs first, then figures where they are comparable.
 
     \b
     Example:  mosca report runs/before runs/after --out comparison.html
     """
-    from reports.page import write_comparison_page
+    from reports.comparison.page import write_comparison_page
     from reports.record import read_record
 
     records = [read_record(run / "record.json" if run.is_dir() else run) for run in runs]
-    write_comparison_page(out, records, [str(run) for run in runs])
+    pages = [run / "report.html" if run.is_dir() else None for run in runs]
+    write_comparison_page(out, records, [str(run) for run in runs], pages)
     click.echo(f"{out}")
 
 
@@ -293,6 +212,7 @@ def view(run: Path, web: bool) -> None:
     show(run, web)
 
 
+cli.add_command(cli_suite.suite)
 cli.add_command(cli_tracks.reconstruct)
 cli.add_command(cli_tracks.labels)
 cli.add_command(cli_tracks.bodies)

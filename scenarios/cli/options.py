@@ -45,6 +45,24 @@ class ScenarioName(click.Path):
         return [*map(CompletionItem, found), *super().shell_complete(ctx, param, incomplete)]
 
 
+class ImageCount(click.ParamType):  # type: ignore[type-arg,unused-ignore]
+    """A number of frame sets whose images are shown, or ``all`` of them."""
+
+    name = "all|N"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the number, ``ALL_IMAGES`` for all, or fail as click does."""
+        if value == "all":
+            return ALL_IMAGES
+        try:
+            count = int(value)
+        except (TypeError, ValueError):
+            count = -1
+        if count < 0:
+            self.fail(f"'{value}' given; allowed are 'all' and whole numbers from 0 on.", param, ctx)
+        return count
+
+
 class OutFile(click.Path):
     """A file to write: its place is tried while the command line is read, before any work."""
 
@@ -82,6 +100,10 @@ SET = click.option(
 )
 POSITIVE = Number(min=0, min_open=True)
 NOT_NEGATIVE = Number(min=0)
+ALL_IMAGES = 1 << 31
+IMAGES = ImageCount()
+EXIT_PASSED, EXIT_BROKEN, EXIT_ERROR = 0, 1, 2
+"""Codes of every verb: limits met; broken or not judged; an error in the input."""
 LOGGERS = ("mosca", "twin", "hardware", "scenarios")
 LEVELS = (logging.WARNING, logging.INFO, logging.DEBUG)
 """Of no -v, one and two."""

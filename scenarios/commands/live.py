@@ -137,7 +137,7 @@ class _Sinks:
             poses, label_of = self.person.step(samples)
             timed("skeleton")
         if self.show is not None:
-            self.show.show(step.frame_set.pulse, step.frame_set.time_ns, step.samples, poses)
+            self.show.show(step.frame_set.pulse, step.frame_set.time_ns, step.samples, poses, step)
             timed("show")
         if self.log is not None:
             self.log.write(samples, label_of)

@@ -7,11 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
+from mosca.data.arrays import Array
+from mosca.data.detections import Detections
 from mosca.data.rig import Rig
 from mosca.data.tracks import Samples
 from mosca.errors import InputError
 from mosca.formats.bodies.subject_file import read_subject
 from mosca.formats.joints.joints_csv import JointsLog
+from mosca.pipeline import Step
 from mosca.skeleton.live import LivePose, LiveSkeleton
 from mosca.skeleton.model import Kinematics
 from mosca.skeleton.track import SkeletonTracker
@@ -84,28 +87,50 @@ class LiveShow:
         self._file = None if options.rrd is None else stack.enter_context(RerunLog(options.rrd, rig))
         self._viewer = stack.enter_context(log_in_viewer(rig)) if options.view else None
         self._due = 0.0
+        self._images_each_ns = 1e9 / options.images if options.images else np.inf
+        self._images_due_ns = -np.inf
 
     @property
     def logs(self) -> tuple[RerunLog, ...]:
         """The file and the viewer, where there are."""
         return tuple(log for log in (self._file, self._viewer) if log is not None)
 
-    def show(self, frame: int, time_ns: int, samples: Samples, poses: list[LivePose]) -> None:
-        """Log the samples of one frame, and the poses."""
+    def show(
+        self, frame: int, time_ns: int, samples: Samples, poses: list[LivePose], step: Step | None = None
+    ) -> None:
+        """Log the samples of one frame, and the poses; of ``step`` images and detections where they are due."""
         logs = [] if self._file is None else [self._file]
         now = time.monotonic()
         if self._viewer is not None and now >= self._due:
             self._due = now + 1 / SHOWN_HZ
             logs.append(self._viewer)
         tracked = samples.select(samples.frame == frame)
+        images, detections = self._images_of(step, time_ns) if logs else (None, None)
+        sigma_m = np.sqrt(np.trace(tracked.covariance, axis1=1, axis2=2))
         for log in logs:
-            log.log_step(frame, time_ns, points_xyz=tracked.xyz, track_ids=tracked.track)
+            log.log_step(frame, time_ns, images, detections, tracked.xyz, tracked.track, sigma_m)
             for pose in poses:
                 log.log_skeleton(pose.frame, pose.time_ns, pose.joints)
+
+    def _images_of(
+        self, step: Step | None, time_ns: int
+    ) -> tuple[Mapping[str, Array] | None, Mapping[str, Detections] | None]:
+        """Return the images of a step and what was detected in them, where some are due by the frames' clock."""
+        if step is None or time_ns < self._images_due_ns or not np.isfinite(self._images_each_ns):
+            return None, None
+        # from the instant at which they were due: else a rate that is no divisor of the frame rate would fall behind
+        late_ns = time_ns - self._images_due_ns
+        self._images_due_ns += self._images_each_ns
+        if not late_ns < self._images_each_ns:
+            self._images_due_ns = time_ns + self._images_each_ns
+        images = {name: frame.image for name, frame in step.frame_set.frames.items() if frame.image is not None}
+        return images, step.detections
 
 
 def check_show(options: LiveOptions) -> None:
     """Raise InputError for options of a person without one, and for a recording that cannot be written."""
     if options.joints is not None and options.skeleton is None:
         raise InputError(f"--joints {options.joints}: whose joints? give --skeleton with what 'skeleton fit' wrote")
+    if options.images and options.rrd is None and not options.view:
+        raise InputError("--images: where are they to be shown? add --rrd FILE.rrd or --view")
     check_rrd(options.rrd)

@@ -48,6 +48,8 @@ class LiveOptions:
     joints: Path | None = None
     rrd: Path | None = None
     view: bool = False
+    images: int = 0
+    """Frame sets a second whose images are shown."""
     virtual: Path | None = None
     bodies: Path | None = None
     bind: tuple[str, ...] = ()

@@ -55,7 +55,7 @@ def collected_of(
     latency: list[float] = []
     bound_pulses = set(pulses_asked(pulses).tolist()) if needs_bound(spec.limits) else set()
     detections: dict[int, Mapping[str, Detections]] = {}
-    log = _step_log(shown, twin)
+    log = _step_log(shown, twin, pulses, options.rrd_images)
     read = recorded(source, twin, options, spec, stack)
     if any(info.name not in rig.names for info in read.cameras):
         read = SelectedCameras(read, rig.names)
@@ -121,16 +121,26 @@ def rerun_log(path: Path | None, rig: Rig, spec: Scenario, stack: ExitStack) -> 
     return stack.enter_context(RerunLog(path, rig, (np.array(space.center_m), np.array(space.size_m))))
 
 
-def _step_log(log: RerunLog | None, twin: TruthSource | None) -> Callable[[Step], None]:
-    """Return what writes a step into a Rerun log; without one it does nothing."""
+def _step_log(
+    log: RerunLog | None, twin: TruthSource | None, pulses: int, most_images: int
+) -> Callable[[Step], None]:
+    """Return what writes a step's images, detections and truth into a Rerun log; without one it does nothing.
+
+    Detections are shown with the images that they are of: an image stays until the next one. Points follow at the end
+    of the run, when their errors are known.
+    """
     if log is None:
         return lambda step: None
+    chosen = set(np.linspace(0, pulses - 1, min(most_images, pulses)).round().astype(int).tolist())
 
     def write(step: Step) -> None:
         pulse, time_ns = step.frame_set.pulse, step.frame_set.time_ns
-        images = {n: f.image for n, f in step.frame_set.frames.items() if f.image is not None}
-        tracked = step.samples.select(step.samples.frame == pulse)
-        log.log_step(pulse, time_ns, images, step.detections, tracked.xyz, tracked.track)
+        if pulse in chosen or most_images >= pulses:
+            images = {n: f.image for n, f in step.frame_set.frames.items() if f.image is not None}
+            log.log_step(pulse, time_ns, images, step.detections)
+        else:
+            log.set_time(pulse, time_ns)
+            log.log_plots({f"detections/{name}": len(found) for name, found in step.detections.items()})
         if twin is not None and pulse < len(twin.truth_xyz):
             log.log_truth(pulse, time_ns, twin.truth_xyz[pulse])
 

@@ -90,6 +90,14 @@ def record_of(
     )
 
 
+def position_limit_mm(spec: Scenario) -> float | None:
+    """Return the limit of the rms position error [mm], stated as such or as a share of the space's longest edge."""
+    given = {"position_rms": 1e3, "relative_accuracy": 1e3 * max(spec.working_space.size_m)}
+    known = [(name, spec.limits[name], scale) for name, scale in given.items() if name in spec.limits]
+    ends = [scale * (end_of(name, one) if isinstance(one, tuple) else one) for name, one, scale in known]
+    return min(ends, default=None)
+
+
 def with_changed(record: RunRecord, changed: Mapping[str, tuple[Any, Any]]) -> RunRecord:
     """Return ``record`` with what differs from the scenario's file: key -> (value there, value of this run)."""
     if not changed:

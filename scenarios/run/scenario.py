@@ -25,6 +25,7 @@ from mosca.synchronisation import Assembly
 from reports.evidence import Evidence
 from reports.record import RunRecord
 from reports.viewer import RerunLog
+from reports.viewer_result import log_result
 from scenarios.build.calibration_faults import with_fault
 from scenarios.build.cameras import Calibrated, calibrated, true_rig, twin_source, virtual_cameras
 from scenarios.build.frame_sources import account, device_notes, patient
@@ -45,7 +46,7 @@ from scenarios.run.people import Person, show_person
 from scenarios.run.pipeline import collected_of, recorded, rerun_log
 from scenarios.run.postprocess import with_gaps_filled
 from scenarios.run.precompile import PIPELINE, compile_side_by_side, compiling
-from scenarios.run.record import evidence_of, record_of
+from scenarios.run.record import evidence_of, position_limit_mm, record_of
 from scenarios.run.survey import Survey, surveyed
 from scenarios.run.survey import check_source as check_survey_source
 from scenarios.run.timed import timed
@@ -171,11 +172,10 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
 
         with timed(timings, "score"):
             calibration_m2 = None if own is None else own.covariance_m2
-            names = built.known.rig.names
             joints, labelled = (None, done.named) if done.person is None else done.person.scored(spec)
             measured = MeasuredTracks(
-                collected, believed, names, synchronous, continuous, bodies, poses, calibration_m2, joints,
-                labelled, done.vibration, done.shown, built.known.rig,
+                collected, believed, built.known.rig.names, synchronous, continuous, bodies, poses, calibration_m2,
+                joints, labelled, done.vibration, done.shown, built.known.rig,
             )  # fmt: skip
             worth = scored(spec, name, measured, truth, opened.twin, built.scene)
             collected = worth.collected
@@ -183,11 +183,12 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
             scores |= {} if flight is None else flight_scores(flight.path, flight.delay)
             if oriented is not None:
                 scores, worth = scores | oriented.scores, oriented.added_to(worth)
+        evidence = evidence_of(spec, believed, worth, done.person, done.vibration, done.shown)
+        log_result(shown, evidence, position_limit_mm(spec))
         # identities are scored as the tracker gave them; a label may have split a track
         written = _filled(spec, collected, collected.tracks if done.named is None else done.named)
     timings |= collected.seconds
     record = record_of(spec, name, options.source, replace(worth, scores=scores), timings, built.known)
-    evidence = evidence_of(spec, believed, worth, done.person, done.vibration, done.shown)
     if oriented is not None:
         evidence = replace(evidence, self_orientation=oriented.evidence)
     if flight is not None:

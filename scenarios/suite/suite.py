@@ -41,6 +41,8 @@ class Outcome:
     seconds: float
     worse: tuple[Regression, ...] = ()
     gone: tuple[str, ...] = ()
+    picture: str = ""
+    """Its scene, as small inline SVG."""
 
     @property
     def passed(self) -> bool:
@@ -231,29 +233,30 @@ def complaints(outcome: Outcome) -> list[str]:
 def _run_one(path: str, name: str, out: str, overrides: tuple[str, ...] = ()) -> Outcome:
     """Run one scenario in a worker process."""
     os.environ.setdefault("OMP_NUM_THREADS", "1")
+    from reports.suite.thumbnail import thumbnail
     from scenarios.run.folder import check_out, write_run
     from scenarios.run.one_writer import one_writer
     from scenarios.run.scenario import run_scenario
     from scenarios.spec.scenario import load_scenario
 
     start = time.perf_counter()
-    record = None
+    record, picture = None, ""
     before = signal.signal(signal.SIGTERM, _end_scenario)
     try:
         check_out(Path(out))
         with one_writer(Path(out)):
             result = run_scenario(load_scenario(Path(path), overrides), name, Path(path).parent)
-            record = result.record
+            record, picture = result.record, thumbnail(result.evidence)
             write_run(result, Path(out))
     except MoscaError as error:
-        return Outcome(name, record, str(error), time.perf_counter() - start)
+        return Outcome(name, record, str(error), time.perf_counter() - start, picture=picture)
     except (KeyboardInterrupt, SystemError) as error:
         if not was_interrupted(error):
             raise
         return Outcome(name, None, STOPPED, time.perf_counter() - start)
     finally:
         signal.signal(signal.SIGTERM, before)
-    return Outcome(name, record, "", time.perf_counter() - start)
+    return Outcome(name, record, "", time.perf_counter() - start, picture=picture)
 
 
 def _compared(outcome: Outcome, baselines: Path) -> Outcome:

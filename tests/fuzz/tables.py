@@ -30,6 +30,7 @@ from mosca.formats.tracks.trc import read_trc
 from mosca.formats.wand_points import read_wand_points
 from mosca.machines.identification.commands import read_commands
 from reports.record import read_record
+from reports.suite.history import PastResult, append_history, read_history
 from scenarios.score.reference import read_reference_csv
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -506,6 +507,24 @@ def _record_expected(folder: Path) -> Any:
     return {**{key: given[key] for key in ("scenario", "seed", "passed")}, "metrics": metrics}
 
 
+def _history(folder: Path) -> Any:
+    return [vars(one) for one in read_history(folder / "history.jsonl")]
+
+
+def _history_expected(folder: Path) -> Any:
+    lines = (folder / "history.jsonl").read_text(encoding="utf-8").splitlines()
+    keys = ("time", "commit", "scenario", "content", "as_it_must", "seconds", "values")
+    return [{key: one[key] for key in keys} for one in (json.loads(line) for line in lines if line.strip())]
+
+
+def _history_seed(folder: Path) -> None:
+    values = {"position_rms": 1.25e-4, "completeness": 0.995}
+    append_history(
+        folder / "history.jsonl",
+        [PastResult(f"2026-01-0{k}T10:00:00Z", f"abc{k}", "a/b", "0123", k > 1, 2.5 * k, values) for k in (1, 2)],
+    )
+
+
 def _record_seed(folder: Path) -> None:
     source = sorted((ROOT / "reports/baselines").glob("**/*.json"))[0]
     (folder / "a.json").write_bytes(source.read_bytes())
@@ -608,5 +627,6 @@ READERS = (
         _bvh_expected,
     ),
     Reader("asf amc", (_asf_seed,), ("a.asf", "a.amc"), _amc, _amc_expected),
+    Reader("history.jsonl", (_history_seed,), ("history.jsonl",), _history, _history_expected),
     Reader("record.json", (_record_seed,), ("a.json",), _record, _record_expected),
 )

@@ -14,8 +14,9 @@ from reports_examples import example_evidence, example_record, example_view, wit
 import reports
 from mosca.data.detections import Detections
 from mosca.data.tracks import Tracks
+from reports.comparison.page import write_comparison_page
 from reports.evidence import CameraView, ErrorTable, Evidence, MarkerCounts, true_positions
-from reports.page import write_comparison_page, write_page
+from reports.page import write_page
 from reports.playback.player import SCRIPTS
 from reports.plots import pictures
 from reports.record import Metric
@@ -237,13 +238,14 @@ def test_the_badge_says_the_verdict(passed: bool, expect: str, text: str, tmp_pa
 
 
 def test_runs_side_by_side_show_metrics_changes_and_regressions(tmp_path: Path) -> None:
-    first = example_record()
+    settings = {"parameters": {"seed": 7}}
+    first = example_record(provenance=settings)
     worse = tuple(replace(m, value=1.05 * m.value, ci95=None, blocks=None) for m in first.metrics[4:5])
-    runs = [first, example_record(metrics=worse), example_record(scenario="<other>")]
+    runs = [first, example_record(metrics=worse, provenance=settings), example_record(scenario="<other>")]
     write_comparison_page(tmp_path / "c.html", runs, ["main", "branch", "<third>"])
     text = (tmp_path / "c.html").read_text(encoding="utf-8")
     visible = " ".join("".join(checked(tmp_path / "c.html").text).split())
-    assert "1 regression against" in visible
+    assert "1 figure worse, none better, against" in visible
     assert "↑ worse" in visible
     assert "+5.0 %" in visible
     for part in ("main", "branch", "<third>", "<other>", "limit ≤ 0.3 mm", "0.245 mm", "position_rms"):

@@ -48,11 +48,11 @@ def test_a_suite_sums_up_what_is_done(tmp_path, suite):
     os.killpg(suite.pid, signal.SIGINT)
     told, errors = suite.communicate(timeout=600)
     assert suite.returncode == 130, errors
-    assert "1 of 2 scenarios as they should be; reports in x" in told
+    assert "1 of 2 scenarios as they should be; x/suite.html" in told
     assert "stopped by hand: 1 scenarios did not end: long" in errors
     assert "Traceback" not in errors
     assert 'name="long"' in (tmp_path / "j.xml").read_text()
-    assert sorted(p.name for p in (tmp_path / "x").iterdir()) == ["short"]
+    assert sorted(p.name for p in (tmp_path / "x").iterdir()) == ["history.jsonl", "short", "suite.html"]
 
 
 @pytest.mark.slow
@@ -66,7 +66,7 @@ def test_a_suite_ends_without_tracebacks_however_often_it_is_told(tmp_path, suit
     _, errors = suite.communicate(timeout=600)
     assert suite.returncode == 130, errors
     assert "Traceback" not in errors
-    assert sorted(p.name for p in (tmp_path / "x").iterdir()) == ["short"]
+    assert sorted(p.name for p in (tmp_path / "x").iterdir()) == ["history.jsonl", "short", "suite.html"]
 
 
 @pytest.mark.slow

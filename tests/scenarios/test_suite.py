@@ -47,6 +47,12 @@ def test_a_planted_five_per_cent_is_a_regression_and_a_second_run_is_none(with_b
     assert "regression: tiny: position_rms" in done.stderr
     assert "regression: steady" not in done.stderr
     cases = ElementTree.parse(with_baseline / "out/junit.xml").findall(".//testcase")
+    page = (with_baseline / "runs/suite/suite.html").read_text(encoding="utf-8")
+    assert all(f'href="{name}/report.html"' in page for name in ("steady", "tiny"))
+    assert "WORSE" in page
+    lines = [json.loads(line) for line in (with_baseline / "runs/suite/history.jsonl").read_text().splitlines()]
+    assert [(one["scenario"], one["as_it_must"]) for one in lines[-2:]] == [("steady", True), ("tiny", False)]
+    assert lines[-1]["values"]["position_rms"] == rms(with_baseline / "runs/suite/tiny/record.json")
     failures = {case.get("name"): case.find("failure") is not None for case in cases}
     assert failures == {"steady": False, "tiny": True}
 

@@ -1,0 +1,49 @@
+"""What a run was of: its settings as flat keys, and whether two runs are of the same scene and pipeline."""
+
+import hashlib
+import json
+from collections.abc import Mapping
+from typing import Any
+
+from reports.record import RunRecord
+
+WORDS = ("title", "description", "tier")
+"""Keys of a scenario that change no figure and no verdict."""
+CLAIM = ("expect", "caught_as", "told", "limits", "breaks", "loose_limit", "premises")
+"""Keys that judge figures and do not change them."""
+
+
+def settings(record: RunRecord) -> dict[str, Any]:
+    """Return all settings of a run as dotted key -> value: those that change figures, and those that judge them.
+
+    Texts are left out. Records of live runs and of other programs have none.
+    """
+    parameters = record.provenance.get("parameters")
+    return {} if not isinstance(parameters, Mapping) else dict(_flat(parameters, WORDS))
+
+
+def content(record: RunRecord) -> dict[str, Any]:
+    """Return the settings that decide about figures: all but the claim and the texts; the seed is among them."""
+    return {key: value for key, value in settings(record).items() if key.split(".")[0] not in CLAIM}
+
+
+def claim(record: RunRecord) -> dict[str, Any]:
+    """Return the settings that judge figures: expectation, limits, ranges of controls."""
+    return {key: value for key, value in settings(record).items() if key.split(".")[0] in CLAIM}
+
+
+def content_digest(record: RunRecord) -> str:
+    """Return twelve hexadecimal digits of SHA-256 over ``content`` and the source: equal for the same input."""
+    text = json.dumps([record.source, content(record)], sort_keys=True, default=str)
+    return hashlib.sha256(text.encode()).hexdigest()[:12]
+
+
+def _flat(values: Mapping[str, Any], without: tuple[str, ...] = (), above: str = "") -> Any:
+    """Yield (dotted key, value) of nested tables; lists are values."""
+    for key, value in values.items():
+        if key in without:
+            continue
+        if isinstance(value, Mapping) and value:
+            yield from _flat(value, (), f"{above}{key}.")
+        else:
+            yield f"{above}{key}", value
