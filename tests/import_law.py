@@ -44,6 +44,12 @@ LAW: dict[str, tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]] = {
         ("mujoco", "trimesh", "numpy", "scipy", "numba", "cv2", "pydantic"),
     ),
     "hardware": (HARDWARE, ("mosca.data.truth",), ("numpy", "pydantic")),
+    # what is streamed is data: of the pipeline it knows no formula
+    "hardware.streams": (
+        ("hardware.streams", "mosca.data", "mosca.errors"),
+        ("mosca.data.truth",),
+        ("numpy", "pydantic"),
+    ),
     "hardware.drivers.pylon": (HARDWARE, ("mosca.data.truth",), ("numpy", "pypylon")),
     "hardware.drivers.gentl": (HARDWARE, ("mosca.data.truth",), ("numpy", "harvesters", "genicam")),
     "hardware.drivers.webcam": (HARDWARE, ("mosca.data.truth",), ("numpy", "cv2")),

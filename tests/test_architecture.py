@@ -41,6 +41,8 @@ def test_every_import_keeps_the_law():
         ("twin/source.py", "from mosca.camera.lens_models.mosca import pixels"),
         ("hardware/source.py", "import twin.source"),
         ("hardware/source.py", "from mosca.data.truth import Truth"),
+        ("hardware/streams/play.py", "from mosca.rigid_bodies.tracker import BodyTracker"),
+        ("hardware/streams/play.py", "from hardware.driver import DeviceError"),
         ("reports/page.py", "import rerun as rr"),
         ("reports/page.py", "from mosca.camera.projection import project"),
         ("witness/render.py", "from mosca.data.rig import Lens"),

@@ -7,7 +7,7 @@ SECTIONS: dict[str, tuple[str, ...]] = {
     "Calibration": ("target", "calibrate", "rig"),
     "Trajectories": ("reconstruct", "live", "labels", "bodies", "edit", "zones", "tracks"),
     "People and machines": ("skeleton", "motion", "identify", "vibration", "self-orient", "flight"),
-    "Lab": ("capture", "station", "twin"),
+    "Lab": ("capture", "station", "twin", "replay"),
     "Files": ("schema",),
 }
 

@@ -5,6 +5,7 @@ from typing import Any
 import click
 
 from scenarios.cli.options import FILE, IMAGES, LAG, NOT_NEGATIVE, OUT_FILE, POSITIVE, SET, echo_lines
+from scenarios.cli.stream_options import stream_options, stream_settings
 
 
 @click.command()
@@ -27,6 +28,7 @@ from scenarios.cli.options import FILE, IMAGES, LAG, NOT_NEGATIVE, OUT_FILE, POS
 @click.option("--display-lead", type=NOT_NEGATIVE, help="the display's own delay, predicted over [s]  [default: 0]")
 @click.option("--display-delay", type=NOT_NEGATIVE, help="show what was so long ago, interpolated [s]  [default: 0]")
 @click.option("--horizon", type=NOT_NEGATIVE, help="farthest that a pose is predicted [s]  [default: 0.1]")
+@stream_options(None)
 @click.option("--seconds", type=POSITIVE, help="end after this  [default: the source's end]")
 @click.option("--fps", type=POSITIVE, help="frame rate of a recording that does not tell its own [Hz]")
 @click.option("--rate", type=POSITIVE, help="pace of recording or scenario [Hz]  [default: its own]")
@@ -44,8 +46,10 @@ def live(**given: Any) -> None:
     \b
     Example:  mosca live any_source --seconds 2 --out live.csv --record live.json
               mosca live drone --virtual desk.xml --bind drone=tray --rrd desk.rrd
+              mosca live drone --stream natnet --multicast 239.255.42.99
     """
     from scenarios.commands.live import run_live_command
     from scenarios.commands.live_sources import LiveOptions
 
-    echo_lines(run_live_command(LiveOptions(**given), click.echo))
+    stream, up = stream_settings(given)
+    echo_lines(run_live_command(LiveOptions(**given, stream=stream, up=up), click.echo))

@@ -25,6 +25,7 @@ from scenarios.cli import identify as cli_identify
 from scenarios.cli import lab as cli_lab
 from scenarios.cli import live as cli_live
 from scenarios.cli import motion as cli_motion
+from scenarios.cli import replay as cli_replay
 from scenarios.cli import rig as cli_rig
 from scenarios.cli import self_orient as cli_self_orient
 from scenarios.cli import skeleton as cli_skeleton
@@ -226,6 +227,7 @@ cli.add_command(cli_demo.demo)
 cli.add_command(cli_identify.identify)
 cli.add_command(cli_self_orient.self_orient)
 cli.add_command(cli_live.live)
+cli.add_command(cli_replay.replay)
 cli.add_command(cli_motion.motion)
 cli.add_command(cli_rig.calibrate)
 cli.add_command(cli_rig.rig)

@@ -26,6 +26,7 @@ from mosca.synchronisation import Assembly
 from reports.record import RunRecord, write_record
 from scenarios.commands.live_skeleton import LivePerson, LiveShow, check_show
 from scenarios.commands.live_sources import LiveOptions, LiveSource, opened_live
+from scenarios.commands.live_stream import LiveStream
 from scenarios.commands.live_virtual import LiveVirtual, check_virtual, live_virtual
 from scenarios.run.interrupt import first_ctrl_c
 from scenarios.run.provenance import provenance
@@ -75,7 +76,8 @@ def run_live_command(options: LiveOptions, report: Callable[[str], None]) -> lis
         source = opened_live(options, stack)
         show = LiveShow(options, source.rig, stack) if options.rrd is not None or options.view else None
         virtual = live_virtual(options, source, () if show is None else show.logs, stack)
-        for note in source.notes:
+        stream = None if options.stream is None else stack.enter_context(LiveStream(options, source))
+        for note in (*source.notes, *(() if stream is None else (stream.where,))):
             report(note)
         warm_up()  # a compiler's seconds would count as latency
         if smoother is not None:
@@ -83,7 +85,7 @@ def run_live_command(options: LiveOptions, report: Callable[[str], None]) -> lis
         assembly, health = (Assembly(), Health.of(source.rig, source.settings.match))
         sensors = Sensors(source.frames.cameras, source.settings.detection)
         steps = stack.enter_context(_Steps(source, assembly, health, sensors, options))
-        sinks = _Sinks(smoother, person, show, log, virtual)
+        sinks = _Sinks(smoother, person, show, log, virtual, stream)
         if virtual is not None:
             virtual.start()
         stages, elapsed = _follow(steps, assembly, sinks, options, report)
@@ -97,6 +99,8 @@ def run_live_command(options: LiveOptions, report: Callable[[str], None]) -> lis
         if virtual is not None:
             more, moved = virtual.finish()
             lines += more
+        if stream is not None:
+            lines += stream.finish()
         lines += [*health.findings(), *sensors.lines(), *sensors.findings()]
         if options.record is not None:
             record = _record(options, steps.count, elapsed, stages, assembly, (health, sensors), log)
@@ -114,6 +118,7 @@ class _Sinks:
     show: LiveShow | None
     log: TracksLog | None
     virtual: LiveVirtual | None = None
+    stream: LiveStream | None = None
 
     def take(self, step: Step) -> tuple[Step, Samples]:
         """Return a step with the times that this took, and the samples that left the smoother."""
@@ -127,6 +132,9 @@ class _Sinks:
             now = time.perf_counter()
             seconds[stage], start = now - start, now
 
+        if self.stream is not None:
+            self.stream.step(step.frame_set.pulse, step.frame_set.time_ns, samples)
+            timed("stream")
         if self.virtual is not None:
             self.virtual.step(step.frame_set.pulse, step.frame_set.time_ns, samples)
             timed("virtual")

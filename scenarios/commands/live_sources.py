@@ -10,6 +10,8 @@ from itertools import islice
 from pathlib import Path
 from typing import Self
 
+from hardware.streams.content import UpAxis
+from hardware.streams.natnet.settings import NatNetSettings
 from mosca.data.files.rig_file import read_rig
 from mosca.data.frames import CameraInfo, Frame, FrameSource, mid_exposure_ns
 from mosca.data.rig import Rig
@@ -57,6 +59,10 @@ class LiveOptions:
     display_lead: float | None = None
     display_delay: float | None = None
     horizon: float | None = None
+    stream: NatNetSettings | None = None
+    """Serve markers and bodies there."""
+    up: UpAxis = "z"
+    """Of the stream."""
     workers: int | None = None
     """Rendering threads of a scenario; default: all cores."""
 

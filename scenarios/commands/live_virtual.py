@@ -192,10 +192,12 @@ def live_virtual(
 def check_virtual(options: LiveOptions) -> None:
     """Raise InputError for options of virtual objects that do not go together."""
     if options.virtual is None:
-        for name in ("bodies", "display_hz", "display_lead", "display_delay", "horizon"):
+        own = () if options.stream is not None else ("bodies",)
+        for name in (*own, "display_hz", "display_lead", "display_delay", "horizon"):
             if (value := getattr(options, name)) is not None:
                 raise InputError(
                     f"--{name.replace('_', '-')} {value}: is of virtual objects; give --virtual SCENE.xml"
+                    + (" or --stream natnet" if name == "bodies" else "")
                 )
         if options.bind:
             raise InputError(f"--bind {options.bind[0]}: of which scene is the object? give --virtual SCENE.xml")

@@ -12,6 +12,7 @@ from fuzz.reader import DATA, Reader, copied
 from fuzz.toml_files import plain, toml_seed
 from scipy.spatial.transform import Rotation
 
+from mosca.data.bodies import BodyPoses
 from mosca.data.files.target_tables import WandPointsTable
 from mosca.data.motion.asf import read_asf_amc
 from mosca.data.motion.bvh import read_bvh
@@ -22,6 +23,7 @@ from mosca.data.truth import TABLES, JointTruth, Truth, read_truth, write_truth
 from mosca.data.wands import SingleLight
 from mosca.editing.edit_file import read_track_edits
 from mosca.editing.history import TakeFormat, read_edited, write_edited
+from mosca.formats.bodies.bodies_csv import read_bodies_csv, write_bodies_csv
 from mosca.formats.selfcal_points import read_selfcal_points
 from mosca.formats.tracks.c3d import read_c3d
 from mosca.formats.tracks.marker_table import MarkerTable
@@ -86,6 +88,43 @@ def _tracks_csv_expected(folder: Path) -> Any:
         "covariance": covariance.transpose(2, 0, 1),
         "residual_px": _blanks(column["residual_px"]),
         "status": column["status"],
+    }
+
+
+def _bodies_seed(folder: Path) -> None:
+    rng = np.random.default_rng(9)
+    n = 12
+    half = rng.normal(size=(n, 6, 6)) * 1e-4
+    columns = [rng.normal(size=(n, 4)), rng.normal(size=(n, 3)), half @ half.transpose(0, 2, 1)]
+    withheld = np.arange(n) % 4 == 3
+    for column in columns:
+        column[withheld] = np.nan
+    poses = BodyPoses(
+        np.arange(n) // 2, np.arange(n) // 2 * 10_000_000, np.array(["cup", "drone"])[np.arange(n) % 2], *columns,
+        rng.integers(3, 6, n), rng.random(n) * 1e-3, np.where(withheld, "withheld", "measured"),
+    )  # fmt: skip
+    write_bodies_csv(poses, folder / "bodies.csv")
+
+
+def _bodies(folder: Path) -> Any:
+    poses = read_bodies_csv(folder / "bodies.csv")
+    return {key: getattr(poses, key) for key in BodyPoses.__dataclass_fields__}
+
+
+def _bodies_expected(folder: Path) -> Any:
+    header, *rows = _rows(folder / "bodies.csv")
+    column = {name: [row[k] for row in rows] for k, name in enumerate(header)}
+    axes = "xyzuvw"
+    pairs = [[axes[min(i, j)] + axes[max(i, j)] for j in range(6)] for i in range(6)]
+    covariance = np.array([[_blanks(column[f"c{pair}"]) for pair in row] for row in pairs])
+    return {
+        **{name: whole(column[name]) for name in ("frame", "time_ns", "n_markers")},
+        "body": column["body"],
+        "status": column["status"],
+        "quaternion": np.stack([_blanks(column[f"q{a}"]) for a in "wxyz"], axis=1),
+        "position": np.stack([_blanks(column[a]) for a in "xyz"], axis=1),
+        "covariance": covariance.transpose(2, 0, 1),
+        "residual_m": _blanks(column["residual_m"]),
     }
 
 
@@ -585,6 +624,7 @@ READERS = (
         _tracks("tracks.csv"),
         _tracks_csv_expected,
     ),
+    Reader("bodies.csv", (_bodies_seed,), ("bodies.csv",), _bodies, _bodies_expected),
     Reader(
         "tracks.npz",
         (lambda folder: write_npz(some_tracks(), folder / "tracks.npz"),),

@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from hardware.onboard.commands import read_program
 from hardware.settings import read_hardware
+from hardware.streams.faults import read_faults
 from mosca.data.bodies import RigidBody
 from mosca.data.files.rig_file import read_rig, write_rig
 from mosca.data.files.target_file import read_measured_points, read_target_file
@@ -333,6 +334,20 @@ def _model_expected(folder: Path) -> Any:
     }
 
 
+FAULTS = """seed = 3
+[[program]]
+fault = "latency"
+at_s = 1.5
+for_s = 2.0
+value = 0.03
+[[program]]
+fault = "label-swap"
+names = ["LFHD", "RFHD"]
+[[program]]
+fault = "burst-loss"
+value = 7
+at_s = 4
+"""
 PROGRAM = """[[target]]
 name = "robot"
 kind = "tcp"
@@ -510,6 +525,7 @@ READERS = (
     Reader("surface model", (toml_seed(FACE.read_text(encoding="utf-8")),), FILES, _surface, _surface_expected),
     Reader("scenario", tuple(map(_scenario, ("spaces/space_1m", "delivery/bursts"))), FILES, *_models(load_scenario)),
     Reader("program", (toml_seed(PROGRAM),), FILES, *_models(read_program)),
+    Reader("stream faults", (toml_seed(FAULTS),), FILES, *_models(read_faults)),
     Reader("lamps", (toml_seed(LAMPS),), FILES, _lamps, _lamps_expected),
     Reader("track edits", (toml_seed(TRACK_EDITS),), FILES, *_edits(read_track_edits)),
     Reader("motion edits", (toml_seed(MOTION_EDITS),), FILES, *_edits(read_motion_edits)),

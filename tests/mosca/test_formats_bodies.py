@@ -16,7 +16,7 @@ from mosca.data.motion.asf import read_asf_amc
 from mosca.data.motion.bvh import read_bvh
 from mosca.data.motion.motion import Motion, Skeleton, angles_from_matrices, forward_kinematics
 from mosca.errors import InputError
-from mosca.formats.bodies.bodies_csv import write_bodies_csv
+from mosca.formats.bodies.bodies_csv import read_bodies_csv, write_bodies_csv
 from mosca.formats.bodies.body_file import read_bodies, write_bodies
 from mosca.formats.bodies.bvh_writer import write_bvh
 from mosca.formats.bodies.tum import write_tum
@@ -65,6 +65,9 @@ def test_csv_to_the_last_bit(tmp_path: Path) -> None:
             np.testing.assert_array_equal(column(name), poses.position[:, k])
         for i, j in zip(*np.triu_indices(6), strict=True):
             np.testing.assert_array_equal(column(f"c{'xyzuvw'[i]}{'xyzuvw'[j]}"), poses.covariance[:, i, j])
+        again = read_bodies_csv(path)
+        for name in BodyPoses.__dataclass_fields__:
+            np.testing.assert_array_equal(getattr(again, name), getattr(poses, name))
     assert [p.name for p in tmp_path.iterdir()] == ["bodies.csv"]
 
 

@@ -1,0 +1,45 @@
+"""The verb that streams what was measured before: replay."""
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from mosca.errors import InputError
+from scenarios.cli.options import FILE, POSITIVE, Number, echo_lines
+from scenarios.cli.stream_options import stream_options, stream_settings
+
+
+@click.command()
+@click.argument("tracks", type=FILE)
+@stream_options("natnet")
+@click.option("--bodies", type=FILE, help="rigid bodies: definitions of 'bodies learn' (.toml), or poses (.csv)")
+@click.option("--rate", type=Number(0, 1000, min_open=True), help="so many times as fast as measured  [default: 1]")
+@click.option("--fast", is_flag=True, help="as fast as possible")
+@click.option("--loop", is_flag=True, help="after the last frame comes the first; numbers and times go on")
+@click.option("--seconds", type=POSITIVE, help="end after this")
+@click.option("--wait", type=click.IntRange(0, 64), default=0, help="begin when so many clients have connected")
+@click.option(
+    "--fault", "fault", multiple=True, metavar="NAME[=VALUE][@AT_S[+FOR_S]]", help="a fault on demand  [repeatable]"
+)
+@click.option("--faults", type=FILE, help="TOML file of faults over time")
+@click.option("--seed", type=click.IntRange(min=0), help="of what the faults draw  [default: the file's, or 0]")
+def replay(tracks: Path, **given: Any) -> None:
+    """Stream tracks at their own pace to the clients of a motion-capture lab, with faults on demand.
+
+    TRACKS is .npz, .csv, .c3d or .trc, or a folder with tracks.npz (or .csv) and bodies.csv, as 'mosca run' writes.
+    Ctrl-C ends it; then each client's frames and the faults made are told (docs/streams.md).
+
+    \b
+    Example:  mosca replay runs/subjects/drone --loop --multicast 239.255.42.99
+              mosca replay take.csv --bodies bodies.toml --fault latency=0.03@5+2 --fault body-lost@10+1
+    """
+    from scenarios.lab.replay import ReplayRequest, replay_tracks
+
+    settings, up = stream_settings(given)
+    assert settings is not None
+    if given["rate"] is not None and given["fast"]:
+        raise InputError(f"--rate {given['rate']:g}: excludes --fast; leave one of them out")
+    rate, fast = given.pop("rate"), given.pop("fast")
+    request = ReplayRequest(tracks, settings, up=up, speed=None if fast else rate or 1.0, **given)
+    echo_lines(replay_tracks(request, click.echo))
