@@ -77,17 +77,20 @@ class ScenarioFile(pytest.File):
 
 
 class ScenarioItem(pytest.Item):
-    """Runs a scenario and holds it to its limits."""
+    """Runs a scenario and holds it to its limits and its baseline."""
 
     def runtest(self) -> None:
-        """Run; a broken limit, or a control that was not caught, fails."""
+        """Run; a broken limit, a control that was not caught, or a figure worse than in the baseline fails."""
         from scenarios.run.scenario import run_scenario
         from scenarios.spec.catalog import scenario_name
         from scenarios.spec.scenario import load_scenario
+        from scenarios.suite.suite import BASELINES, Outcome, compared, complaints
 
-        result = run_scenario(load_scenario(self.path), scenario_name(self.path), self.path.parent)
-        if not result.record.passed:
-            raise ScenarioFailed(result.record.verdict)
+        name = scenario_name(self.path)
+        result = run_scenario(load_scenario(self.path), name, self.path.parent)
+        (outcome,) = compared([Outcome(name, result.record, "", 0.0)], BASELINES)
+        if not outcome.passed:
+            raise ScenarioFailed("; ".join(complaints(outcome)))
 
     def repr_failure(self, excinfo: pytest.ExceptionInfo[BaseException], style: object = None) -> str:
         """Tell a failed limit in one line."""

@@ -6,6 +6,7 @@ import struct
 import subprocess
 import sys
 import threading
+import time
 import tracemalloc
 from pathlib import Path
 
@@ -305,7 +306,9 @@ def flood(served, rng, count):
             if k % 50 == 49:
                 stamp = struct.pack("<Q", k)
                 answer = b""
+                end = time.monotonic() + 30
                 while answer[:2] != b"\x0d\0" or answer[4:12] != stamp:
+                    assert time.monotonic() < end, "the server does not answer"
                     if not answer:
                         bad.sendto(struct.pack("<HH", 12, 8) + stamp, to)
                     try:
@@ -335,7 +338,8 @@ def test_garbage_changes_nothing_for_others():
         assert len(served.clients()) <= 6
     numbers = [one.number for one in good.frames]
     assert numbers == list(range(1000, 1000 + len(numbers)))
-    assert sum(one.size for one in grown.statistics("filename")) < 50_000
+    # half of it are the frames on their way; what kept a small object a packet would have 300 kB
+    assert sum(one.size for one in grown.statistics("filename")) < 150_000
 
 
 def test_a_frame_that_no_datagram_holds_is_counted_and_left_out():

@@ -36,6 +36,7 @@ def ratio(found, sigma_m) -> np.ndarray:
     return np.einsum("tni,tni->n", found, found) / len(found) / sigma_m.ravel() ** 2
 
 
+@pytest.mark.slow
 def test_detection_is_what_disturbed_pixels_do(calibration, predicted):
     rng = np.random.default_rng(2)
     points = places(predicted)

@@ -55,6 +55,7 @@ def take(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_a_camera_that_saw_too_little_is_named_and_left_out_on_request(take):
     line = refusal("calibrate", "take", "--target", "both.toml", "--out", "rig.toml", cwd=take)
     assert "few-views: camera 'late': 2 views of the flat target" in line
