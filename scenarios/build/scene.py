@@ -127,9 +127,11 @@ def _subject(spec: Scenario, folder: Path, pilot: Steering | None) -> Scene:
         return _panel(scene, where)
     if not isinstance(scene, OwnScene):
         return _target(scene, where, folder)
+    from twin.scenes.user_markers import MarkersInModel
     from twin.scenes.user_model import build_own
 
-    files: dict[str, Any] = {"model_file": beside(scene.model, folder), "markers_file": beside(scene.markers, folder)}
+    markers = MarkersInModel.of_words(scene.markers) or beside(scene.markers, folder)
+    files: dict[str, Any] = {"model_file": beside(scene.model, folder), "markers_file": markers}
     if scene.motion == "turntable":
         return build_own(**where, **files, motion="turntable", speed_mps=scene.speed_mps)
     if scene.motion == "physics":

@@ -123,11 +123,14 @@ class CloudScene(Table):
 
 
 class OwnScene(Table):
-    """Your own MJCF or URDF model, with meshes, and a table of markers."""
+    """Your own MJCF or URDF model, with meshes and markers."""
 
     kind: Literal["own"]
     model: str = Field(description="MJCF (.xml) or URDF (.urdf) file")
-    markers: str = Field(description="marker table (.csv or .toml): name, body, x, y, z, diameter [m]")
+    markers: str = Field(
+        description="marker table (.csv or .toml): name, body, x, y, z, diameter [m], kind; or the model's own: "
+        "'sites', 'sites:PATTERN', 'geoms:PATTERN' (spheres), with wildcards * and ?"
+    )
     motion: str = Field("turntable", description="'turntable', 'physics', or a CSV file of time and qpos")
     speed_mps: Positive = Field(0.3, description="speed on the turntable [m/s]")
 

@@ -1,6 +1,7 @@
 """A user's own model: markers seated on meshes and primitives, three ways to move, errors that help."""
 
 import contextlib
+import re
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from hypothesis import strategies as st
 
 from mosca.errors import InputError
 from twin.scenes.scene import UNSEEN_GROUP, Scene
-from twin.scenes.user_markers import read_marker_table
+from twin.scenes.user_markers import MarkersInModel, read_marker_table
 from twin.scenes.user_model import build_own
 from twin.scenes.world import FLAT_HALF_THICKNESS_M, SEAT_M
 
@@ -191,3 +192,61 @@ def test_diverging_physics_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     model = MJCF.replace("<worldbody>", '<option timestep="0.01" gravity="0 0 -1e12"/><worldbody>')
     with pytest.raises(InputError, match="the physics diverges"):
         _own(tmp_path, model, "name,body,x,y,z\nA,ball,0,0,1\n", motion="physics")
+
+
+SITES = """<mujoco><worldbody><body name="cart"><freejoint/><geom type="box" size=".2 .1 .05"/>
+<frame pos="0 0 .01"><site name="mk_top" pos=".1 0 .06" size=".01"/></frame><site name="mk_side" pos="0 .12 0"/>
+<site name="grip" pos="0 0 .05"/><geom name="ball_1" type="sphere" size=".008" pos=".15 .05 .08"/>
+<geom name="ball_2" type="sphere" size=".012" pos="-.15 0 .09"/></body></worldbody></mujoco>"""
+
+
+def _in_model(folder: Path, words: str, model: str = SITES) -> Scene:
+    marked = MarkersInModel.of_words(words)
+    assert marked is not None
+    return _own(folder, model, "", markers_file=marked, motion="physics", floor=False)
+
+
+def test_a_models_own_sites_are_seated_with_their_sizes(tmp_path: Path) -> None:
+    scene = _in_model(tmp_path, "sites:mk_*")
+    assert scene.marker_names == ("mk_top", "mk_side")
+    center = scene.model.geom_pos[list(scene.marker_geoms)]
+    # on the box's top and side, each off by its radius and its base; a site's default radius is 5 mm
+    assert center == pytest.approx(np.array([[0.1, 0, 0.05 + 0.01 + SEAT_M], [0, 0.1 + 0.005 + SEAT_M, 0]]), abs=1e-9)
+    assert scene.model.geom_size[list(scene.marker_geoms), 0] == pytest.approx([0.01, 0.005])
+    assert _in_model(tmp_path, "sites").marker_names == ("mk_top", "mk_side", "grip")
+
+
+def test_a_models_own_spheres_become_markers_where_they_are(tmp_path: Path) -> None:
+    scene = _in_model(tmp_path, "geoms:ball_?")
+    assert scene.marker_names == ("ball_1", "ball_2")
+    found = list(scene.marker_geoms)
+    assert scene.model.geom_pos[found] == pytest.approx(np.array([[0.15, 0.05, 0.08], [-0.15, 0, 0.09]]))
+    assert scene.model.geom_size[found, 0] == pytest.approx([0.008, 0.012])
+    # the sphere itself is not seen besides, and hides nothing
+    assert {int(scene.model.geom(name).group[0]) for name in ("ball_1", "ball_2")} == {UNSEEN_GROUP}
+
+
+@pytest.mark.parametrize(
+    ("words", "model", "told"),
+    [
+        (
+            "sites:x*",
+            SITES,
+            "markers 'sites:x*' given; named sites in the model: mk_top, mk_side, grip; give a pattern",
+        ),
+        ("geoms", re.sub("<geom name=.*?/>", "", SITES), "named spheres in the model: none; give a pattern"),
+        ("sites", SITES.replace(' name="cart"', ""), "marker 'mk_top' is on a body without a name; name the body"),
+        ("sites", SITES.replace('size=".01"', 'size="2"'), "'mk_top': key 'diameter'"),
+    ],
+)
+def test_a_models_own_markers_that_are_none(tmp_path: Path, words: str, model: str, told: str) -> None:
+    with pytest.raises(InputError) as error:
+        _in_model(tmp_path, words, model)
+    assert told in str(error.value)
+    assert "model.xml" in str(error.value)
+
+
+def test_words_that_are_a_tables_path() -> None:
+    assert [MarkersInModel.of_words(words) for words in ("markers.csv", "sites.csv", "geoms/a.toml", "")] == [
+        None
+    ] * 4

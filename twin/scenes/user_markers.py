@@ -1,10 +1,12 @@
-"""Markers on a user's own model: their table, and seating them on the model's surfaces with trimesh."""
+"""Markers on a user's own model: their table, or the model's own sites and geoms; seated on surfaces with trimesh."""
 
 import csv
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 import mujoco
 import numpy as np
@@ -17,7 +19,7 @@ from mosca.data.files.decimals import BLANKS, real
 from mosca.data.files.toml import Table, check, read_toml
 from mosca.errors import InputError
 from twin.scenes.scene import MARKER_GROUP, UNSEEN_GROUP
-from twin.scenes.world import add_ball_marker, add_flat_target
+from twin.scenes.world import add_ball_marker, add_flat_target, add_marker
 
 _TIE_M = 1e-6
 _SPHERE_SUBDIVISIONS = 5  # faces 0.02 of the radius long: the resolution of a marker's position on round shapes
@@ -35,6 +37,62 @@ class OwnMarker(Table):
     z: Cell
     diameter: Cell = Field(default=0.016, gt=0, lt=1)
     kind: Literal["ball", "flat"] = "ball"
+
+
+@dataclass(frozen=True)
+class MarkersInModel:
+    """The model's own sites, or its spheres, whose names match ``pattern`` (shell wildcards) are its markers.
+
+    A site is a place near the surface that a ball of the site's size is seated on; a sphere is the ball itself.
+    """
+
+    kind: Literal["sites", "geoms"]
+    pattern: str
+
+    @classmethod
+    def of_words(cls, words: str) -> Self | None:
+        """Return what "sites", "sites:PATTERN" and "geoms:PATTERN" mean, None for others (the path of a table)."""
+        found = re.fullmatch(r"(sites|geoms)(?::(.+))?", words)
+        return None if found is None else cls(found[1], found[2] or "*")  # type: ignore[arg-type]
+
+    def __str__(self) -> str:
+        return f"{self.kind}:{self.pattern}"
+
+    def found(self, model: mujoco.MjModel, source: Path) -> tuple["OwnMarker", ...]:
+        """Return the markers of ``model``; InputError where there are none, or one is on no named body."""
+        if self.kind == "sites":
+            there = [model.site(k) for k in range(model.nsite)]
+        else:
+            sphere = model.geom_type == mujoco.mjtGeom.mjGEOM_SPHERE
+            there = [model.geom(int(k)) for k in np.flatnonzero(sphere)]
+        named = {one.name: one for one in there if one.name}
+        wanted = [one for name, one in named.items() if fnmatchcase(name, self.pattern)]
+        what = "sites" if self.kind == "sites" else "spheres"
+        if not wanted:
+            names = ", ".join(list(named)[:10]) + (", ..." if len(named) > 10 else "")
+            raise InputError(
+                f"{source}: markers '{self}' given; named {what} in the model: {names or 'none'}; give a pattern "
+                "that matches some, or a table of markers"
+            )
+        markers = []
+        for one in wanted:
+            body = model.body(int(one.bodyid[0])).name
+            if not body:
+                raise InputError(f"{source}: marker '{one.name}' is on a body without a name; name the body")
+            row = {"name": one.name, "body": body, **dict(zip("xyz", map(float, one.pos), strict=True))}
+            markers.append(check(OwnMarker, {**row, "diameter": 2 * float(one.size[0])}, f"{source}: '{one.name}'"))
+        return tuple(markers)
+
+    def place(self, spec: mujoco.MjSpec, surfaces: "Surfaces", markers: Sequence["OwnMarker"], source: Path) -> None:
+        """Add ``markers`` to the bodies of ``spec``; a sphere that is a marker is seen as the marker alone."""
+        if self.kind == "sites":
+            seat_markers(spec, surfaces, markers, source)
+            return
+        for marker in markers:
+            spec.geom(marker.name).group = UNSEEN_GROUP
+            center = np.array([marker.x, marker.y, marker.z])
+            size = [marker.diameter / 2, 0, 0]
+            add_marker(spec.body(marker.body), marker.name, mujoco.mjtGeom.mjGEOM_SPHERE, size, center, np.eye(3))
 
 
 class _MarkerFile(Table):

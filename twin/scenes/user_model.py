@@ -19,7 +19,7 @@ from mosca.data.motion.motion import LARGEST_NUMBER
 from mosca.errors import InputError
 from twin.scenes.paths import normalized, quaternion_addresses, spline_path, step_path
 from twin.scenes.scene import UNSEEN_GROUP, Scene
-from twin.scenes.user_markers import read_marker_table, seat_markers, surfaces_of
+from twin.scenes.user_markers import MarkersInModel, read_marker_table, seat_markers, surfaces_of
 from twin.scenes.world import Box, add_floor, compiled, new_stage, positive
 
 OwnMotion = Literal["turntable", "physics", "table"]
@@ -39,14 +39,14 @@ def build_own(
     box_size_m: Array,
     rng: np.random.Generator,
     model_file: Path,
-    markers_file: Path,
+    markers_file: Path | MarkersInModel,
     motion: OwnMotion = "turntable",
     motion_file: Path | None = None,
     speed_mps: float = 0.3,
     turn_rad_s: float = 1.0,
     floor: bool = True,
 ) -> Scene:
-    """Return the model in ``model_file`` (MJCF .xml or .urdf) with the markers of ``markers_file`` on it.
+    """Return the model in ``model_file`` (MJCF .xml or .urdf) with markers on it.
 
     The scene's rigid bodies are all bodies with markers. Raises InputError for files that MuJoCo cannot load, unknown
     bodies, a box too small for a turntable, a table that does not fit, physics that diverges.
@@ -58,7 +58,7 @@ def build_own(
     rng
         Draws the start of the turntable.
     model_file, markers_file
-        Model and table of its markers.
+        Model, and table of its markers or which of the model's own sites or spheres they are.
     motion
         "turntable": the whole model, joints at rest, moves about the box, rotates and tilts; "physics": simulated
         from its first keyframe, else its rest pose, at -0.1 s; "table": ``motion_file``.
@@ -69,7 +69,7 @@ def build_own(
     floor
         Add the plane z = 0 unless the model has a plane.
     """
-    model_file, markers_file = Path(model_file), Path(markers_file)
+    model_file = Path(model_file)
     box = Box(box_center_m, box_size_m)
     positive({"duration_s": duration_s})
     if motion not in OWN_MOTIONS or (motion == "table") != (motion_file is not None):
@@ -77,9 +77,14 @@ def build_own(
             f"motion = {motion!r}, motion_file = {motion_file}: motion is one of {', '.join(OWN_MOTIONS)}, and "
             "motion_file goes with 'table' only"
         )
-    markers = read_marker_table(markers_file)
-    spec, bare = load_model(model_file)
-    seat_markers(spec, surfaces_of(bare), markers, markers_file)
+    if isinstance(markers_file, MarkersInModel):
+        spec, bare = load_model(model_file)
+        markers = markers_file.found(bare, model_file)
+        markers_file.place(spec, surfaces_of(bare), markers, model_file)
+    else:
+        markers = read_marker_table(markers_file)
+        spec, bare = load_model(model_file)
+        seat_markers(spec, surfaces_of(bare), markers, markers_file)
     names = tuple(marker.name for marker in markers)
     bodies = {b: tuple(m.name for m in markers if m.body == b) for b in dict.fromkeys(m.body for m in markers)}
     if motion == "turntable":
