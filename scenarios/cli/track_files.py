@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from scenarios.cli.options import FILE, OUT_FILE, POSITIVE, echo_lines, print_table, table
+from scenarios.cli.options import FILE, OUT_FILE, OUT_FOLDER, POSITIVE, echo_lines, print_table, table
 
 
 @click.group()
@@ -45,3 +45,29 @@ def tracks_convert(path: Path, out: Path, fps: float | None, names: tuple[str, .
     from scenarios.commands.track_files import convert_tracks
 
     echo_lines(convert_tracks(path, out, fps, names))
+
+
+@tracks.command("ros2")
+@click.argument("take", type=FILE)
+@click.argument("out", type=OUT_FOLDER)
+@click.option(
+    "--rig", type=FILE, help="cameras' properties and places  [default: rig.toml of TAKE or of the recording]"
+)
+@click.option("--no-cameras", is_flag=True, help="leave the cameras out: ROS has no model for every lens")
+@click.option("--recording", type=FILE, help="images of this recording, too")
+@click.option(
+    "--max-residual-px", type=POSITIVE, default=0.1, show_default=True, help="how far off ROS's lens model may be"
+)
+def tracks_ros2(
+    take: Path, out: Path, rig: Path | None, no_cameras: bool, recording: Path | None, max_residual_px: float
+) -> None:
+    """Write a take as a ROS 2 bag, the folder OUT: point clouds, poses, transforms, camera infos, images.
+
+    TAKE is a file of tracks, or a run folder, whose poses of bodies and rig are taken, too.
+
+    \b
+    Example:  mosca tracks ros2 runs/subjects/drone drone_bag
+    """
+    from scenarios.commands.track_files import tracks_as_bag
+
+    echo_lines(tracks_as_bag(take, out, rig, recording, None if no_cameras else max_residual_px))

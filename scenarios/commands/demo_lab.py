@@ -5,9 +5,6 @@ the target, and a scenario that judges what is reconstructed. Commands that cali
 the lab's README.md; they know nothing of the twin.
 """
 
-import os
-import shutil
-import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +14,7 @@ import tomli_w
 
 from mosca.data.files.rig_file import write_rig
 from mosca.data.files.target_text import target_toml
-from mosca.data.files.whole_file import check_folder, write_text
+from mosca.data.files.whole_file import check_folder, whole_folder, write_text
 from mosca.data.rig import Rig
 from mosca.data.truth import write_truth
 from mosca.errors import InputError
@@ -76,17 +73,13 @@ def write_demo_lab(
             "the scenario's cameras are not calibrated from nothing, with a target that is as its file says; add a "
             "[calibration] without fault and exterior_only, or choose another scenario ('mosca list')"
         )
-    if out.exists():
-        raise InputError(f"{out}: is there already; choose a new folder")
     rig = true_rig(spec, source_folder)
     cameras = virtual_cameras(spec, rig)
     scene = build_scene(spec, source_folder)
     pixels = sum(one.camera.width * one.camera.height for one in cameras)
     check_folder(out.parent, 2 * pixels * spec.capture.pulses)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    part = Path(tempfile.mkdtemp(dir=out.parent, prefix=f".{out.name}."))
     report = progress or (lambda done, total: None)
-    try:
+    with whole_folder(out) as part:
         sessions, still = _sessions(spec), at_rest(cameras)
         pulses = sum(session.pulses for session in sessions.values())
         total = pulses * len(still) + spec.capture.pulses * len(cameras)
@@ -111,10 +104,6 @@ def write_demo_lab(
         write_text(part / "check.toml", _check_toml(spec, source_folder))
         commands = _commands(out, list(sessions), cameras)
         write_text(part / "README.md", _readme(out, spec, rig, list(sessions), commands))
-        part.chmod(0o755)
-        os.replace(part, out)
-    finally:
-        shutil.rmtree(part, ignore_errors=True)
     return DemoLab(out, images, frames, commands)
 
 

@@ -5,10 +5,17 @@ from pathlib import Path
 import numpy as np
 
 from mosca.data.arrays import Array
+from mosca.data.files.rig_file import read_rig
+from mosca.data.rig import Rig
 from mosca.data.tracks import Tracks
 from mosca.errors import InputError
+from mosca.formats.bodies.bodies_csv import read_bodies_csv
+from mosca.formats.rigs.lens_conversion import RigFileOptions
+from mosca.formats.ros2.bag import Bag, written_bag
 from mosca.formats.tracks.tracks_file import check_tracks_file, read_tracks, write_tracks
+from mosca.recording.open import open_recording
 from scenarios.commands.labels import rate_of
+from scenarios.run.take_files import RIG_FILE, take_files
 
 MOST_ROWS = 200
 """Tracks of which a row is shown."""
@@ -88,3 +95,43 @@ def _row(tracks: Tracks, number: int, frames: Array, rate_hz: float) -> tuple[st
         str(len(holes)),
         f"{holes.max(initial=0) / rate_hz:.2f}",
     )
+
+
+def tracks_as_bag(
+    take: Path, out: Path, rig_file: Path | None, recording: Path | None, most_px: float | None
+) -> list[str]:
+    """Write a take, its rig and a recording's images as a ROS 2 bag; return the lines to print.
+
+    ``take``: file of tracks or run folder, whose poses of bodies and rig are taken, too; ``rig_file``: another rig;
+    without both that of the recording; ``most_px``: how far off ROS's model of a lens may be, None: no cameras.
+    InputError for files that cannot be read or written, and for images whose stamps are not of the session's clock.
+    """
+    files = take_files(take)
+    tracks = read_tracks(files.tracks)
+    rig_file = rig_file or files.rig
+    if rig_file is None and recording is not None and (recording / RIG_FILE).is_file():
+        rig_file = recording / RIG_FILE
+    rig = None if rig_file is None else read_rig(rig_file)
+    times = np.unique(tracks.time_ns).tolist()
+    notes: list[str] = []
+    with written_bag(out) as bag:
+        bag.add_markers(tracks)
+        if files.bodies is not None:
+            bag.add_bodies(read_bodies_csv(files.bodies))
+        if rig is not None and most_px is not None:
+            options = RigFileOptions(max_residual_px=most_px)
+            for camera in rig.cameras:
+                notes += bag.add_camera(camera, times, options)
+        images = 0 if recording is None else _add_images(bag, recording, rig)
+    return [*notes, f"{out} written: {bag.counts.total()} messages, {len(times)} frame sets, {images} images"]
+
+
+def _add_images(bag: Bag, recording: Path, rig: Rig | None) -> int:
+    with open_recording(recording, rig) as source:
+        for info in source.cameras:
+            if info.clock != "session":
+                raise InputError(
+                    f"{recording}: camera '{info.name}' stamps by the {info.clock}'s clock, tracks by the session's; "
+                    "leave --recording out"
+                )
+        return sum(bag.add_image(frame) for frame in source)

@@ -19,9 +19,8 @@ from mosca.formats.bodies.body_file import read_bodies
 from mosca.formats.tracks.tracks_file import read_tracks
 from mosca.rigid_bodies.tracker import body_poses, labelled_by_bodies
 from scenarios.run.interrupt import first_ctrl_c
+from scenarios.run.take_files import take_files
 
-TRACKS_FILES = ("tracks.npz", "tracks.csv")
-POSES_FILE = "bodies.csv"
 LOOK_S = 0.02
 
 
@@ -79,20 +78,15 @@ def _faults(request: ReplayRequest) -> StreamFaults:
 
 
 def _take(request: ReplayRequest) -> TakeFrames:
-    path, poses = request.tracks, None
+    files, poses = take_files(request.tracks), None
     bodies: tuple[RigidBody, ...] = ()
-    if path.is_dir():
-        found = [path / name for name in TRACKS_FILES if (path / name).is_file()]
-        if not found:
-            raise InputError(f"{path}: holds no {' or '.join(TRACKS_FILES)}; give a file of tracks or a run folder")
-        path = found[0]
-        if request.bodies is None and (request.tracks / POSES_FILE).is_file():
-            poses = read_bodies_csv(request.tracks / POSES_FILE)
-    tracks = read_tracks(path)
+    if request.bodies is None and files.bodies is not None:
+        poses = read_bodies_csv(files.bodies)
+    tracks = read_tracks(files.tracks)
     if request.bodies is not None:
         tracks, poses, bodies = _with_bodies(tracks, request.bodies)
     if not len(tracks) and not (poses is not None and len(poses)):
-        raise InputError(f"{path}: no tracks; there is nothing to stream")
+        raise InputError(f"{files.tracks}: no tracks; there is nothing to stream")
     return TakeFrames(tracks, poses, bodies, request.up)
 
 

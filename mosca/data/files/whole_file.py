@@ -35,6 +35,28 @@ def whole_file(path: Path) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
+@contextmanager
+def whole_folder(path: Path) -> Iterator[Path]:
+    """Yield a temporary folder beside ``path``, which is not there yet; renamed to it at the end.
+
+    When the body raises, nothing is left. Raises InputError where ``path`` exists, or cannot be made there.
+    """
+    if path.exists():
+        raise InputError(f"{path}: is there already; choose a new folder")
+    check_folder(path.parent)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        part = Path(tempfile.mkdtemp(dir=path.parent, prefix=f".{path.name}."))
+    except OSError as error:
+        raise _unwritable(path, error) from None
+    try:
+        yield part
+        part.chmod(0o755)
+        part.replace(path)
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
+
+
 def begin_part(path: Path) -> tuple[Path, TextIO]:
     """Return ``PATH.part.csv``, made anew, and that file to append text to: what will be ``path`` is not whole yet.
 

@@ -1,0 +1,1 @@
+"""ROS 2: bags (MCAP) of markers, poses, camera properties and images."""

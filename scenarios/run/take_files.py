@@ -1,0 +1,30 @@
+"""The files of a take: a file of tracks, or a run folder with tracks, poses of bodies and the rig."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from mosca.errors import InputError
+
+TRACKS_FILES = ("tracks.npz", "tracks.csv")
+POSES_FILE = "bodies.csv"
+RIG_FILE = "rig.toml"
+
+
+@dataclass(frozen=True)
+class TakeFiles:
+    """``tracks``; ``bodies`` and ``rig``: None where the folder has none, or a file was given."""
+
+    tracks: Path
+    bodies: Path | None = None
+    rig: Path | None = None
+
+
+def take_files(path: Path) -> TakeFiles:
+    """Return the files of a take. InputError for a folder without tracks."""
+    if not path.is_dir():
+        return TakeFiles(path)
+    found = [path / name for name in TRACKS_FILES if (path / name).is_file()]
+    if not found:
+        raise InputError(f"{path}: holds no {' or '.join(TRACKS_FILES)}; give a file of tracks or a run folder")
+    bodies, rig = (path / name if (path / name).is_file() else None for name in (POSES_FILE, RIG_FILE))
+    return TakeFiles(found[0], bodies, rig)
