@@ -5,6 +5,7 @@
 
 import json
 import socket
+import struct
 import subprocess
 import sys
 import threading
@@ -17,10 +18,13 @@ from hardware.drivers import gige, open_camera
 from hardware.emulate.serve import served
 from hardware.onboard.line_protocol import UdpLines
 from hardware.settings import CameraHardware, TriggerTable
+from hardware.streams.natnet.server import NatNetServer
+from hardware.streams.natnet.settings import NatNetSettings
 from hardware.transport import open_transport
 from hardware.triggers.action import ActionTrigger
 
 CAMERA = "127.0.6.1"
+STREAMS = "127.0.6.2"
 ENDPOINT = "tcp/127.0.0.1:7462"
 
 
@@ -68,6 +72,18 @@ def events():
     lines.close()
 
 
+def streams():
+    """NatNet servers, unicast and multicast, with a client."""
+    for group in (None, "239.255.42.99"):
+        settings = NatNetSettings(address=STREAMS, command_port=0, data_port=0, group=group)
+        with NatNetServer((), settings) as server, socket.socket(type=socket.SOCK_DGRAM) as client:
+            client.bind((STREAMS, 0))
+            client.settimeout(10)
+            client.sendto(struct.pack("<HH", 0, 0), (STREAMS, server.command_port))
+            client.recv(2048)
+            yield
+
+
 def planted():
     """What must be found."""
     with socket.create_server(("0.0.0.0", 7463)):
@@ -84,7 +100,7 @@ def main():
 
     looking = threading.Thread(target=look)
     looking.start()
-    for part in (cameras, stations, events, *([planted] if sys.argv[1:] == ["plant"] else [])):
+    for part in (cameras, stations, events, streams, *([planted] if sys.argv[1:] == ["plant"] else [])):
         for _ in part():
             seen.update(open_addresses())
     over.set()

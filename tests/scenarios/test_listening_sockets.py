@@ -34,8 +34,8 @@ def on_all_interfaces(addresses):
 
 def test_every_part_listens_on_the_interface_that_it_is_told():
     addresses = open_addresses()
-    # 127.0.0.1 (stations, the library's sockets), the camera's 127.0.6.1
-    assert {("tcp", "0100007F"), ("udp", "0100007F"), ("udp", "0106007F")} <= set(addresses)
+    # 127.0.0.1 (stations, the library's sockets), the camera's 127.0.6.1, the streams' 127.0.6.2
+    assert {("tcp", "0100007F"), ("udp", "0100007F"), ("udp", "0106007F"), ("udp", "0206007F")} <= set(addresses)
     assert on_all_interfaces(addresses) == []
 
 
