@@ -6,6 +6,7 @@ Unicast: the package natnet, a plain client that stamps each message as it comes
 that is dead, and one that sends mutated packets. Multicast: natnet and motioncapture. Each is a process of its own.
 """
 
+import gc
 import json
 import os
 import random
@@ -63,6 +64,7 @@ def natnet_reads(seconds, port, data_port, group):
     import natnet
 
     tracks, poses = the_take(seconds)
+    gc.disable()  # millions of kept objects: a collection lasts longer than the socket's buffer
     got = []
     where = {"command_port": port, "data_port": data_port, "use_multicast": bool(group)}
     client = natnet.NatNetClient("127.0.0.1", "127.0.0.1", group or "239.255.42.99", **where)
