@@ -58,13 +58,22 @@ def stretched(image: Array, low: float | None = None, high: float | None = None)
     return np.asarray(np.round(grey * (GREYS - 1)) / (GREYS - 1))
 
 
+def block_maxima(image: Array, factor: int) -> Array:
+    """Return ``image`` (H, W) thinned to the brightest of each ``factor`` x ``factor`` pixels: small targets stay.
+
+    What is left over at the right and at the bottom is cut off.
+    """
+    height, width = (size // factor for size in image.shape)
+    part = image[: height * factor, : width * factor]
+    return np.asarray(part.reshape(height, factor, width, factor).max(axis=(1, 3)))
+
+
 def _show(axes: Axes, image: Array) -> None:
     """Show the whole image, thinned by block maxima so that small targets stay."""
     height, width = image.shape
     factor = max(1, -(-max(height, width) // MOST_PIXELS))
-    part = image[: height // factor * factor, : width // factor * factor]
-    small = part.reshape(height // factor, factor, width // factor, factor).max(axis=(1, 3))
-    extent = (-0.5, part.shape[1] - 0.5, part.shape[0] - 0.5, -0.5)
+    small = block_maxima(image, factor)
+    extent = (-0.5, small.shape[1] * factor - 0.5, small.shape[0] * factor - 0.5, -0.5)
     axes.imshow(stretched(small), cmap="gray", vmin=0, vmax=1, extent=extent, interpolation="none")
     axes.set_xlim(-0.5, width - 0.5)
     axes.set_ylim(height - 0.5, -0.5)

@@ -2,9 +2,11 @@
 
 import json
 import math
+import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
@@ -218,6 +220,11 @@ def sentence(record: RunRecord) -> str:
     if found:
         text += f"Found: {', '.join(found)}. "
     return text + _ended(record.verdict)
+
+
+def relative_address(target: Path, page: Path) -> str:
+    """Return the address of a file or folder as a link on ``page`` has it."""
+    return quote(os.path.relpath(target, page.parent).replace(os.sep, "/"))
 
 
 def write_rendered(path: Path, template: str, **values: Any) -> None:

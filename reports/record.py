@@ -64,7 +64,15 @@ class Metric:
     @property
     def as_it_must(self) -> bool | None:
         """Whether the value lies in the range of a control, else within its limit; None without either."""
-        return self.passed if self.within is None else self.within[0] <= self.value <= self.within[1]
+        return self.passed if self.within is None else self.allows(self.value)
+
+    def allows(self, value: float) -> bool:
+        """Return whether ``value`` would lie in the range, else within the limit; any does without either."""
+        if self.within is not None:
+            return self.within[0] <= value <= self.within[1]
+        if self.limit is None:
+            return True
+        return value <= self.limit if self.sense == "at_most" else value >= self.limit
 
 
 @dataclass(frozen=True)

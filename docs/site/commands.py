@@ -1,6 +1,7 @@
 """Pages of the command line, made from its commands: one page for each section of ``mosca --help``."""
 
 import click
+from markdown_text import plain, plain_cell
 
 from scenarios.cli.grouped import SECTIONS
 from scenarios.cli.main import cli
@@ -60,10 +61,9 @@ def _row(option: click.Option, context: click.Context) -> str:
     value = "" if option.is_flag or option.count else f"`{option.make_metavar(context)}`"
     record = option.get_help_record(context)
     assert record is not None, option.name
-    return f"| {names} | {value} | {_words(record[1]).replace('|', chr(92) + '|')} |"
+    return f"| {names} | {value} | {plain_cell(record[1])} |"
 
 
 def _words(text: str) -> str:
     """Return a help's paragraphs as Markdown that shows them as they are."""
-    paragraphs = (" ".join(one.split()) for one in text.split("\n\n"))
-    return "\n\n".join(one.replace("<", "&lt;").replace("*", "\\*").replace("[", "\\[") for one in paragraphs if one)
+    return "\n\n".join(plain(one) for one in text.split("\n\n") if one.strip())

@@ -9,6 +9,8 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
+from markdown_text import plain_cell
+
 from reports.units import figure, shown
 
 LIBRARY = "scenarios/library"
@@ -76,10 +78,10 @@ def _section(root: Path, path: Path, picture: bool) -> list[str]:
         facts.append(
             "a control: it must fail" if expect == "fail" else "the calibration must be refused or warned of"
         )
-    lines = [f"## {path.stem} {{ #{path.stem} }}\n", f"**{_plain(spec['title'])}**\n"]
+    lines = [f"## {path.stem} {{ #{path.stem} }}\n", f"**{plain_cell(spec['title'])}**\n"]
     if picture:
         lines.append(f"![What the first cameras see]({path.parent.name}/{path.stem}.webp)\n")
-    lines += [f"{_plain(spec.get('description', ''))}\n", f"{', '.join(facts)}\n", *_figures(root, name)]
+    lines += [f"{plain_cell(spec.get('description', ''))}\n", f"{', '.join(facts)}\n", *_figures(root, name)]
     block = "\n".join(f"    {line}".rstrip() for line in f"```toml\n{text}```".splitlines())
     return [*lines, f'??? note "{path.stem}.toml"\n{block}\n']
 
@@ -111,8 +113,3 @@ def _figure(metric: dict[str, Any]) -> str:
         told,
     )
     return f"| {cells[0]} | {cells[1]} {unit} | {cells[2]} | {told} {unit} |".replace(" 1 |", " |")
-
-
-def _plain(text: str) -> str:
-    """Return words of a file as Markdown shows them as they are."""
-    return " ".join(text.split()).replace("<", "&lt;").replace("*", "\\*").replace("[", "\\[").replace("|", "\\|")

@@ -18,6 +18,7 @@ from PIL import Image
 
 import mosca
 from mosca.recording import open_recording
+from reports.images import block_maxima
 from scenarios import run_scenario
 from scenarios.types import RunOptions
 
@@ -56,8 +57,8 @@ def draw(result: Any, rig: mosca.Rig, images: dict[str, list[np.ndarray]], pulse
         image = images[camera.name][pulse]
         axes = figure.add_axes((0.505 + 0.248 * (k % 2), 0.505 - 0.485 * (k // 2), 0.24, 0.475))
         # a marker is 3 px wide: thinned by the brightest of each block, as on a run's page, it stays
-        height, width = (size // 2 * 2 for size in image.shape)
-        blocks = image[:height, :width].reshape(height // 2, 2, width // 2, 2).max(axis=(1, 3))
+        blocks = block_maxima(image, 2)
+        height, width = (2 * size for size in blocks.shape)
         axes.imshow(
             blocks, cmap="gray", vmax=0.6 * image.max(), aspect="auto", extent=(-0.5, width - 0.5, height - 0.5, -0.5)
         )

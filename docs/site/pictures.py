@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 
 from mosca.errors import MoscaError
+from reports.images import block_maxima
 from scenarios.build.cameras import true_rig, twin_source, virtual_cameras
 from scenarios.build.scene import build_scene
 from scenarios.spec.catalog import built_in, scenario_name
@@ -42,11 +43,10 @@ def picture(shown: list[np.ndarray]) -> np.ndarray:
     parts = []
     for image in shown:
         step = max(1, image.shape[0] // HEIGHT_PX)
-        height, width = (size // step * step for size in image.shape)
-        blocks = image[:height, :width].reshape(height // step, step, width // step, step).max(axis=(1, 3))
+        blocks = block_maxima(image, step)
         low, high = np.percentile(blocks, (5, 99.99))
         grey = np.clip((blocks - low) / max(high - low, 1.0), 0, 1) ** 0.6
-        size = (round(width * HEIGHT_PX / height), HEIGHT_PX)
+        size = (round(blocks.shape[1] * HEIGHT_PX / blocks.shape[0]), HEIGHT_PX)
         parts.append(cv2.resize((255 * grey).astype(np.uint8), size, interpolation=cv2.INTER_AREA))
         parts.append(np.full((HEIGHT_PX, 4), 255, np.uint8))
     return np.hstack(parts[:-1])

@@ -3,6 +3,8 @@
 import json
 from typing import Any
 
+from markdown_text import cell
+
 from mosca.data.files.rig_file import rig_schema
 from mosca.data.files.target_file import target_schema
 from mosca.formats.bodies.model_file import model_schema
@@ -118,7 +120,7 @@ def _row(name: str, one: Schema, required: bool) -> str:
     default = "*required*" if required else _default(one)
     kind = "a limit for each [metric](metrics.md)" if name in METRICS else _type(one)
     words = str(one.get("description", "")).split(";")[0] if name in METRICS else str(one.get("description", ""))
-    return f"| `{name}` | {kind} | {default} | {_cell(words)} |"
+    return f"| `{name}` | {kind} | {default} | {cell(' '.join(words.replace('``', '`').split()))} |"
 
 
 def _default(one: Schema) -> str:
@@ -164,8 +166,4 @@ def _bounds(one: Schema) -> str:
 
 
 def _code(text: str) -> str:
-    return f"`{text}`".replace("|", "\\|")
-
-
-def _cell(text: str) -> str:
-    return " ".join(text.replace("``", "`").replace("|", "\\|").split())
+    return cell(f"`{text}`")

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import commands
+from markdown_text import cell
 
 from reports.glossary import GLOSSARY
 from reports.metrics import kind_of
@@ -33,7 +34,7 @@ def pages(root: Path) -> dict[str, str]:
     for name, term in sorted(GLOSSARY.items()):
         kind = kind_of(name)
         unit = "" if kind is None else "share" if kind.quantity == "share" else kind.unit
-        rows.append(f'| <a id="{name}"></a>`{name}` | {unit} | {term.sentence} | {_cell(term.formula)} |')
+        rows.append(f'| <a id="{name}"></a>`{name}` | {unit} | {term.sentence} | {cell(term.formula)} |')
     terms = (root / "CONTRIBUTING.md").read_text(encoding="utf-8").split("## Glossary\n", 1)[1].split("\n## ")[0]
     more = "What metrics mean: [metrics](../reference/metrics.md)."
     return {
@@ -41,7 +42,3 @@ def pages(root: Path) -> dict[str, str]:
         "reference/index.md": REFERENCE + commands.index() + "\n",
         "explanations/glossary.md": f"# Glossary\n{terms}\n\n{more}\n",
     }
-
-
-def _cell(text: str) -> str:
-    return text.replace("|", "\\|")

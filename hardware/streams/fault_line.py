@@ -83,9 +83,8 @@ class FaultLine:
             frame = replace(frame, number=frame.number - self._base)
         for k, account in enumerate(self.accounts):
             fault = account.fault
-            if fault.fault in ("body-lost",) and not fault.active(at_s):
-                self._kept.pop(k, None)
             if not fault.active(at_s):
+                self._kept.pop(k, None)
                 continue
             match fault.fault:
                 case "label-swap":

@@ -1,17 +1,15 @@
 """Writes the page that compares runs."""
 
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
-from urllib.parse import quote
 
 from reports.compare import total_seconds
 from reports.comparison.changes import MetricChange, change, differences, not_comparable
 from reports.comparison.plots import MOST_PANELS, comparison_pictures
 from reports.error_tables import Cell
 from reports.glossary import COMPARISON_COLUMNS, term
-from reports.page import badge, bound, write_rendered
+from reports.page import badge, bound, relative_address, write_rendered
 from reports.record import Metric, RunRecord
 from reports.units import duration, figure, shown
 
@@ -94,9 +92,7 @@ def _sentence(records: Sequence[RunRecord], runs: list[dict[str, Any]], changes:
 
 
 def _address(page: Path | None, path: Path) -> str:
-    if page is None or not page.is_file():
-        return ""
-    return quote(os.path.relpath(page, path.parent).replace(os.sep, "/"))
+    return "" if page is None or not page.is_file() else relative_address(page, path)
 
 
 def _cell(metric: Metric | None, found: MetricChange | None, run: dict[str, Any]) -> dict[str, Any]:

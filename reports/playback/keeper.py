@@ -9,7 +9,7 @@ from mosca.data.arrays import Array
 from mosca.data.detections import Detections
 from mosca.data.tracks import Points
 from reports.evidence import KeptImage, KeptSet, MeasuredBy
-from reports.images import stretched
+from reports.images import block_maxima, stretched
 
 MOST_SETS = 40
 """Frame sets whose images are kept."""
@@ -73,8 +73,7 @@ def kept_image(image: Array, found: Detections) -> KeptImage:
     """Return a small copy of ``image`` (H, W) uint8 or uint16 with what was detected in it."""
     height, width = image.shape
     factor = max(1, -(-max(height, width) // LONGEST_PX))
-    part = image[: height // factor * factor, : width // factor * factor]
-    small = part.reshape(height // factor, factor, width // factor, factor).max(axis=(1, 3))
+    small = block_maxima(image, factor)
     # the same for all pixels of one value: a table of them takes a tenth of the time
     counts = np.bincount(small.ravel())
     median = float(np.searchsorted(np.cumsum(counts), small.size / 2))

@@ -1,11 +1,9 @@
 """Rows of a suite's page: expectation and verdict apart, the figure nearest to its limit, the history."""
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-from urllib.parse import quote
 
 from markupsafe import Markup
 
@@ -13,6 +11,7 @@ from reports.content import content_digest
 from reports.error_tables import Cell, number_cell
 from reports.glossary import term
 from reports.margins import NEAR, share_used
+from reports.page import relative_address
 from reports.record import Metric, RunRecord
 from reports.suite.history import MOST_DRAWN, PastResult
 from reports.suite.sparkline import sparkline
@@ -103,7 +102,7 @@ def row(result: SuiteResult, past: Sequence[PastResult], out: Path, page: Path) 
     did, why = verdict(result)
     state = "good" if result.as_it_must else "bad"
     pages = [
-        (text, quote(os.path.relpath(folder / name, page.parent).replace(os.sep, "/")))
+        (text, relative_address(folder / name, page))
         for text, name in (("run's page", "report.html"), ("calibration", "calibration.html"))
         if record is not None and (folder / name).is_file()
     ]

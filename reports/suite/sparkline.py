@@ -40,7 +40,7 @@ def sparkline(metric: Metric, past: Sequence[PastResult], large: bool = False) -
         f'<path d="M{"L".join(f"{px:.1f} {py:.1f}" for px, py in at)}" stroke="var(--blue)" stroke-width="1.6"/>'
     )
     for k, ((px, py), one, value) in enumerate(zip(at, past, values, strict=True)):
-        colour = "blue" if _inside(metric, value) else "vermilion"
+        colour = "blue" if metric.allows(value) else "vermilion"
         radius = 3.4 if k == len(past) - 1 or large else 1.8
         title = escape(f"{one.commit}, {one.time[:16].replace('T', ' ')}: {_text(metric, value)}")
         parts.append(
@@ -57,14 +57,6 @@ def sparkline(metric: Metric, past: Sequence[PastResult], large: bool = False) -
     results = f"{len(past)} result{'' if len(past) == 1 else 's'}"
     alt = escape(f"{metric.name} in {results}, last {_text(metric, values[-1])}{limit}")
     return f'<svg role="img" aria-label="{alt}" viewBox="0 0 {width:g} {height:g}" fill="none">{"".join(parts)}</svg>'
-
-
-def _inside(metric: Metric, value: float) -> bool:
-    if metric.within is not None:
-        return metric.within[0] <= value <= metric.within[1]
-    if metric.limit is None:
-        return True
-    return value <= metric.limit if metric.sense == "at_most" else value >= metric.limit
 
 
 def _text(metric: Metric, value: float) -> str:

@@ -14,7 +14,7 @@ import tomli_w
 
 from mosca.data.files.rig_file import write_rig
 from mosca.data.files.target_text import target_toml
-from mosca.data.files.whole_file import check_folder, whole_folder, write_text
+from mosca.data.files.whole_file import whole_folder, write_text
 from mosca.data.rig import Rig
 from mosca.data.truth import write_truth
 from mosca.errors import InputError
@@ -77,9 +77,8 @@ def write_demo_lab(
     cameras = virtual_cameras(spec, rig)
     scene = build_scene(spec, source_folder)
     pixels = sum(one.camera.width * one.camera.height for one in cameras)
-    check_folder(out.parent, 2 * pixels * spec.capture.pulses)
     report = progress or (lambda done, total: None)
-    with whole_folder(out) as part:
+    with whole_folder(out, 2 * pixels * spec.capture.pulses) as part:
         sessions, still = _sessions(spec), at_rest(cameras)
         pulses = sum(session.pulses for session in sessions.values())
         total = pulses * len(still) + spec.capture.pulses * len(cameras)

@@ -19,6 +19,7 @@ from reports.page import write_page
 from reports.record import write_record
 from scenarios.run.flight import flight_files
 from scenarios.run.scenario import RunResult
+from scenarios.run.take_files import POSES_FILE, RIG_FILE, TRACKS_FILES
 from scenarios.run.vibration import vibration_files
 
 RECORD = "record.json"
@@ -69,16 +70,16 @@ def _files(result: RunResult, rrd: Path | None) -> dict[str, Callable[[Path], ob
     own = result.calibration
     files: dict[str, Callable[[Path], object] | None] = {
         RECORD: lambda path: write_record(result.record, path),
-        "tracks.npz": lambda path: _write_tracks(result, path),
-        "tracks.csv": lambda path: write_tracks_csv(result.tracks, path),
-        "bodies.csv": None if (poses := result.poses) is None else lambda path: write_bodies_csv(poses, path),
+        TRACKS_FILES[0]: lambda path: _write_tracks(result, path),
+        TRACKS_FILES[1]: lambda path: write_tracks_csv(result.tracks, path),
+        POSES_FILE: None if (poses := result.poses) is None else lambda path: write_bodies_csv(poses, path),
         "commands.csv": None if result.commands is None else lambda path: _write_commands(result.commands, path),
         **({} if result.person is None else result.person.files()),
         **({} if result.vibration is None else vibration_files(result.vibration)),
         **({} if result.flight is None else flight_files(result.flight)),
         "model.json": None if (model := result.model) is None else lambda path: write_model(model, path),
         # of a refused calibration its page says why; nobody can measure with it
-        "rig.toml": None
+        RIG_FILE: None
         if own is None or own.calibration.refused
         else lambda path: write_rig(own.calibration.rig, path),
         "run.rrd": None if rrd is None else lambda path: shutil.move(rrd, path),

@@ -100,11 +100,6 @@ def response(value: float | int) -> bytes:
     return message(RESPONSE, struct.pack("<f" if isinstance(value, float) else "<i", value))
 
 
-def frame_message(frame: StreamFrame, stamps: FrameStamps, version: Version) -> bytes:
-    """Return one frame of data; ValueError where it does not fit in a datagram."""
-    return stamped(unstamped_frame(frame, version), stamps, version)
-
-
 def stamped(unstamped: bytes, stamps: FrameStamps, version: Version) -> bytes:
     """Return a frame of data with its stamps."""
     end = len(unstamped) - (_SIZED_END if version >= SIZED else _END)

@@ -36,14 +36,15 @@ def whole_file(path: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def whole_folder(path: Path) -> Iterator[Path]:
+def whole_folder(path: Path, needs_bytes: int = 0) -> Iterator[Path]:
     """Yield a temporary folder beside ``path``, which is not there yet; renamed to it at the end.
 
-    When the body raises, nothing is left. Raises InputError where ``path`` exists, or cannot be made there.
+    When the body raises, nothing is left. ``needs_bytes``: as for ``check_folder``. Raises InputError where ``path``
+    exists, or cannot be made there.
     """
     if path.exists():
         raise InputError(f"{path}: is there already; choose a new folder")
-    check_folder(path.parent)
+    check_folder(path.parent, needs_bytes)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         part = Path(tempfile.mkdtemp(dir=path.parent, prefix=f".{path.name}."))
