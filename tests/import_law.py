@@ -52,6 +52,16 @@ LAW: dict[str, tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]] = {
         ("mosca.data.truth",),
         ("numpy", "pydantic"),
     ),
+    "hardware.streams.lsl.outlets": (
+        ("hardware.streams", "mosca.data", "mosca.errors"),
+        ("mosca.data.truth",),
+        ("numpy", "pylsl"),
+    ),
+    "hardware.streams.foxglove_server": (
+        ("hardware.streams", "mosca.data", "mosca.errors"),
+        ("mosca.data.truth",),
+        ("numpy", "foxglove"),
+    ),
     "hardware.drivers.pylon": (HARDWARE, ("mosca.data.truth",), ("numpy", "pypylon")),
     "hardware.drivers.gentl": (HARDWARE, ("mosca.data.truth",), ("numpy", "harvesters", "genicam")),
     "hardware.drivers.webcam": (HARDWARE, ("mosca.data.truth",), ("numpy", "cv2")),

@@ -48,6 +48,10 @@ class TriggerLine:
         self._until_ns = 0
         self.first_ns = 0
 
+    def add(self, other: Triggered) -> None:
+        """Wire one more device to the line; before it is started."""
+        self._cameras = (*self._cameras, other)
+
     @property
     def running(self) -> bool:
         """Whether pulses are being made."""

@@ -8,10 +8,12 @@ first seen, and the list of labelled markers leaves it out. A body without a pos
 """
 
 from collections.abc import Iterator, Sequence
-from typing import Literal
+from dataclasses import replace
 
 import numpy as np
 
+from hardware.streams.skeletons import SkeletonPoses
+from hardware.streams.turns import UP, UP_TURN, UpAxis, product
 from hardware.streams.values import (
     BODY,
     FROM_MODEL,
@@ -25,19 +27,16 @@ from hardware.streams.values import (
     StreamedSet,
     StreamFrame,
     StreamModel,
+    StreamNames,
 )
 from mosca.data.arrays import Array
 from mosca.data.bodies import BodyPoses, RigidBody
+from mosca.data.joint_angles import JointAngles
+from mosca.data.joint_motion import JointMotion
 from mosca.data.tracks import Tracks
 
-UpAxis = Literal["z", "y"]
 LOOSE, ALL = "markers", "all"
 """Marker sets: labels without a body, and every label."""
-_UP = {"z": np.eye(3), "y": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])}
-"""Streamed axes from the world's (Z up)."""
-_HALF = np.sqrt(0.5)
-_TURN = {"z": np.array([1.0, 0.0, 0.0, 0.0]), "y": np.array([_HALF, -_HALF, 0.0, 0.0])}
-"""The same as quaternions wxyz."""
 _PARAMS = {"measured": SEEN, "edited": SEEN, "filled": OCCLUDED | FROM_MODEL, "predicted": OCCLUDED | FROM_MODEL}
 
 
@@ -57,7 +56,7 @@ class StreamContent:
     ) -> None:
         self.labels = tuple(dict.fromkeys(label for label in labels if label))
         self._bodies = {body if isinstance(body, str) else body.name: k for k, body in enumerate(bodies)}
-        self._up, self._turn, self._size_m = _UP[up], _TURN[up], size_m
+        self._up, self._turn, self._size_m = UP[up], UP_TURN[up], size_m
         index = {label: k for k, label in enumerate(self.labels)}
         defined = [body for body in bodies if isinstance(body, RigidBody)]
         owned = {marker for body in defined for marker in body.markers}
@@ -116,7 +115,7 @@ class StreamContent:
         made = np.zeros(len(poses), BODY)
         names, which = np.unique(poses.body, return_inverse=True)
         made["id"] = np.array([self._bodies[name] + 1 for name in names.tolist()], np.uint32)[which]
-        turned = _product(self._turn, poses.quaternion.T)
+        turned = product(self._turn, poses.quaternion.T)
         made["quaternion"] = np.stack(turned, axis=1)[:, [1, 2, 3, 0]]
         made["position"] = poses.position @ self._up.T
         made["error"] = np.nan_to_num(poses.residual_m)
@@ -151,7 +150,8 @@ class StreamContent:
 class TakeFrames:
     """The frames of a take, in order: all its tracks and the poses of ``bodies`` (definitions, or the poses' names).
 
-    ``times_ns``: (f,) of the frames, which all of ``tracks`` and ``poses`` are part of. Iterate once or more.
+    ``joints``, ``angles``: of a person, streamed as a skeleton and as joint angles. ``times_ns``: (f,) of the frames,
+    which all of these are part of. ``names``: what numbers in frames stand for. Iterate once or more.
     """
 
     def __init__(
@@ -161,6 +161,8 @@ class TakeFrames:
         bodies: Sequence[RigidBody] = (),
         up: UpAxis = "z",
         size_m: float = 0.0,
+        joints: JointMotion | None = None,
+        angles: JointAngles | None = None,
     ) -> None:
         # in each frame those with a label come first
         tracks = tracks.select(np.lexsort((tracks.track, tracks.label == "", tracks.frame)))
@@ -170,7 +172,11 @@ class TakeFrames:
         found, self._label = np.unique(tracks.label, return_inverse=True)
         self._made_of = ([*bodies, *others], found.tolist(), up, size_m)
         content = StreamContent(*self._made_of)
-        self.model, self.numbers = content.model, content.numbers
+        self._skeleton = None if joints is None else SkeletonPoses(joints, up)
+        self._angles = angles
+        self.model = [*content.model, *(() if self._skeleton is None else (self._skeleton.model,))]
+        self.numbers = content.numbers
+        self.names = StreamNames(self.numbers, () if angles is None else angles.names)
         self.body_names: tuple[str, ...] = (*names, *others)
         if len(found) and found[0] == "":
             self._label = self._label - 1
@@ -184,8 +190,9 @@ class TakeFrames:
         )
         self._poses = self._poses.select(np.argsort(self._poses.frame, kind="stable"))
         self._rows = content.bodies(self._poses)
-        frames = np.concatenate([tracks.frame, self._poses.frame])
-        times = np.concatenate([tracks.time_ns, self._poses.time_ns])
+        parts = [part for part in (tracks, self._poses, joints, angles) if part is not None]
+        frames = np.concatenate([part.frame for part in parts])
+        times = np.concatenate([part.time_ns for part in parts])
         self._frames, first = np.unique(frames, return_index=True)
         self.times_ns: Array = times[first]
 
@@ -204,11 +211,24 @@ class TakeFrames:
         content, frames = StreamContent(*self._made_of), self._frames
         edges = [np.searchsorted(one.frame, [frames, frames + 1]).T.tolist() for one in (self._tracks, self._poses)]
         labelled = np.cumsum([0, *(self._label >= 0)])
+        if self._skeleton is not None:
+            self._skeleton.restart()
         for number, time_ns, (first, last), posed in zip(
             frames.tolist(), self.times_ns.tolist(), *edges, strict=True
         ):
             label = self._label[first : first + int(labelled[last] - labelled[first])]
-            yield content.frame(number, time_ns, self._markers[first:last], self._rows[slice(*posed)], label)
+            made = content.frame(number, time_ns, self._markers[first:last], self._rows[slice(*posed)], label)
+            yield self._with_person(made)
+
+    def _with_person(self, frame: StreamFrame) -> StreamFrame:
+        """Return a frame with the person's skeleton and joint angles, where the take has them."""
+        if self._skeleton is not None:
+            frame = replace(frame, skeletons=self._skeleton.at(frame.number))
+        if self._angles is not None:
+            found = np.flatnonzero(self._angles.frame == frame.number)
+            values = self._angles.angles[found[0]] if len(found) else np.full(len(self._angles.names), np.nan)
+            frame = replace(frame, angles=values)
+        return frame
 
 
 def _streamed(body: RigidBody | str, number: int) -> StreamedBody:
@@ -216,15 +236,3 @@ def _streamed(body: RigidBody | str, number: int) -> StreamedBody:
         return StreamedBody(body, number)
     places = tuple((float(x), float(y), float(z)) for x, y, z in body.positions)
     return StreamedBody(body.name, number, body.markers, places)
-
-
-def _product(p: Array, q: Array) -> tuple[Array, Array, Array, Array]:
-    """Return the product of two quaternions wxyz, whose parts may be arrays."""
-    a, b, c, d = p
-    w, x, y, z = q
-    return (
-        a * w - b * x - c * y - d * z,
-        a * x + b * w + c * z - d * y,
-        a * y - b * z + c * w + d * x,
-        a * z + b * y - c * x + d * w,
-    )

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from hardware.streams.faults import FaultAccount, StreamFaults, check_names
-from hardware.streams.natnet.server import NatNetServer, Outgoing
+from hardware.streams.stream_server import Outgoing, StreamServer
 from hardware.streams.values import (
     MARKER,
     SEEN,
@@ -46,7 +46,7 @@ class FaultLine:
         self._last_s = 0.0
         self._held: list[tuple[float, Outgoing]] = []
 
-    def steer(self, server: NatNetServer, at_s: float) -> None:
+    def steer(self, server: StreamServer, at_s: float) -> None:
         """Set the server's clock, line and life as they are at ``at_s`` [s] from the first frame on."""
         offset_ns, lost, down = 0, False, False
         for k, account in enumerate(self.accounts):
@@ -73,7 +73,7 @@ class FaultLine:
             server.start()
             self._base = None
         self._down = down
-        server.offset_ns, server.lost = offset_ns, lost
+        server.set_line(offset_ns, lost)
 
     def changed(self, frame: StreamFrame, at_s: float) -> StreamFrame:
         """Return the frame with its content as faults leave it."""

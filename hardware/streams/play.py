@@ -4,13 +4,13 @@ import heapq
 import itertools
 import threading
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
 import numpy as np
 
 from hardware.streams.fault_line import FaultLine
-from hardware.streams.natnet.server import NatNetServer, Outgoing
+from hardware.streams.stream_server import Outgoing, StreamServer
 from hardware.streams.values import StreamFrame
 
 SHORT_S = 0.05
@@ -25,7 +25,7 @@ class StreamPlayer:
     ``late_s``: how much later than due the newest frames were handed over. ``played``: frames until now.
     """
 
-    def __init__(self, server: NatNetServer, line: FaultLine | None = None, speed: float | None = 1.0) -> None:
+    def __init__(self, server: StreamServer, line: FaultLine | None = None, speed: float | None = 1.0) -> None:
         self.server, self._line, self._speed = server, line, speed
         self.played = 0
         self._late = np.zeros(MOST_KEPT, np.float32)
@@ -85,7 +85,7 @@ class StreamPlayer:
         line.steer(server, at_s)
         frame = line.changed(encoded.frame, at_s)
         outgoing = server.prepare(
-            encoded if frame is encoded.frame else Outgoing(frame),
+            encoded if frame is encoded.frame else server.encoded(frame),
             due_ns + server.offset_ns,
             now_ns + server.offset_ns,
         )
@@ -131,15 +131,6 @@ def looped(frames: Iterable[StreamFrame], period_s: float) -> Iterator[StreamFra
         shift_s += last.timestamp_s - first.timestamp_s + period_s
 
 
-def address_line(server: NatNetServer) -> str:
-    """Return where a server is to be found, its units and axes, as a line."""
-    where = server.settings
-    version = ".".join(map(str, where.version))
-    to = f"frames to group {where.group}, port {server.data_port}" if where.group else "frames to each client"
-    up = "xyz"[where.up_axis]
-    return f"NatNet {version} at {where.address}: commands at port {server.command_port}, {to}; metres, {up} up"
-
-
 def account_lines(player: StreamPlayer, seconds: float, line: FaultLine | None = None) -> list[str]:
     """Return what became of a stream: frames, each client's, commands, faults."""
     server = player.server
@@ -147,22 +138,5 @@ def account_lines(player: StreamPlayer, seconds: float, line: FaultLine | None =
     told = (
         f", p99 {1e3 * np.quantile(late, 0.99):.2f} ms late, at most {1e3 * late.max():.2f} ms" if len(late) else ""
     )
-    lines = [f"{player.played} frames in {seconds:.1f} s{told}", *server_lines(server)]
+    lines = [f"{player.played} frames in {seconds:.1f} s{told}", *server.lines()]
     return lines + [account.line() for account in (line.accounts if line else ())]
-
-
-def server_lines(server: NatNetServer) -> list[str]:
-    """Return what became of each client's frames, and the commands that came."""
-    lines = []
-    for one in server.clients():
-        if one.sent or one.dropped or one.to != one.address or server.settings.group is None:
-            left = f", {one.left}" if one.left else ""
-            lines.append(f"{_place(one.address)}: {one.sent} frames sent, {one.dropped} dropped{left}")
-    if server.too_large:
-        lines.append(f"{server.too_large} frames do not fit in a datagram and were left out; stream fewer markers")
-    commands = ", ".join(f"{count} {name}" for name, count in sorted(server.counts.items()))
-    return [*lines, f"commands: {commands or 'none'}"]
-
-
-def _place(address: Sequence[object]) -> str:
-    return f"{address[0]}:{address[1]}"

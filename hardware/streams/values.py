@@ -3,7 +3,7 @@
 Marker and body records are packed structured arrays, so that a frame is encoded by a copy. Flags are those of NatNet.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -21,7 +21,7 @@ TRACKED = 0x01
 OCCLUDED, SEEN, FROM_MODEL, HAS_MODEL, UNLABELLED = 0x01, 0x02, 0x04, 0x08, 0x10
 """Flags of a marker. ``SEEN``: position from rays of this frame; ``FROM_MODEL``: from what is known of the motion."""
 NO_BODIES, NO_MARKERS = np.empty(0, BODY), np.empty(0, MARKER)
-NO_POINTS = np.empty((0, 3), "<f4")
+NO_POINTS, NO_ANGLES = np.empty((0, 3), "<f4"), np.empty(0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +41,8 @@ class StreamFrame:
     """(number, (b,) BODY of its bones)."""
     markers: Array = field(default_factory=lambda: NO_MARKERS)
     """(n,) MARKER, those without a label too."""
+    angles: Array = field(default_factory=lambda: NO_ANGLES)
+    """(a,) of joints [rad], NaN where unknown; for protocols that have them."""
     timecode: tuple[int, int] = (0, 0)
     params: int = 0
     """0x01: a take is being recorded; 0x02: the model has changed."""
@@ -73,6 +75,17 @@ class StreamedSkeleton:
     name: str
     number: int
     bones: tuple[StreamedBody, ...]
+
+
+@dataclass(frozen=True)
+class StreamNames:
+    """What numbers and columns of frames stand for, where a protocol does not take it from its model.
+
+    ``numbers``: of each label's marker; ``angles``: names of the joint angles, in their order.
+    """
+
+    numbers: Mapping[str, int] = field(default_factory=dict)
+    angles: tuple[str, ...] = ()
 
 
 StreamModel = Sequence[StreamedSet | StreamedBody | StreamedSkeleton]

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from mosca.errors import InputError
-from scenarios.cli.options import OUT_FILE, POSITIVE, Number, print_table, table
+from scenarios.cli.options import FILE, OUT_FILE, POSITIVE, Number, print_table, table
 from scenarios.cli.progress import Progress
+from scenarios.cli.stream_options import stream_options, stream_settings
 
 if TYPE_CHECKING:
     from hardware.emulate.serve import Served
@@ -45,20 +46,29 @@ SHARE = Number(0.0, 1.0)
     help="what the cameras wait for; serial: Line1, pulsed by an emulated generator on a serial port",
 )
 @click.option("--workers", type=click.IntRange(1, 64), help="rendering threads  [default: all cores]")
+@stream_options(None, "--stream-address")
+@click.option(
+    "--tracks",
+    type=FILE,
+    help="streamed tracks: a run folder, or a file whose frames are pulses  [default: the truth]",
+)
 def twin_serve(**given: Any) -> None:
     """Serve virtual cameras or a recording as GigE Vision cameras, for any client of the standard.
 
     WHAT is a scenario (file or name), a recording, or a rig file whose [twin] table names one of them. The line's
-    pulses begin, with pulse 0 and frame 0, once all cameras acquire, and stop when none does.
+    pulses begin, with pulse 0 and frame 0, once all cameras acquire, and stop when none does. With --stream
+    each pulse also sends the markers and bodies of that instant, on the same clock (docs/streams.md).
 
     \b
     Example:  mosca twin serve subjects/drone --seconds 60 --rig-out served.toml
+              mosca twin serve subjects/drone --rig-out served.toml --stream natnet --stream lsl
     """
     from scenarios.lab.serve import serve
 
-    request = _serve_request(**given)
+    streams, axis = stream_settings(given)
+    request = _serve_request(**given, streams=streams, up=axis)
     with Progress("rendering ahead") as shown:
-        up = serve(request, shown, _tell)
+        up = serve(request, shown, _tell, click.echo)
     print_table(_counts(up))
 
 

@@ -46,7 +46,7 @@ def live(**given: Any) -> None:
     \b
     Example:  mosca live any_source --seconds 2 --out live.csv --record live.json
               mosca live drone --virtual desk.xml --bind drone=tray --rrd desk.rrd
-              mosca live drone --stream natnet --multicast 239.255.42.99
+              mosca live drone --stream natnet --stream lsl
     """
     from scenarios.commands.live import run_live_command
     from scenarios.commands.live_sources import LiveOptions

@@ -14,6 +14,8 @@ from scenarios.cli.stream_options import stream_options, stream_settings
 @click.argument("tracks", type=FILE)
 @stream_options("natnet")
 @click.option("--bodies", type=FILE, help="rigid bodies: definitions of 'bodies learn' (.toml), or poses (.csv)")
+@click.option("--joints", type=FILE, help="a person's joints, streamed as a skeleton: .csv of 'skeleton track --out'")
+@click.option("--angles", type=FILE, help="its joint angles: .csv of 'skeleton track --angles'")
 @click.option("--rate", type=Number(0, 1000, min_open=True), help="so many times as fast as measured  [default: 1]")
 @click.option("--fast", is_flag=True, help="as fast as possible")
 @click.option("--loop", is_flag=True, help="after the last frame comes the first; numbers and times go on")
@@ -27,17 +29,18 @@ from scenarios.cli.stream_options import stream_options, stream_settings
 def replay(tracks: Path, **given: Any) -> None:
     """Stream tracks at their own pace to the clients of a motion-capture lab, with faults on demand.
 
-    TRACKS is .npz, .csv, .c3d or .trc, or a folder with tracks.npz (or .csv) and bodies.csv, as 'mosca run' writes.
+    TRACKS is .npz, .csv, .c3d or .trc, or a folder with tracks.npz (or .csv) and bodies.csv, as 'mosca run' writes,
+    and joints.csv and angles.csv where they are there.
     Ctrl-C ends it; then each client's frames and the faults made are told (docs/streams.md).
 
     \b
     Example:  mosca replay runs/subjects/drone --loop --multicast 239.255.42.99
               mosca replay take.csv --bodies bodies.toml --fault latency=0.03@5+2 --fault body-lost@10+1
+              mosca replay walk.npz --joints joints.csv --angles angles.csv --stream lsl --stream foxglove
     """
     from scenarios.lab.replay import ReplayRequest, replay_tracks
 
     settings, up = stream_settings(given)
-    assert settings is not None
     if given["rate"] is not None and given["fast"]:
         raise InputError(f"--rate {given['rate']:g}: excludes --fast; leave one of them out")
     rate, fast = given.pop("rate"), given.pop("fast")

@@ -76,7 +76,7 @@ def run_live_command(options: LiveOptions, report: Callable[[str], None]) -> lis
         source = opened_live(options, stack)
         show = LiveShow(options, source.rig, stack) if options.rrd is not None or options.view else None
         virtual = live_virtual(options, source, () if show is None else show.logs, stack)
-        stream = None if options.stream is None else stack.enter_context(LiveStream(options, source))
+        stream = stack.enter_context(LiveStream(options, source)) if options.stream else None
         for note in (*source.notes, *(() if stream is None else (stream.where,))):
             report(note)
         warm_up()  # a compiler's seconds would count as latency

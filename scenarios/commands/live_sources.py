@@ -10,8 +10,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Self
 
-from hardware.streams.content import UpAxis
-from hardware.streams.natnet.settings import NatNetSettings
+from hardware.streams.turns import UpAxis
 from mosca.data.files.rig_file import read_rig
 from mosca.data.frames import CameraInfo, Frame, FrameSource, mid_exposure_ns
 from mosca.data.rig import Rig
@@ -23,6 +22,7 @@ from scenarios.build.cameras import calibrated, true_rig, twin_source, virtual_c
 from scenarios.build.frame_sources import SelectedCameras
 from scenarios.build.scene import build_scene, pipeline_settings
 from scenarios.commands.reconstruct import live_spec, reconstruct_settings
+from scenarios.run.stream_servers import StreamSettings
 from scenarios.spec.catalog import find
 from scenarios.spec.scenario import load_scenario
 from twin.scenes.scene import Scene
@@ -59,7 +59,7 @@ class LiveOptions:
     display_lead: float | None = None
     display_delay: float | None = None
     horizon: float | None = None
-    stream: NatNetSettings | None = None
+    stream: tuple[StreamSettings, ...] = ()
     """Serve markers and bodies there."""
     up: UpAxis = "z"
     """Of the stream."""

@@ -1,20 +1,18 @@
 """Markers and bodies of a live run on the network, for clients of motion-capture systems."""
 
 import time
-from dataclasses import replace
 from typing import Self
 
 import numpy as np
 
 from hardware.streams.content import StreamContent
-from hardware.streams.natnet.server import NatNetServer
-from hardware.streams.play import address_line, server_lines
-from hardware.streams.values import FROM_MODEL, OCCLUDED, SEEN
+from hardware.streams.values import FROM_MODEL, OCCLUDED, SEEN, StreamNames
 from mosca.data.bodies import BodyPoses
 from mosca.data.tracks import STATUSES, Samples
 from mosca.formats.bodies.body_file import read_bodies
 from mosca.rigid_bodies.tracker import BodyTracker
 from scenarios.commands.live_sources import LiveOptions, LiveSource
+from scenarios.run.stream_servers import opened_streams
 from scenarios.score.bodies import rigid_bodies
 
 
@@ -25,7 +23,6 @@ class LiveStream:
     """
 
     def __init__(self, options: LiveOptions, source: LiveSource) -> None:
-        assert options.stream is not None
         if options.bodies is not None:
             bodies = read_bodies(options.bodies)
         else:
@@ -33,10 +30,13 @@ class LiveStream:
         self._tracker = BodyTracker(bodies) if bodies else None
         self._content = StreamContent(bodies, up=options.up)
         self._session_ns = source.session_ns
-        self._server = NatNetServer(
-            self._content.model, replace(options.stream, rate_hz=source.frames.cameras[0].frame_rate_hz)
+        self._server = opened_streams(
+            options.stream,
+            self._content.model,
+            StreamNames(self._content.numbers),
+            source.frames.cameras[0].frame_rate_hz,
         )
-        self.where = address_line(self._server)
+        self.where = self._server.where()
 
     def step(self, frame: int, time_ns: int, samples: Samples) -> None:
         """Send the tracker's samples of one frame set."""
@@ -61,7 +61,7 @@ class LiveStream:
     def finish(self) -> list[str]:
         """End serving and return what became of it as lines."""
         self._server.close()
-        return [f"stream: {line}" for line in (f"{self._server.frames} frames", *server_lines(self._server))]
+        return [f"stream: {line}" for line in (f"{self._server.frames} frames", *self._server.lines())]
 
     def __enter__(self) -> Self:
         return self

@@ -192,7 +192,7 @@ def live_virtual(
 def check_virtual(options: LiveOptions) -> None:
     """Raise InputError for options of virtual objects that do not go together."""
     if options.virtual is None:
-        own = () if options.stream is not None else ("bodies",)
+        own = () if options.stream else ("bodies",)
         for name in (*own, "display_hz", "display_lead", "display_delay", "horizon"):
             if (value := getattr(options, name)) is not None:
                 raise InputError(

@@ -2,23 +2,26 @@
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
-from hardware.streams.content import TakeFrames, UpAxis
+from hardware.streams.content import TakeFrames
 from hardware.streams.fault_line import FaultLine
 from hardware.streams.faults import StreamFaults, fault_of, read_faults
-from hardware.streams.natnet.server import NatNetServer
-from hardware.streams.natnet.settings import NatNetSettings
-from hardware.streams.play import StreamPlayer, account_lines, address_line, looped
+from hardware.streams.play import StreamPlayer, account_lines, looped
+from hardware.streams.turns import UpAxis
+from hardware.streams.values import StreamedSkeleton
 from mosca.data.bodies import BodyPoses, RigidBody
 from mosca.data.tracks import Tracks
 from mosca.errors import InputError
 from mosca.formats.bodies.bodies_csv import read_bodies_csv
 from mosca.formats.bodies.body_file import read_bodies
+from mosca.formats.joints.angles_csv import read_angles_csv
+from mosca.formats.joints.joints_csv import read_joints_csv
 from mosca.formats.tracks.tracks_file import read_tracks
 from mosca.rigid_bodies.tracker import body_poses, labelled_by_bodies
 from scenarios.run.interrupt import first_ctrl_c
+from scenarios.run.stream_servers import StreamSettings, check_wait, opened_streams
 from scenarios.run.take_files import take_files
 
 LOOK_S = 0.02
@@ -29,9 +32,12 @@ class ReplayRequest:
     """Arguments of ``mosca replay``."""
 
     tracks: Path
-    settings: NatNetSettings
+    settings: tuple[StreamSettings, ...]
     up: UpAxis = "z"
     bodies: Path | None = None
+    joints: Path | None = None
+    angles: Path | None = None
+    """Of a person, as 'mosca skeleton track' writes them; default: those of a run folder."""
     speed: float | None = 1.0
     """How many times as fast as measured; None: as fast as possible."""
     loop: bool = False
@@ -47,15 +53,15 @@ def replay_tracks(request: ReplayRequest, report: Callable[[str], None]) -> list
 
     ``report`` is called with the line that says where. InputError for files, options and faults that cannot be.
     """
+    check_wait(request.settings, request.wait)
     faults = _faults(request)
     frames = _take(request)
     period_s = 1.0 / frames.rate_hz
     line = FaultLine(faults, frames.model, frames.numbers) if faults.program else None
-    settings = replace(request.settings, rate_hz=frames.rate_hz)
-    with NatNetServer(frames.model, settings) as server:
+    with opened_streams(request.settings, frames.model, frames.names, frames.rate_hz) as server:
         player = StreamPlayer(server, line, request.speed)
         with first_ctrl_c(player.stop):
-            report(address_line(server))
+            report(server.where())
             report(f"{request.tracks}: {len(frames)} frames at {frames.rate_hz:.6g} Hz; {_content(frames)}")
             while server.connected() < request.wait and not player.stopped:
                 time.sleep(LOOK_S)
@@ -67,7 +73,9 @@ def replay_tracks(request: ReplayRequest, report: Callable[[str], None]) -> list
 
 def _content(frames: TakeFrames) -> str:
     names = ", ".join(frames.body_names[:12]) or "none"
-    return f"{len(frames.numbers)} labels, bodies: {names}"
+    person = [f"{len(one.bones)} bones" for one in frames.model if isinstance(one, StreamedSkeleton)]
+    angles = [f"{len(frames.names.angles)} joint angles"] if frames.names.angles else []
+    return ", ".join((f"{len(frames.numbers)} labels", *person, *angles, f"bodies: {names}"))
 
 
 def _faults(request: ReplayRequest) -> StreamFaults:
@@ -87,7 +95,15 @@ def _take(request: ReplayRequest) -> TakeFrames:
         tracks, poses, bodies = _with_bodies(tracks, request.bodies)
     if not len(tracks) and not (poses is not None and len(poses)):
         raise InputError(f"{files.tracks}: no tracks; there is nothing to stream")
-    return TakeFrames(tracks, poses, bodies, request.up)
+    joints, angles = request.joints or files.joints, request.angles or files.angles
+    return TakeFrames(
+        tracks,
+        poses,
+        bodies,
+        request.up,
+        joints=None if joints is None else read_joints_csv(joints),
+        angles=None if angles is None else read_angles_csv(angles),
+    )
 
 
 def _with_bodies(tracks: Tracks, path: Path) -> tuple[Tracks, BodyPoses, tuple[RigidBody, ...]]:

@@ -3,8 +3,9 @@
 import json
 import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -13,6 +14,9 @@ import numpy as np
 from hardware.emulate.faults import Faults
 from hardware.emulate.pulse_generators import PulseBox
 from hardware.emulate.serve import FIRST_ADDRESS, Served, served
+from hardware.streams.content import TakeFrames
+from hardware.streams.stream_server import StreamServer
+from hardware.streams.turns import UpAxis
 from mosca.data.files.rig_file import CameraTable, read_rig, read_rig_file, rig_toml
 from mosca.data.files.toml import Positive, Table, check, read_toml
 from mosca.data.files.whole_file import check_writable, whole_file
@@ -23,7 +27,9 @@ from mosca.recording import open_recording
 from scenarios.build.cameras import calibrated, true_rig, twin_source, virtual_cameras
 from scenarios.build.frame_sources import SelectedCameras
 from scenarios.build.scene import build_scene
+from scenarios.lab.serve_streams import PulsedStream, recorded_frames, tracked_frames, true_frames
 from scenarios.run.interrupt import between_steps
+from scenarios.run.stream_servers import StreamSettings, opened_streams
 from scenarios.spec.catalog import find
 from scenarios.spec.scenario import load_scenario
 
@@ -81,6 +87,12 @@ class ServeRequest:
     rig_out: Path | None = None
     trigger: TriggerKind = "Line1"
     workers: int = 1
+    streams: tuple[StreamSettings, ...] = ()
+    """Serve the tracks of the same instants there."""
+    up: UpAxis = "z"
+    """Of the streams."""
+    tracks: Path | None = None
+    """What is streamed: a run folder or file of tracks; None: the truth."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,17 +103,25 @@ class ServedSource:
     rig: Rig | None
     addresses: Mapping[str, str] = field(default_factory=dict)
     serials: Mapping[str, str] = field(default_factory=dict)
+    truth: Callable[[], TakeFrames] | None = None
+    """The true tracks at its pulses; called where they are streamed."""
 
 
 def serve(
-    request: ServeRequest, progress: Callable[[int, int | None], None] | None, on_ready: Callable[[Served], None]
+    request: ServeRequest,
+    progress: Callable[[int, int | None], None] | None,
+    on_ready: Callable[[Served], None],
+    report: Callable[[str], None] = lambda line: None,
 ) -> Served:
     """Serve until Ctrl-C or for ``request.seconds``; return what was served, closed, with its counts.
 
-    ``on_ready``: called once the devices answer. Raises InputError for what cannot be served.
+    ``on_ready``: called once the devices answer. ``report``: with lines about the streams.
+    Raises InputError for what cannot be served.
     """
     if request.rig_out is not None:
         check_writable(request.rig_out)
+    if request.streams and request.trigger not in ("Line1", "serial"):
+        raise InputError(f"--trigger {request.trigger}: excludes --stream, whose frames come with the line's pulses")
     with ExitStack() as stack:
         subject = _subject(request, stack)
         infos = subject.source.cameras
@@ -109,6 +129,7 @@ def serve(
         for name in request.trouble.reboots:
             if name not in names:
                 raise InputError(f"--reboot {name}: there are the cameras {', '.join(names)}")
+        stream = _stream(request, subject, stack)
         up = stack.enter_context(
             served(
                 subject.source,
@@ -129,8 +150,43 @@ def serve(
             with whole_file(request.rig_out) as temporary:
                 temporary.write_text(text, encoding="utf-8")
         on_ready(up)
-        _stay(up, rate_hz, request)
+        if stream is None:
+            _stay(up, rate_hz, request)
+            return up
+        server, frames = stream
+        with closing(_on_line(up, server, frames, request.loop)) as pulsed:
+            report(server.where())
+            _stay(up, rate_hz, request)
+        for line in (f"{pulsed.sent} frames", *server.lines()):
+            report(f"stream: {line}")
         return up
+
+
+def _stream(request: ServeRequest, subject: ServedSource, stack: ExitStack) -> tuple[StreamServer, TakeFrames] | None:
+    """Return the streams' server and frames, None where none is asked for."""
+    if not request.streams:
+        if request.tracks is not None:
+            raise InputError(f"--tracks {request.tracks}: is of streams; give --stream natnet")
+        return None
+    if request.tracks is not None:
+        frames = tracked_frames(request.tracks, request.up)
+    else:
+        assert subject.truth is not None
+        frames = subject.truth()
+    rate_hz = request.rate_hz or subject.source.cameras[0].frame_rate_hz
+    server = opened_streams(request.streams, frames.model, frames.names, rate_hz)
+    return stack.enter_context(server), frames
+
+
+def _on_line(up: Served, server: StreamServer, frames: TakeFrames, loop: bool) -> PulsedStream:
+    """Return the stream as one more device on the cameras' trigger line."""
+    exposure_ns = round(up.devices[0].identity.exposure_us * 1000)
+    by_pulse = {frame.number: frame for frame in frames}
+    # what loops is the cameras' frames; of a source that is not whole in memory the tracks tell how many
+    length = up.store.length or max(by_pulse) + 1
+    pulsed = PulsedStream(server, by_pulse, exposure_ns, length if loop else None)
+    up.line.add(pulsed)
+    return pulsed
 
 
 def rig_text(rig: Rig | None, up: Served, rate_hz: float, trigger: TriggerKind, port: str = "") -> str:
@@ -197,15 +253,15 @@ def _stay(up: Served, rate_hz: float, request: ServeRequest) -> None:
 def _subject(request: ServeRequest, stack: ExitStack) -> ServedSource:
     path = Path(request.what)
     if path.is_dir() or path.name.endswith((".mcap", ".mcap.part")):
-        return _recording(path, request.rate_hz, stack)
+        return _recording(path, request.rate_hz, request.up, stack)
     if path.is_file():
         document = read_toml(path)
         if "twin" in document or ("camera" in document and "scene" not in document):
             return _rig(path, request, stack)
-    return _scenario(request.what, request.workers, stack)
+    return _scenario(request.what, request.workers, request.up, stack)
 
 
-def _scenario(what: str, workers: int, stack: ExitStack) -> ServedSource:
+def _scenario(what: str, workers: int, up: UpAxis, stack: ExitStack) -> ServedSource:
     path = find(what)
     spec = load_scenario(path)
     cameras = virtual_cameras(spec, true_rig(spec, path.parent))
@@ -213,13 +269,13 @@ def _scenario(what: str, workers: int, stack: ExitStack) -> ServedSource:
     source: FrameSource = stack.enter_context(twin_source(spec, build_scene(spec, path.parent), cameras, workers))
     if any(info.name not in rig.names for info in source.cameras):
         source = SelectedCameras(source, rig.names)
-    return ServedSource(source, rig)
+    return ServedSource(source, rig, truth=partial(true_frames, spec, build_scene(spec, path.parent), up))
 
 
-def _recording(path: Path, fps: float | None, stack: ExitStack) -> ServedSource:
+def _recording(path: Path, fps: float | None, up: UpAxis, stack: ExitStack) -> ServedSource:
     source = open_recording(path, None, fps)
     stack.enter_context(source)
-    return ServedSource(source, None)
+    return ServedSource(source, None, truth=partial(recorded_frames, path, up))
 
 
 def _rig(path: Path, request: ServeRequest, stack: ExitStack) -> ServedSource:
@@ -231,9 +287,9 @@ def _rig(path: Path, request: ServeRequest, stack: ExitStack) -> ServedSource:
     if twin.scenario:
         beside = path.parent / twin.scenario
         name = str(beside) if beside.is_file() else twin.scenario
-        subject = _scenario(name, request.workers, stack)
+        subject = _scenario(name, request.workers, request.up, stack)
     else:
-        subject = _recording(path.parent / twin.recording, twin.fps or request.rate_hz, stack)
+        subject = _recording(path.parent / twin.recording, twin.fps or request.rate_hz, request.up, stack)
     names = tuple(table.name for table in document.camera)
     there = {info.name: info for info in subject.source.cameras}
     for table in document.camera:

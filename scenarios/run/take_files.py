@@ -8,15 +8,18 @@ from mosca.errors import InputError
 TRACKS_FILES = ("tracks.npz", "tracks.csv")
 POSES_FILE = "bodies.csv"
 RIG_FILE = "rig.toml"
+JOINTS_FILE, ANGLES_FILE = "joints.csv", "angles.csv"
 
 
 @dataclass(frozen=True)
 class TakeFiles:
-    """``tracks``; ``bodies`` and ``rig``: None where the folder has none, or a file was given."""
+    """``tracks``; the others: None where the folder has none, or a file was given."""
 
     tracks: Path
     bodies: Path | None = None
     rig: Path | None = None
+    joints: Path | None = None
+    angles: Path | None = None
 
 
 def take_files(path: Path) -> TakeFiles:
@@ -26,5 +29,5 @@ def take_files(path: Path) -> TakeFiles:
     found = [path / name for name in TRACKS_FILES if (path / name).is_file()]
     if not found:
         raise InputError(f"{path}: holds no {' or '.join(TRACKS_FILES)}; give a file of tracks or a run folder")
-    bodies, rig = (path / name if (path / name).is_file() else None for name in (POSES_FILE, RIG_FILE))
-    return TakeFiles(found[0], bodies, rig)
+    names = (POSES_FILE, RIG_FILE, JOINTS_FILE, ANGLES_FILE)
+    return TakeFiles(found[0], *(path / name if (path / name).is_file() else None for name in names))

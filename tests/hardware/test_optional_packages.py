@@ -9,7 +9,7 @@ from hardware.driver import DeviceError
 from hardware.settings import CameraHardware, HardwareTable, RigHardware, TriggerTable
 from hardware.triggers import open_trigger
 
-OPTIONAL = ("serial", "pypylon", "harvesters", "genicam", "zenoh", "pyGigEVision")
+OPTIONAL = ("pylsl", "foxglove", "serial", "pypylon", "harvesters", "genicam", "zenoh", "pyGigEVision")
 IMPORT_ALL = f"""
 import importlib, pkgutil, sys
 for name in {OPTIONAL}:

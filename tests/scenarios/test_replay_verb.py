@@ -18,8 +18,10 @@ from natnet_clients import PlainClient, body, take, until, witness
 from natnet_witness import natnet
 
 from hardware.streams.natnet.settings import NatNetSettings
+from mosca.data.joint_motion import JointMotion
 from mosca.formats.bodies.bodies_csv import write_bodies_csv
 from mosca.formats.bodies.body_file import write_bodies
+from mosca.formats.joints.joints_csv import write_joints_csv
 from mosca.formats.tracks.tracks_file import write_tracks
 from scenarios.commands.live import run_live_command
 from scenarios.commands.live_sources import LiveOptions
@@ -61,7 +63,7 @@ class Replay:
 
 
 def test_a_run_folder_is_replayed_to_a_client_that_is_waited_for(run_folder):
-    request = ReplayRequest(run_folder, FREE, wait=1, fault=("burst-loss=5@0.1",), seed=3)
+    request = ReplayRequest(run_folder, (FREE,), wait=1, fault=("burst-loss=5@0.1",), seed=3)
     replay = Replay(replay_tracks, request)
     with PlainClient(replay.port) as client:
         until(lambda: len(client.frames) == 25)
@@ -86,7 +88,7 @@ def test_bodies_are_found_by_their_definitions(tmp_path):
     xyz = np.tile(cup.positions @ turn.T + moved, (20, 1))
     write_tracks(replace(tracks, xyz=xyz), tmp_path / "take.npz", 100.0)
     write_bodies([cup], tmp_path / "bodies.toml")
-    request = ReplayRequest(tmp_path / "take.npz", FREE, wait=1, bodies=tmp_path / "bodies.toml")
+    request = ReplayRequest(tmp_path / "take.npz", (FREE,), wait=1, bodies=tmp_path / "bodies.toml")
     replay = Replay(replay_tracks, request)
     served = type("Served", (), {"command_port": replay.port, "data_port": 1, "settings": FREE})
     with witness(served) as (_, frames, _models):
@@ -100,10 +102,39 @@ def test_bodies_are_found_by_their_definitions(tmp_path):
         assert [m.model_id for m in one.labeled_markers] == [1, 1, 1]
 
 
+def test_joints_beside_the_tracks_are_a_skeleton(run_folder):
+    """A pelvis turned by 90 degrees about z that carries a thigh: poses in the world and the tree of bones."""
+    natnet()
+    n, half = 30, np.sqrt(0.5)
+    rotation = np.tile([[half, 0.0, 0.0, half], [1.0, 0.0, 0.0, 0.0]], (n, 1, 1))
+    centre = np.tile([[1.0, 2.0, 0.9], [0.9, 2.0, 0.8]], (n, 1, 1))
+    frame, none = 1000 + np.arange(n), np.zeros((n, 2, 3, 3))
+    motion = JointMotion(frame, 5 * 10**9 + np.arange(n) * 10**7, ("pelvis", "l_hip"), centre, none, rotation, none)
+    write_joints_csv(motion, run_folder / "joints.csv")
+    replay = Replay(replay_tracks, ReplayRequest(run_folder, (FREE,), wait=1))
+    served = type("Served", (), {"command_port": replay.port, "data_port": 1, "settings": FREE})
+    with witness(served) as (client, frames, models):
+        client.request_modeldef()
+        until(lambda: models and len(frames) > 20)
+        replay.end()
+    assert ", 2 bones, bodies: drone, cup" in replay.told[1]
+    (described,) = models[0].skeletons
+    pelvis, thigh = described.rigid_body_descriptions
+    assert [(one.name, one.id_num, one.parent_id) for one in (pelvis, thigh)] == [("pelvis", 1, 0), ("l_thigh", 2, 1)]
+    # (-0.1, 0, -0.1) of the world in axes turned by 90 degrees
+    np.testing.assert_allclose(thigh.pos, [0.0, 0.1, -0.1], atol=1e-6)
+    (skeleton,) = frames[-1].skeletons
+    root, leg = skeleton.rigid_bodies
+    assert (skeleton.id_num, root.id_num, leg.id_num) == (1, 0x10001, 0x10002)
+    np.testing.assert_allclose(leg.pos, [0.9, 2.0, 0.8], atol=1e-6)
+    np.testing.assert_allclose(leg.rot, [0.0, 0.0, half, half], atol=1e-6)
+    assert leg.tracking_valid
+
+
 def test_a_live_run_is_streamed(tmp_path):
     """The drone of a small scenario, live: each frame set is a frame."""
     scenario = write_tiny(tmp_path, duration_s=0.4)
-    options = LiveOptions(str(scenario), rate=20.0, queued=100, stream=replace(FREE, forget_s=1e6))
+    options = LiveOptions(str(scenario), rate=20.0, queued=100, stream=(replace(FREE, forget_s=1e6),))
     found = []
 
     def hear(line):
@@ -156,6 +187,11 @@ def test_ctrl_c_ends_a_replay_with_its_account(run_folder):
         (". --rate 2 --fast", "--rate 2: excludes --fast"),
         (". --protocol 2.9", "'2.9' is not one of"),
         (". --stream vrpn", "'vrpn' is not"),
+        (". --stream lsl --wait 2", "--wait 2: LSL shows whether somebody listens, not how many; 0 or 1 is wanted"),
+        (". --stream foxglove --data-port 0", "--data-port 0: is of streams; give --stream natnet"),
+        (". --unlabelled 3", "--unlabelled 3: is of streams; give --stream lsl"),
+        (". --joints none.csv", "none.csv"),
+        (". --angles bodies.csv", "bodies.csv"),
     ],
 )
 def test_wrong_inputs_of_replay(run_folder, words, told):

@@ -15,13 +15,14 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
-from typing import Self
 
 from hardware.streams.natnet import messages
 from hardware.streams.natnet.messages import NS_PER_TICK, ClientCommand, FrameStamps, Version
 from hardware.streams.natnet.settings import Address, ClientAccount, NatNetSettings, bound, free_port
-from hardware.streams.values import StreamFrame, StreamModel
+from hardware.streams.stream_server import Outgoing, StreamServer
+from hardware.streams.values import StreamModel
 from mosca.errors import InputError
 
 LARGEST_COMMAND = 2048
@@ -30,42 +31,19 @@ BURST = 100
 GONE = "gone"
 
 
-class Outgoing:
-    """A frame on its way: encoded once for each version that is asked for, stamped when it is sent.
-
-    ``version``: encode for this one at once, and raise ValueError where that does not fit in a datagram.
-    """
-
-    def __init__(self, frame: StreamFrame, version: Version | None = None) -> None:
-        self.frame = frame
-        self.stamps = FrameStamps(0, 0, 0)
-        self._encoded: dict[Version, bytes] = {}
-        if version is not None:
-            self._encoded[version] = messages.unstamped_frame(frame, version)
-
-    def message(self, version: Version) -> bytes:
-        """Return the message; ValueError where it does not fit in a datagram."""
-        made = self._encoded.get(version)
-        if made is None:
-            made = self._encoded[version] = messages.unstamped_frame(self.frame, version)
-        return messages.stamped(made, self.stamps, version)
-
-
-class NatNetServer:
+class NatNetServer(StreamServer):
     """Serves ``model`` and what ``send`` is given until ``close``; a context.
 
-    ``counts``: commands by kind, ``garbage`` among them. ``frames``: sent to whomever there was. ``offset_ns`` and
-    ``lost``: for faults on demand, added to the server's clock and a line that carries nothing.
+    ``counts``: commands by kind, ``garbage`` among them.
     Raises InputError where the address or a port cannot be had, or the model does not fit in a datagram.
     """
 
     def __init__(self, model: StreamModel, settings: NatNetSettings | None = None) -> None:
+        super().__init__()
         self.settings = settings or NatNetSettings()
         self.model = model
         self.counts: Counter[str] = Counter()
-        self.frames, self.too_large = 0, 0
-        self.offset_ns = 0
-        self.lost = False
+        self.too_large = 0
         self._last: Outgoing | None = None
         self._clients: dict[Address, _Client] = {}
         self._former: dict[Address, ClientAccount] = {}
@@ -101,22 +79,10 @@ class NatNetServer:
         now = time.monotonic()
         return sum(client.begins_s <= now for client in tuple(self._clients.values()))
 
-    def clock_ns(self) -> int:
-        """Return the server's clock, which stamps frames: monotonic, plus ``offset_ns``."""
-        return time.monotonic_ns() + self.offset_ns
-
-    def encoded(self, frame: StreamFrame) -> Outgoing:
-        """Return a frame encoded ahead of the time at which it is sent."""
-        try:
-            return Outgoing(frame, self.settings.version)
-        except ValueError:
-            return Outgoing(frame)  # counted where it is delivered
-
-    def prepare(self, outgoing: Outgoing, mid_ns: int, received_ns: int) -> Outgoing:
-        """Stamp a frame for transmission now; its times are of the server's clock [ns]."""
-        stamps = (mid_ns // NS_PER_TICK, received_ns // NS_PER_TICK, self.clock_ns() // NS_PER_TICK)
-        outgoing.stamps = FrameStamps(*stamps)
-        return outgoing
+    def encode(self, outgoing: Outgoing) -> None:
+        """Encode a frame in the server's version; one that does not fit is counted where it is delivered."""
+        with suppress(ValueError):
+            _unstamped(outgoing, self.settings.version)
 
     def deliver(self, outgoing: Outgoing) -> None:
         """Send a prepared frame to everyone; never waits."""
@@ -126,21 +92,17 @@ class NatNetServer:
         self.frames += 1
         try:
             if self.settings.group is not None:
-                self._count(self._group, self._data, outgoing.message(self.settings.version), self._group.to)
+                self._count(self._group, self._data, _message(outgoing, self.settings.version), self._group.to)
                 return
             now = time.monotonic()
             for client in tuple(self._clients.values()):
                 account = client.account
                 if client.begins_s > now:
                     continue
-                if not self._count(account, client.socket, outgoing.message(account.version)):
+                if not self._count(account, client.socket, _message(outgoing, account.version)):
                     self._refused(client)
         except ValueError:
             self.too_large += 1
-
-    def send(self, frame: StreamFrame, mid_ns: int, received_ns: int) -> None:
-        """Stamp and send a frame."""
-        self.deliver(self.prepare(Outgoing(frame), mid_ns, received_ns))
 
     def start(self) -> None:
         """Open the ports and begin to answer; after ``shut`` on the same ports, with no clients."""
@@ -183,15 +145,27 @@ class NatNetServer:
         if self.settings.group is not None:
             self._data.close()
 
-    def close(self) -> None:
-        """Leave the network; may be called twice."""
-        self.shut("")
+    def where(self) -> str:
+        """Return addresses, ports, units and axes as a line."""
+        where = self.settings
+        version = ".".join(map(str, where.version))
+        to = f"frames to group {where.group}, port {self.data_port}" if where.group else "frames to each client"
+        up = "xyz"[where.up_axis]
+        return f"NatNet {version} at {where.address}: commands at port {self.command_port}, {to}; metres, {up} up"
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
+    def lines(self) -> list[str]:
+        """Return what became of each client's frames, and the commands that came."""
+        lines = []
+        for one in self.clients():
+            if one.sent or one.dropped or one.to != one.address or self.settings.group is None:
+                left = f", {one.left}" if one.left else ""
+                lines.append(
+                    f"{one.address[0]}:{one.address[1]}: {one.sent} frames sent, {one.dropped} dropped{left}"
+                )
+        if self.too_large:
+            lines.append(f"{self.too_large} frames do not fit in a datagram and were left out; stream fewer markers")
+        commands = ", ".join(f"{count} {name}" for name, count in sorted(self.counts.items()))
+        return [*lines, f"commands: {commands or 'none'}"]
 
     def _count(self, account: ClientAccount, sock: socket.socket, data: bytes, to: Address | None = None) -> bool:
         """Send, and count what became of it; False where nobody is there any more."""
@@ -257,7 +231,7 @@ class NatNetServer:
             case messages.REQUEST_FRAME:
                 self.counts["frame"] += 1
                 if self._last is not None:
-                    self._reply(self._last.message(self._version_of(sender)), sender)
+                    self._reply(_message(self._last, self._version_of(sender)), sender)
             case messages.ECHO:
                 self.counts["echo"] += 1
                 self._reply(messages.echo_answer(command.payload, self.clock_ns() // NS_PER_TICK), sender)
@@ -366,3 +340,17 @@ class _Client:
     account: ClientAccount
     socket: socket.socket
     begins_s: float
+
+
+def _unstamped(outgoing: Outgoing, version: Version) -> bytes:
+    made = outgoing.encoded.get(version)
+    if made is None:
+        made = outgoing.encoded[version] = messages.unstamped_frame(outgoing.frame, version)
+    return made
+
+
+def _message(outgoing: Outgoing, version: Version) -> bytes:
+    """Return a frame's message, encoded once for each version; ValueError where it does not fit in a datagram."""
+    times = (outgoing.mid_ns, outgoing.received_ns, outgoing.transmit_ns)
+    stamps = FrameStamps(*(time_ns // NS_PER_TICK for time_ns in times))
+    return messages.stamped(_unstamped(outgoing, version), stamps, version)

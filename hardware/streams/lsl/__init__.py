@@ -1,0 +1,1 @@
+"""Streams of the Lab Streaming Layer (LSL): their channels, and outlets that inlets and LabRecorder find."""

@@ -1,0 +1,131 @@
+"""Streams beside served cameras: at each pulse of their line the tracks of the same instant, on the same clock.
+
+A pulse begins the cameras' exposure; the frame of its tracks has the pulse's number and the middle of the exposure
+as its stamp, and is sent when the exposure is over.
+"""
+
+import queue
+import threading
+import time
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from hardware.streams.content import TakeFrames
+from hardware.streams.stream_server import StreamServer
+from hardware.streams.turns import UpAxis
+from hardware.streams.values import StreamFrame
+from mosca.data.arrays import Array
+from mosca.data.joint_motion import JointMotion
+from mosca.data.tracks import Tracks
+from mosca.data.truth import Truth, read_truth
+from mosca.errors import InputError
+from mosca.formats.bodies.bodies_csv import read_bodies_csv
+from mosca.formats.tracks.tracks_file import read_tracks
+from mosca.rigid_bodies.tracker import body_poses
+from scenarios.run.take_files import take_files
+from scenarios.score.bodies import rigid_bodies
+from scenarios.spec.scenario import Scenario
+from twin.cameras.exposure.shutter import pulse_time_s
+from twin.scenes.scene import Scene
+from twin.truth_log import joints_at
+
+SIGMA_M = 1e-6
+"""Stated of true positions, so that poses can be fitted to them."""
+TRUTH_FILE = "truth.npz"
+
+
+def true_frames(spec: Scenario, scene: Scene, up: UpAxis) -> TakeFrames:
+    """Return the true markers, bodies and person of a scenario at its pulses, as stream frames.
+
+    Raises InputError for a flight, whose motion depends on what is made of its frames.
+    """
+    if spec.flight is not None:
+        raise InputError("--stream: the truth of a flight is known when it is flown; give --tracks RUN")
+    rate, exposure = spec.capture.frame_rate_hz, spec.capture.exposure_s
+    times = np.array([pulse_time_s(k, rate) + exposure / 2 for k in range(spec.capture.pulses)])
+    sampler = scene.sampler()
+    xyz = np.array([sampler.at(float(at)).marker_xyz.copy() for at in times])
+    time_ns = np.rint(times * 1e9).astype(np.int64)
+    tracks = true_tracks(time_ns, scene.marker_names, xyz)
+    bodies, joints = rigid_bodies(scene), joints_at(scene, times)
+    motion = None
+    if joints is not None:
+        n, j = len(times), len(joints.names)
+        none = np.zeros((n, j, 3, 3))
+        motion = JointMotion(np.arange(n), time_ns, joints.names, joints.centre, none, joints.rotation, none)
+    return TakeFrames(tracks, body_poses(tracks, bodies), bodies, up, joints=motion)
+
+
+def true_tracks(time_ns: Array, names: tuple[str, ...], xyz: Array) -> Tracks:
+    """Return true positions (t, m, 3) at instants (t,) as tracks."""
+    t, m = xyz.shape[:2]
+    n = t * m
+    return Tracks(
+        frame=np.repeat(np.arange(t), m),
+        time_ns=np.repeat(time_ns, m),
+        track=np.tile(np.arange(m), t),
+        label=np.tile(np.array(names, np.str_), t),
+        xyz=xyz.reshape(n, 3),
+        covariance=np.broadcast_to(SIGMA_M**2 * np.eye(3), (n, 3, 3)),
+        n_cameras=np.zeros(n),
+        residual_px=np.full(n, np.nan),
+        status=np.full(n, "measured"),
+    )
+
+
+def recorded_frames(recording: Path, up: UpAxis) -> TakeFrames:
+    """Return the truth beside a recording; InputError where there is none."""
+    path = (recording if recording.is_dir() else recording.parent) / TRUTH_FILE
+    if not path.is_file():
+        raise InputError(
+            f"--stream: {path} is not there; give --tracks, a run folder or file of this recording's tracks"
+        )
+    truth: Truth = read_truth(path)
+    return TakeFrames(true_tracks(truth.time_ns, truth.names, truth.xyz), up=up)
+
+
+def tracked_frames(path: Path, up: UpAxis) -> TakeFrames:
+    """Return the tracks and poses of a run folder, or of a file of tracks; their frames are the line's pulses."""
+    files = take_files(path)
+    poses = None if files.bodies is None else read_bodies_csv(files.bodies)
+    return TakeFrames(read_tracks(files.tracks), poses, up=up)
+
+
+class PulsedStream:
+    """A device on the trigger line that sends a frame a pulse. ``close`` ends it; a context is not needed.
+
+    ``frames``: by pulse. ``length``: pulses after which the first frame follows, None: once through. ``sent``: pulses
+    that had a frame.
+    """
+
+    def __init__(
+        self, server: StreamServer, frames: Mapping[int, StreamFrame], exposure_ns: int, length: int | None = None
+    ) -> None:
+        self._server, self._frames, self._exposure_ns, self._length = server, frames, exposure_ns, length
+        self.sent = 0
+        self._due: queue.SimpleQueue[tuple[int, int] | None] = queue.SimpleQueue()
+        self._thread = threading.Thread(target=self._run, name="stream", daemon=True)
+        self._thread.start()
+
+    def pulse(self, number: int, time_ns: int) -> None:
+        """Take pulse ``number``, whose edge is at the monotonic time ``time_ns``."""
+        self._due.put((number, time_ns))
+
+    def close(self) -> None:
+        """Send what was exposed until now, and end."""
+        self._due.put(None)
+        self._thread.join()
+
+    def _run(self) -> None:
+        while (due := self._due.get()) is not None:
+            number, time_ns = due
+            frame = self._frames.get(number if self._length is None else number % self._length)
+            if frame is None:
+                continue
+            time.sleep(max(0.0, (time_ns + self._exposure_ns - time.monotonic_ns()) * 1e-9))
+            frame = replace(frame, number=number)
+            self._server.send(frame, time_ns + self._exposure_ns // 2, time.monotonic_ns())
+            self.sent += 1

@@ -1,0 +1,187 @@
+"""``mosca twin serve --stream``: GigE cameras and streams of the same instants, on one clock."""
+
+import sys
+import threading
+import time
+from contextlib import ExitStack
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import refusal
+from tiny_scenario import write_tiny
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "hardware"))
+from loopback import free_address
+from lsl_inlets import inlet, lsl
+from natnet_clients import PATIENT_S, PlainClient, until
+from needs import needs_aravis
+
+from hardware.drivers import open_camera
+from hardware.settings import CameraHardware
+from hardware.streams.lsl.outlets import LslSettings
+from hardware.streams.natnet.settings import NatNetSettings
+from mosca.data.rotations import rotation_from_quaternion
+from scenarios.build.cameras import true_rig, twin_source, virtual_cameras
+from scenarios.build.scene import build_scene
+from scenarios.lab.serve import ServeRequest, serve
+from scenarios.lab.serve_streams import PulsedStream, true_frames
+from scenarios.spec.scenario import load_scenario
+
+TICK_S = 1e-7
+"""Of NatNet's stamps."""
+
+
+class Clock:
+    """Replaces the module ``time`` of the server: the test ends the time of serving."""
+
+    sleep = staticmethod(time.sleep)
+
+    def __init__(self):
+        self.over = False
+
+    def monotonic(self):
+        return float(self.over)
+
+
+def truth_of(path):
+    """Return the truth as the twin logs it while it renders, and the scene."""
+    spec = load_scenario(path)
+    scene = build_scene(spec, path.parent)
+    with twin_source(spec, scene, virtual_cameras(spec, true_rig(spec, path.parent)), 1) as source:
+        list(source)
+        return spec, scene, source.truth()
+
+
+def grabbed_by(camera, exposures):
+    """Return the frames of a camera until it has taken 30 pulses and all exposed frames are here."""
+    found = []
+    deadline = time.monotonic() + PATIENT_S
+    while len(found) < exposures():
+        assert time.monotonic() < deadline
+        one = camera.grab(0.2)
+        found += [] if one is None else [one]
+    return found
+
+
+def test_cameras_and_streams_agree_in_number_stamp_and_place(tmp_path, monkeypatch):
+    needs_aravis()
+    lsl()
+    path, clock, ready, told = write_tiny(tmp_path), Clock(), [], []
+    monkeypatch.setattr("scenarios.lab.serve.time", clock)
+    natnet = NatNetSettings(command_port=0, data_port=0, forget_s=1e6)
+    name = f"serve{time.monotonic_ns()}"
+    request = ServeRequest(str(path), free_address(), seconds=0.5, streams=(natnet, LslSettings(name)))
+    done = []
+    worker = threading.Thread(target=lambda: done.append(serve(request, None, ready.append, told.append)))
+    worker.start()
+    with ExitStack() as stack:
+        until(lambda: told)
+        (up,) = ready
+        port = int(told[0].partition("commands at port ")[2].partition(",")[0])
+        client = stack.enter_context(PlainClient(port))
+        markers = inlet(f"{name}_markers")
+        cameras = {}
+        for device in up.devices:
+            who = device.identity
+            settings = CameraHardware(driver="gige", address=str(who.address.ip), exposure_us=who.exposure_us)
+            cameras[who.name] = open_camera(who.name, settings)
+            stack.callback(cameras[who.name].close)
+            cameras[who.name].configure(settings)
+        for camera in cameras.values():
+            camera.arm()
+        until(lambda: all(device.counts().get("pulses", 0) == 30 for device in up.devices))
+        until(lambda: len(client.frames) == 30)
+        grabbed = {
+            device.identity.name: grabbed_by(
+                cameras[device.identity.name], lambda device=device: device.counts()["exposures"]
+            )
+            for device in up.devices
+        }
+        samples = [markers.pull_sample(PATIENT_S) for _ in range(30)]
+        images = {(name, p): up.store.frame(name, p).image for name in cameras for p in range(30)}
+    clock.over = True
+    worker.join()
+    mid = {one.number: one.mid for one in client.frames}
+    assert sorted(mid) == list(range(30))
+    np.testing.assert_allclose(np.diff([mid[k] for k in range(30)]), 0.01, atol=2 * TICK_S)
+    compared = 0
+    for device in up.devices:
+        who = device.identity
+        for one in (one for one in grabbed[who.name] if one.image is not None):
+            (pulse,) = [p for p in range(30) if np.array_equal(images[who.name, p], one.image)]
+            middle_s = device.camera.clock.when(one.device_ns) * 1e-9 + who.exposure_us * 5e-7
+            assert abs(middle_s - mid[pulse]) < 1e-6
+            compared += 1
+    assert compared > 60  # of 120; a busy machine may lose some
+    _, _, truth = truth_of(path)
+    stamps = [stamp for _, stamp in samples]
+    assert [int(values[-1]) for values, _ in samples] == list(range(30))
+    np.testing.assert_allclose(stamps, [mid[k] for k in range(30)], atol=1e-3)
+    values = np.array([values for values, _ in samples])[:, :-1].reshape(30, 8, 4)
+    by_label = np.argsort(truth.names)
+    np.testing.assert_allclose(values[..., :3], truth.xyz[:, by_label], atol=1e-6)
+    assert any(line.startswith("stream: 30 frames") for line in told)
+
+
+def test_true_bodies_lie_on_their_true_markers(tmp_path):
+    """A drone: the pose carries the body's definition onto the markers that the twin logs."""
+    path = write_tiny(tmp_path)
+    path.write_text(path.read_text().replace('kind = "cloud"\nmarkers = 8\n', 'kind = "drone"\nspeed_mps = 0.2\n'))
+    spec, scene, truth = truth_of(path)
+    frames = true_frames(spec, scene, "z")
+    (name,) = frames.body_names
+    (body,) = [one for one in frames.model if getattr(one, "name", "") == name and hasattr(one, "positions")]
+    columns = [truth.names.index(marker) for marker in body.markers]
+    for k, one in enumerate(frames):
+        (pose,) = one.bodies
+        turn = rotation_from_quaternion(pose["quaternion"][[3, 0, 1, 2]].astype(float))
+        placed = np.array(body.positions) @ turn.T + pose["position"]
+        np.testing.assert_allclose(placed, truth.xyz[k, columns], atol=2e-6)
+        assert one.number == k
+
+
+class Heard:
+    """A server that keeps what it is sent."""
+
+    def __init__(self):
+        self.frames = []
+
+    def send(self, frame, mid_ns, received_ns):
+        self.frames.append((frame.number, frame.timestamp_s, mid_ns, received_ns))
+
+
+def test_a_loop_begins_again_and_pulses_without_tracks_are_silent(tmp_path):
+    spec, scene, _ = truth_of(write_tiny(tmp_path, duration_s=0.05))
+    frames = {frame.number: frame for frame in true_frames(spec, scene, "z") if frame.number != 2}
+    heard = Heard()
+    stream = PulsedStream(heard, frames, 1_000_000, 5)
+    now = time.monotonic_ns()
+    for k in range(12):
+        stream.pulse(k, now + k * 1000)
+    stream.close()
+    assert [number for number, *_ in heard.frames] == [k for k in range(12) if k % 5 != 2]
+    assert [mid for *_, mid, _ in heard.frames] == [now + k * 1000 + 500_000 for k in range(12) if k % 5 != 2]
+    # nothing comes before its exposure is over
+    assert all(came >= mid + 500_000 for *_, mid, came in heard.frames)
+    assert heard.frames[4][1] == frames[0].timestamp_s
+    assert stream.sent == 10
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ("tiny.toml --stream natnet --trigger Software", "--trigger Software: excludes --stream, whose frames come"),
+        ("tiny.toml --tracks tiny.toml", "tiny.toml: is of streams; give --stream natnet"),
+        ("tiny.toml --stream-address 127.0.0.1", "--stream-address 127.0.0.1: is of streams; give --stream natnet"),
+        (
+            "tiny.toml --stream lsl --multicast 239.1.1.1",
+            "--multicast 239.1.1.1: is of streams; give --stream natnet",
+        ),
+        ("tiny.toml --stream natnet --port 1", "--port 1: is of streams; give --stream foxglove"),
+        ("tiny.toml --stream natnet --tracks none", "none: suffix '' given; .npz"),
+    ],
+)
+def test_wrong_inputs(tmp_path, words, told):
+    write_tiny(tmp_path)
+    assert told in refusal("twin", "serve", *words.split(), cwd=tmp_path)
