@@ -3,7 +3,8 @@
 With ``look`` only those of detection, with ``points`` only those of correspondence, triangulation and tracking, so
 that two processes can compile in parallel. With ``look_twice`` those of detection in images of 8 and of 16 bits: in
 one process they share the functions that do not depend on the type of the pixels, which are half of it. With
-``people`` those of a person's pose and joints, which the pipeline does not need.
+``calibration`` those of a session with coded targets: their images and the adjustment. With ``people`` those of a
+person's pose and joints, which the pipeline does not need.
 """
 
 import sys
@@ -13,13 +14,18 @@ from itertools import islice
 
 import numpy as np
 
+from mosca.calibration.session import EstimateSettings, calibrate_sightings
 from mosca.camera.projection import project
 from mosca.camera.ray_table import make_ray_table
+from mosca.coded_targets.detect import find_coded
 from mosca.correspondence.match import MatchSettings, match
-from mosca.data.arrays import Array
+from mosca.data.arrays import Array, read_only_image
 from mosca.data.detections import Detections
 from mosca.data.frames import CameraInfo, Frame, FrameSet
 from mosca.data.rig import Camera, MoscaLens, Pose, Rig
+from mosca.data.sightings import Sightings
+from mosca.data.target_codes import SECTORS, code_bits
+from mosca.data.targets import CodedTarget, PlacedTarget, TestField
 from mosca.detection.detect import DetectionSettings
 from mosca.detection.disc_fit.camera_statistics import NO_STATISTICS
 from mosca.detection.scheduler import FrameSetDetector
@@ -105,6 +111,25 @@ def points() -> int:
     return samples
 
 
+def calibration() -> int:
+    """Find a coded target in its image and calibrate three cameras from a field; returns how many points it took."""
+    mark = CodedTarget.of_dot(7, 0.002)
+    find_coded(_coded(mark, 0.0005), "cam1")
+    rng = np.random.default_rng(0)
+    places = rng.uniform(-0.2, 0.2, (60, 3))
+    field = TestField(tuple(PlacedTarget(str(k), mark, place) for k, place in enumerate(places)))
+    rig = _rig()
+    xy = [project(camera, places) + rng.normal(0.0, 0.05, (len(places), 2)) for camera in rig.cameras]
+    cameras, n = len(rig.cameras), len(rig.cameras) * len(places)
+    sightings = Sightings(
+        tuple(c.name for c in rig.cameras), np.full((cameras, 2), (WIDTH, HEIGHT)), 1,
+        np.repeat(np.arange(cameras), len(places)), np.zeros(n, dtype=np.int64),
+        np.tile(np.arange(len(places)), cameras), np.concatenate(xy), np.tile(0.0025 * np.eye(2), (n, 1, 1)),
+        np.full(n, 0.5),
+    )  # fmt: skip
+    return int(calibrate_sightings(sightings, field, EstimateSettings()).used.sum())
+
+
 def people() -> int:
     """Find the pose and the joints of the model of a person at rest; returns how many joints it has."""
     model = read_skeleton_model(HUMAN, LABELS)
@@ -135,5 +160,17 @@ def _blobs(xy_px: Array) -> Array:
     return result
 
 
+def _coded(target: CodedTarget, pixel_m: float) -> Array:
+    """Draw a coded target from the front, without blur (H, W); read-only, as the images of a source are."""
+    half = round(0.7 * target.plate_m / pixel_m)
+    y, x = pixel_m * np.mgrid[-half : half + 1, -half : half + 1]
+    radius, sector = np.hypot(x, y), np.floor(np.arctan2(-y, x) / (2 * np.pi) * SECTORS).astype(int)
+    ring = (
+        (target.ring_inner_m < radius) & (radius < target.ring_outer_m) & np.array(code_bits(target.number))[sector]
+    )
+    return read_only_image(np.where(ring | (radius < target.dot_radius_m), 200, 20).astype(np.uint8))
+
+
 if __name__ == "__main__":
-    {"look": look, "look_twice": look_twice, "points": points, "people": people}.get("".join(sys.argv[1:]), warm_up)()
+    parts = {f.__name__: f for f in (look, look_twice, points, calibration, people)}
+    parts.get("".join(sys.argv[1:]), warm_up)()

@@ -58,6 +58,8 @@ class RunOptions:
     truth: Path | None = None
     """Truth for frames that are not the twin's; default: ``truth.npz`` beside a recording."""
     progress: Progress | None = None
+    stage: Callable[[str], None] | None = None
+    """Told the name of each stage that begins."""
 
 
 class TruthSource(FrameSource, Protocol):

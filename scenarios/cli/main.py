@@ -125,10 +125,10 @@ def run(
     check_out(target)
     log = target.parent / f".{target.name}.rrd" if rrd else None
     with one_writer(target), _removed_in_the_end(log):
-        with Progress(name) as shown:
+        with (progress := Progress(name)) as shown:
             options = RunOptions(
                 source, workers or os.cpu_count() or 1, log, RRD_IMAGES if images is None else images, record, truth,
-                shown,
+                shown, progress.stage,
             )  # fmt: skip
             result = run_scenario(spec, name, path.parent, options)
         if overrides:

@@ -16,6 +16,8 @@ LATER = 0.05
 """Share of the time so far from one line to the next, where that is more: hours of work do not fill a log."""
 SOME = 10
 """Functions that are compiled in any run: small ones, which are not kept."""
+FIRST_RUN = 370
+"""Functions that ``mosca run actor`` compiles after an installation; other work more or fewer."""
 
 
 class Progress:
@@ -33,6 +35,7 @@ class Progress:
         self._task: Any = None
         self._compiled: Any = None
         self._told = 0
+        self._stage = ""
         self._over = threading.Event()
         self._teller: threading.Thread | None = None
 
@@ -66,6 +69,10 @@ class Progress:
             done, total = self._moved
             click.echo(f"{self._title}: stopped at {done}" + ("" if total is None else f" of {total}"), err=True)
 
+    def stage(self, name: str) -> None:
+        """Say what is being done from now on."""
+        self._stage = f", {name}"
+
     def _move(self, done: int, total: int | None) -> None:
         self._moved = done, total
         if self._first is None:
@@ -78,12 +85,12 @@ class Progress:
             if self._bar is None:
                 click.echo(self.line(time.monotonic()), err=True)
             else:
-                self._bar.update(self._task, description=self._title + self._compiling())
+                self._bar.update(self._task, description=self._title + self._stage + self._compiling())
 
     def line(self, now_s: float) -> str:
         """Return in one line how far the work is at ``now_s`` [s, monotonic clock]."""
         done, total = self._moved
-        waited = f"{self._title}: {now_s - self._begun_s:.0f} s"
+        waited = f"{self._title}: {now_s - self._begun_s:.0f} s{self._stage}"
         if not done:
             return waited + self._compiling()
         share = "" if not total else f" of {total} ({100 * done / total:.0f} %)"
@@ -101,4 +108,8 @@ class Progress:
         before, self._told = self._told, count
         if count < SOME or count == before:
             return ""
-        return f", compiling (once after an installation): {count} functions so far"
+        left = ""
+        if count < FIRST_RUN:
+            seconds = (time.monotonic() - self._begun_s) * (FIRST_RUN - count) / count
+            left = f" of about {FIRST_RUN}, some {seconds:.0f} s left"
+        return f", compiling (once after an installation): {count} functions{left}"

@@ -13,8 +13,9 @@ from scenarios.build.scene import build_scene
 from scenarios.spec.scenario import load_scenario
 
 PIPELINE = (("mosca.precompile", "points"), ("mosca.precompile", "look"))
+"""What a run compiles beside itself; meanwhile it compiles the twin and the calibration, as long a piece of work."""
 TWIN = (("scenarios.run.precompile",),)
-TESTS = (("mosca.precompile", "look_twice"), ("mosca.precompile", "points"))
+TESTS = (("mosca.precompile", "look_twice"), ("mosca.precompile", "points"), ("mosca.precompile", "calibration"))
 RICH = Path(__file__).parents[1] / "library" / "light" / "actor_in_context.toml"
 """A scenario that uses most functions of the twin."""
 
@@ -42,9 +43,9 @@ def compiling(programs: Sequence[tuple[str, ...]]) -> Iterator[None]:
     from mosca.correspondence.match import match_rays
     from mosca.detection.frame_set_kernel import detect_frame_set
     from mosca.numba_support.cache import is_compiled
-    from twin.cameras.render.target import render_all
+    from twin.cameras.render.target import render_chosen
 
-    if all(map(is_compiled, (detect_frame_set, match_rays, render_all))):
+    if all(map(is_compiled, (detect_frame_set, match_rays, render_chosen))):
         yield
         return
     quiet = subprocess.DEVNULL

@@ -49,7 +49,7 @@ from scenarios.run.precompile import PIPELINE, compile_side_by_side, compiling
 from scenarios.run.record import evidence_of, position_limit_mm, record_of
 from scenarios.run.survey import Survey, surveyed
 from scenarios.run.survey import check_source as check_survey_source
-from scenarios.run.timed import timed
+from scenarios.run.timed import StageTimes, timed
 from scenarios.score.bodies import rigid_bodies
 from scenarios.score.continuous import as_worn
 from scenarios.score.delivery import camera_frames, expected_sets, frames_complete, sets_complete
@@ -124,7 +124,7 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
         raise InputError(f"--truth {options.truth}: the twin has its own truth; leave --truth out, or give --source")
     given_truth = None if options.source == "twin" else requested_truth(options)
     LOG.info("%s: frames of %s", name, options.source)
-    timings: dict[str, float] = {}
+    timings = StageTimes(options.stage)
     with ExitStack() as stack, timed(timings, "total"):
         with timed(timings, "build"):
             built = _built(spec, folder, options)

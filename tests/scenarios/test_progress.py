@@ -9,6 +9,7 @@ import pytest
 
 from scenarios.cli import progress
 from scenarios.cli.progress import Progress
+from scenarios.run.timed import StageTimes, timed
 
 
 def test_a_line_says_how_far_and_how_long_still():
@@ -28,6 +29,15 @@ def test_without_a_total_nothing_is_foretold():
         assert re.fullmatch(r"take: \d+ s, 7", shown_line(moved))
 
 
+def test_a_stage_is_named():
+    shown = Progress("actor")
+    with shown:
+        timings = StageTimes(shown.stage)
+        with timed(timings, "frames_to_tracks"):
+            assert re.fullmatch(r"actor: \d+ s, frames to tracks", shown.line(time.monotonic()))
+    assert list(timings) == ["frames_to_tracks"]
+
+
 def shown_line(moved) -> str:
     return moved.__self__.line(time.monotonic())
 
@@ -43,7 +53,10 @@ def test_what_is_compiled_is_told_once():
         assert "compiling" not in shown.line(time.monotonic())
         for kind in "bBhHiIlLfd":
             twice(np.dtype(kind).type(1))
-        assert re.search(r"compiling \(once after an installation\): \d+ functions", shown.line(time.monotonic()))
+        line = shown.line(time.monotonic())
+        assert re.search(
+            r"compiling \(once after an installation\): \d+ functions of about \d+, some \d+ s left", line
+        )
         assert "compiling" not in shown.line(time.monotonic())
         twice(True)
         assert "compiling" not in shown.line(time.monotonic())

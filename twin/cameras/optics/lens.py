@@ -27,7 +27,7 @@ import numpy as np
 
 from mosca.data.arrays import Array
 from mosca.data.rig import Lens
-from mosca.numba_support.decorators import callable_bare_step, inlined_step, kernel
+from mosca.numba_support.decorators import bare_step, callable_bare_step, inlined_step, kernel
 from twin.cameras.optics.blur_parameters import Optics
 from twin.cameras.optics.lens_models import (
     direction_collinearity,
@@ -187,7 +187,7 @@ def _project_with_gap(lens: Array, x: float, y: float, z: float) -> Any:
     return u, v, ux, uy, uz, vx, vy, vz, ok
 
 
-@callable_bare_step
+@bare_step
 def _project_with_rare_terms(lens: Array, x: float, y: float, z: float) -> Any:
     """As ``project``, with pupil shift before and tilt behind."""
     w, wx, wy, wz, seen = _above_pupil(lens[PUPIL], x, y, z)
@@ -205,7 +205,7 @@ def _project_with_rare_terms(lens: Array, x: float, y: float, z: float) -> Any:
     )  # fmt: skip
 
 
-@callable_bare_step
+@bare_step
 def pixel_direction(lens: Array, u: float, v: float) -> Any:
     """The direction (x, y, z) that light on pixel (u, v) comes from; not normalised for pinhole kinds.
 
@@ -278,7 +278,7 @@ def _gap(lens: Array, u: float, v: float) -> Any:
     return f * q * x, f * q * y, f * q + d * x * x, d * x * y, f * q + d * y * y
 
 
-@callable_bare_step
+@bare_step
 def _before_gap(lens: Array, u: float, v: float) -> Any:
     """Where the model alone would have put what the gap puts at (u, v): Newton's method, NaN outside its reach."""
     a, b = u - lens[GAP + 1], v - lens[GAP + 2]

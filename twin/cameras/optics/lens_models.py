@@ -8,7 +8,7 @@ import math
 from typing import Any
 
 from mosca.data.arrays import Array
-from mosca.numba_support.decorators import callable_bare_step, inlined_step
+from mosca.numba_support.decorators import bare_step, inlined_step
 from twin.cameras.optics.lens_vector import ENDS, OPENCV_PLANE, PRISM
 
 STEPS = 20
@@ -116,7 +116,7 @@ def _bent(lens: Array, x: float, y: float) -> Any:
     return xd, yd, xx, xy, yy, rr
 
 
-@callable_bare_step
+@bare_step
 def _land_prism(
     lens: Array, x: float, y: float, xd: float, yd: float, xx: float, xy: float, yy: float, rr: float
 ) -> Any:
@@ -129,7 +129,7 @@ def _land_prism(
     return lens[3] + fx * xd, lens[4] + fy * yd, fx * xx, fx * xy, fy * yx, fy * yy, ok and w > 0.0
 
 
-@callable_bare_step
+@bare_step
 def _from_prism(lens: Array, p: float, q: float) -> Any:
     """As ``direction_pinhole``, from a position on the tilted sensor in units of the principal distance."""
     target_x, target_y = off_plane(lens, OPENCV_PLANE, p, q)
@@ -147,7 +147,7 @@ def _from_prism(lens: Array, p: float, q: float) -> Any:
     return math.nan, math.nan, math.nan
 
 
-@callable_bare_step
+@bare_step
 def _add_prism(
     lens: Array, x: float, y: float, xd: float, yd: float, xx: float, xy: float, yy: float, rr: float
 ) -> Any:

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from mosca.data.arrays import Array
-from mosca.numba_support.decorators import callable_bare_step
+from mosca.numba_support.decorators import bare_step
 
 STEPS_PER_PX = 32
 
@@ -44,7 +44,7 @@ def gaussian_kernel(sigma_px: float) -> PixelKernel:
     return PixelKernel(reach, table)
 
 
-@callable_bare_step
+@bare_step
 def share(table: Array, reach: int, s: float) -> float:
     """Integral of ``weight`` from -infinity to s."""
     if s <= -reach:
@@ -57,7 +57,7 @@ def share(table: Array, reach: int, s: float) -> float:
     return result
 
 
-@callable_bare_step
+@bare_step
 def weight(table: Array, reach: int, s: float) -> float:
     """Share of a line's light that a pixel at distance s collects."""
     if s <= -reach or s >= reach:
@@ -68,7 +68,7 @@ def weight(table: Array, reach: int, s: float) -> float:
     return result
 
 
-@callable_bare_step
+@bare_step
 def _hermite(a: float, b: float, slope_a: float, slope_b: float, f: float) -> float:
     h = 1.0 / STEPS_PER_PX
     d = b - a

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mosca.data.arrays import Array
-from mosca.numba_support.decorators import callable_bare_step, kernel
+from mosca.numba_support.decorators import bare_step, step
 from twin.cameras.optics.pixel_kernel import share, weight
 from twin.cameras.render.inputs import RowTiming
 
@@ -53,7 +53,7 @@ class Panel(NamedTuple):
     motion_px: float
 
 
-@callable_bare_step
+@bare_step
 def nodes_for(motion_px: float) -> Any:
     """Gauss-Legendre nodes that integrate an image motion of this length, at most 15 px.
 
@@ -67,7 +67,7 @@ def nodes_for(motion_px: float) -> Any:
     return min(MAX_NODES, max(3 + int(motion_px), int(1.6 * motion_px)))
 
 
-@kernel
+@step
 def add_points(what: int, out: Increments, blur: Blur, points: Array, panel: Panel, rows: RowTiming) -> None:
     """Add moving boundary points (EDGE) or spots (SPOT) to the increments ``out``.
 
@@ -87,7 +87,7 @@ def add_points(what: int, out: Increments, blur: Blur, points: Array, panel: Pan
             _add_one_row(what, out, row, blur, points, panel, begin, end, length, step_x)
 
 
-@callable_bare_step
+@bare_step
 def _add_all_rows(
     what: int,
     out: Increments,
@@ -126,7 +126,7 @@ def _add_all_rows(
                             change[py + p - y0, px + q - x0] += w * step_x[q]
 
 
-@callable_bare_step
+@bare_step
 def _add_one_row(
     what: int,
     out: Increments,
@@ -166,7 +166,7 @@ def _add_one_row(
                     change[row, px + q - x0] += w * step_x[q]
 
 
-@callable_bare_step
+@bare_step
 def _steps(what: int, step_x: Array, table: Array, reach: int, u: float) -> None:
     """Change from pixel to pixel, from the first at 0 on, that a point at u adds along a row."""
     previous = 1.0 if what == EDGE else 0.0
@@ -176,7 +176,7 @@ def _steps(what: int, step_x: Array, table: Array, reach: int, u: float) -> None
         previous = here
 
 
-@callable_bare_step
+@bare_step
 def fill(light: Array, increments: Increments, electrons: float, least: float) -> None:
     """Add the running sums of the increments to the image; light below ``least`` electrons is left out."""
     change, x0, y0 = increments

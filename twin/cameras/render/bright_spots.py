@@ -4,7 +4,7 @@ import math
 from typing import Any
 
 from mosca.data.arrays import Array
-from mosca.numba_support.decorators import callable_bare_step, kernel
+from mosca.numba_support.decorators import bare_step, step
 from twin.cameras.optics.lens import project
 from twin.cameras.render.boundary_integral import MOST_NODES, NODE_AT, NODE_SHARE
 from twin.cameras.render.inputs import TargetPose
@@ -14,7 +14,7 @@ STEP_PX = 0.7
 """Distance of spots around the disc."""
 
 
-@callable_bare_step
+@bare_step
 def fading(profile: Array, sine: float) -> Any:
     """Brightness of a tape at an angle of this ``sine`` off the normal: 1, then a smooth step, then nothing."""
     if profile[4] >= 0.5 * math.pi:
@@ -24,20 +24,20 @@ def fading(profile: Array, sine: float) -> Any:
     return rise * rise * (3.0 - 2.0 * rise)
 
 
-@kernel
+@step
 def _rings(diameter: float) -> Any:
     """How many rings of spots a disc of this image diameter needs, and how many spots in each."""
     return min(MOST_NODES, 4 + int(diameter)), 12 + int(math.pi * diameter / STEP_PX)
 
 
-@kernel
+@step
 def spot_count(diameter: float) -> Any:
     """Number of spots of a disc of this image diameter."""
     rings, around = _rings(diameter)
     return rings * around
 
 
-@kernel
+@step
 def spots(lens: Array, target: TargetPose, profile: Array, diameter: float, out: Array) -> None:
     """Write spots (u, v, amount) of the brightness of a disc beyond 1: Gauss in the radius, even angles.
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from mosca.data.arrays import Array
-from mosca.numba_support.decorators import kernel
+from mosca.numba_support.decorators import kernel, step
 from twin.cameras.optics.lens import project
 from twin.cameras.render.inputs import NearSolids, RenderInputs, Solid, SolidArrays, TargetPose
 from twin.cameras.render.occluders import axis_reach, hit, may_hide
@@ -37,7 +37,7 @@ def motion_bounds(kind: Array, size: Array, geom_xyz: Array, geom_rotation: Arra
     return out
 
 
-@kernel
+@step
 def near_solids(inputs: RenderInputs, m: int, image: TargetImage, number: Array) -> Any:
     """Write the numbers of the solids that may hide target m.
 
@@ -59,7 +59,7 @@ def near_solids(inputs: RenderInputs, m: int, image: TargetImage, number: Array)
     return count, 1 if slip < GROUP_PX else min(MOST_GROUPS, 1 + int(slip / GROUP_PX))
 
 
-@kernel
+@step
 def _slip_px(inputs: RenderInputs, m: int, image: TargetImage, number: Array, count: int) -> Any:
     """How far at most a solid's own point nearest the line of sight moves past the target in the image [px]."""
     lens, nodes, path = inputs.lens, inputs.nodes_s, inputs.targets.path[m]
@@ -90,7 +90,7 @@ def _slip_px(inputs: RenderInputs, m: int, image: TargetImage, number: Array, co
     return slip
 
 
-@kernel
+@step
 def _material(lens: Array, xyz: Array, rotation: Array, weights: Array, local: Array) -> Any:
     """Where a point that is fixed in a geom is imaged at an instant."""
     x, y, z = position_at(xyz, weights)
@@ -103,7 +103,7 @@ def _material(lens: Array, xyz: Array, rotation: Array, weights: Array, local: A
     return u, v, ok
 
 
-@kernel
+@step
 def pose_solids(near: NearSolids, solids: SolidArrays, nodes: Array, instant_s: float) -> None:
     """Write the poses of the near solids at an instant."""
     weights = np.empty(nodes.shape[0])
@@ -114,7 +114,7 @@ def pose_solids(near: NearSolids, solids: SolidArrays, nodes: Array, instant_s: 
         rotation_at(solids.rotation[:, g], weights, near.rotation[g])
 
 
-@kernel
+@step
 def hidden_by_one(near: NearSolids, target: TargetPose) -> Any:
     """Whether one convex solid hides the whole outline, drawn 5 % too large, and so all of the target."""
     circle = outline_circle(target, OUTLINE_MARGIN * target.radius)

@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 
 from mosca.data.arrays import Array
-from mosca.numba_support.decorators import callable_bare_step, kernel
+from mosca.numba_support.decorators import bare_step, kernel, step
 from twin.cameras.render.inputs import Solid
 from twin.scenes.scene import MARKER_GROUP, UNSEEN_GROUP, Scene
 
@@ -73,7 +73,7 @@ def occluders_of(scene: Scene) -> Occluders:
     )
 
 
-@kernel
+@step
 def axis_reach(kind: int, size: Array) -> Any:
     """Half length along the geom's z axis and radius around it of a capsule that encloses the geom [m]."""
     if kind == SPHERE:
@@ -117,7 +117,7 @@ def may_hide(centre: Array, axis: Array, half: float, reach: float, x: float, y:
     return result
 
 
-@callable_bare_step
+@bare_step
 def hit(solid: Solid, dx: float, dy: float, dz: float) -> float:
     """Distance along (dx, dy, dz), in its lengths, at which a ray from the origin enters the solid; inf if never.
 
@@ -162,7 +162,7 @@ def hit(solid: Solid, dx: float, dy: float, dz: float) -> float:
     return first if 0.0 < first <= last else np.inf
 
 
-@callable_bare_step
+@bare_step
 def _enter_sphere(ox: float, oy: float, oz: float, x: float, y: float, z: float, r: float) -> float:
     a = x * x + y * y + z * z
     b = ox * x + oy * y + oz * z
@@ -174,7 +174,7 @@ def _enter_sphere(ox: float, oy: float, oz: float, x: float, y: float, z: float,
     return t if t > 0.0 else np.inf
 
 
-@callable_bare_step
+@bare_step
 def _enter_side(ox: float, oy: float, oz: float, x: float, y: float, z: float, r: float, half: float) -> float:
     """Enter the side wall of a cylinder about z."""
     a = x * x + y * y

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mosca.data.arrays import Array
-from mosca.numba_support.decorators import callable_bare_step, kernel
+from mosca.numba_support.decorators import bare_step, step
 from twin.cameras.optics.lens import pixel_direction, point_at_distance
 from twin.cameras.optics.lens_vector import FISHEYE, KIND, PUPIL
 from twin.cameras.render.bright_spots import fading
@@ -52,7 +52,7 @@ class Scan(NamedTuple):
     """(3, 3, 3) rays at the box's corners, edges and middle."""
 
 
-@kernel
+@step
 def scan_hidden(
     lens: Array, target: TargetPose, contours: Array, box: ImageBox, near: NearSolids, profile: Array, skip_free: bool
 ) -> Any:
@@ -104,13 +104,13 @@ def scan_hidden(
     return edges[:edge_count], lit_edges[:lit_count], hidden_area, lit_area
 
 
-@kernel
+@step
 def anything_before(lens: Array, target: TargetPose, box: ImageBox, near: NearSolids) -> Any:
     """Whether any of the solids may hide a part of a target with an image in ``box``."""
     return _anything_before(lens, target, _scan(lens, target, box), near)
 
 
-@kernel
+@step
 def _scan(lens: Array, target: TargetPose, box: ImageBox) -> Any:
     """Return how finely a target's image is scanned, and the rays of a small one."""
     left, right, top, bottom = box
@@ -133,7 +133,7 @@ def _scan(lens: Array, target: TargetPose, box: ImageBox) -> Any:
     return scan
 
 
-@callable_bare_step
+@bare_step
 def _ray(lens: Array, target: TargetPose, scan: Scan, u: float, v: float) -> Any:
     """A direction to pixel (u, v), scaled so that straight lines of pixels are evenly spaced along it."""
     if lens[PUPIL] != 0.0:
@@ -148,7 +148,7 @@ def _ray(lens: Array, target: TargetPose, scan: Scan, u: float, v: float) -> Any
     return dx, dy, dz
 
 
-@kernel
+@step
 def _whole_row(lens: Array, target: TargetPose, scan: Scan, v: float, a: Array, b: Array) -> None:
     """Write the fan a + s b of a whole row of the box, s from 0 to 1."""
     a[0], a[1], a[2] = _ray(lens, target, scan, scan.box.left, v)
@@ -156,7 +156,7 @@ def _whole_row(lens: Array, target: TargetPose, scan: Scan, v: float, a: Array, 
     b[0], b[1], b[2] = dx - a[0], dy - a[1], dz - a[2]
 
 
-@kernel
+@step
 def _row_rays(lens: Array, target: TargetPose, scan: Scan, j: int, v: float, rays: Array) -> None:
     """Write the rays (pieces + 1, 3) at the ends of the pieces of row ``j``, at height ``v`` of the image."""
     if not scan.small:
@@ -178,13 +178,13 @@ def _row_rays(lens: Array, target: TargetPose, scan: Scan, j: int, v: float, ray
             rays[piece + 1, i] = p * row[0, i] + q * row[1, i] + w * row[2, i]
 
 
-@callable_bare_step
+@bare_step
 def _quadratic_weights(f: float) -> Any:
     """Weights that interpolate values given at 0, 1/2 and 1."""
     return (2.0 * f - 1.0) * (f - 1.0), 4.0 * f * (1.0 - f), f * (2.0 * f - 1.0)
 
 
-@kernel
+@step
 def _covered_in_row(target: TargetPose, scan: Scan, near: NearSolids, rays: Array, low: Array, high: Array) -> Any:
     """Write the intervals of a row in which solids hide the target.
 
@@ -213,7 +213,7 @@ def _covered_in_row(target: TargetPose, scan: Scan, near: NearSolids, rays: Arra
     return found, lit_low, lit_high
 
 
-@kernel
+@step
 def _covered_before(target: TargetPose, near: NearSolids, g: int, a: Array, b: Array, one: float, two: float) -> Any:
     """The part of one..two in which solid ``g`` covers the fan a + s b before the target; low >= high: none."""
     solid = Solid(near.kind[g], near.size[g], near.xyz[g], near.rotation[g])
@@ -224,7 +224,7 @@ def _covered_before(target: TargetPose, near: NearSolids, g: int, a: Array, b: A
     return _in_front(solid, a, b, first, last, target)
 
 
-@kernel
+@step
 def _hide(
     edges: Array,
     count: int,
@@ -276,7 +276,7 @@ def _hide(
     return edges, count, area
 
 
-@kernel
+@step
 def _anything_before(lens: Array, target: TargetPose, scan: Scan, near: NearSolids) -> Any:
     """Whether any solid hides a part of the box of a figure, by rows of half a pixel: most figures have none."""
     top, bottom = scan.box.top, scan.box.bottom
@@ -291,12 +291,12 @@ def _anything_before(lens: Array, target: TargetPose, scan: Scan, near: NearSoli
     return False
 
 
-@callable_bare_step
+@bare_step
 def _put(edges: Array, n: int, u: float, v: float, amount: float) -> None:
     edges[n, 0], edges[n, 1], edges[n, 2] = u, v, amount
 
 
-@kernel
+@step
 def _wider(edges: Array, count: int, more: int) -> Any:
     """Return the edges in a larger array."""
     wider = np.empty((2 * edges.shape[0] + more, 3))
@@ -306,14 +306,14 @@ def _wider(edges: Array, count: int, more: int) -> Any:
     return wider
 
 
-@callable_bare_step
+@bare_step
 def has_profile(profile: Array) -> Any:
     """Whether the brightness of a target varies over it."""
     shaded = profile[1] != 0.0 or profile[2] != 0.0 or profile[3] != 0.0
     return shaded or profile[0] != 0.0 or profile[4] < 0.5 * math.pi
 
 
-@callable_bare_step
+@bare_step
 def brightness(profile: Array, qx: float, qy: float) -> Any:
     """Brightness at (qx, qy), the position on the disc over its radius: limb darkening and a gradient."""
     inside = max(0.0, 1.0 - qx * qx - qy * qy)
@@ -321,7 +321,7 @@ def brightness(profile: Array, qx: float, qy: float) -> Any:
     return shine * fading(profile, math.sqrt(1.0 - inside))
 
 
-@callable_bare_step
+@bare_step
 def front_of(target: TargetPose, dx: float, dy: float, dz: float) -> Any:
     """Distance along d at which the target's own front is met (the silhouette's edge counts as met)."""
     shape, rotation, x, y, z, r = target
@@ -333,14 +333,14 @@ def front_of(target: TargetPose, dx: float, dy: float, dz: float) -> Any:
     return (b - math.sqrt(max(0.0, b * b - a * (x * x + y * y + z * z - r * r)))) / a
 
 
-@callable_bare_step
+@bare_step
 def _before(solid: Solid, a: Array, b: Array, s: float, target: TargetPose) -> Any:
     """Whether the ray at s meets the solid before the target."""
     dx, dy, dz = a[0] + s * b[0], a[1] + s * b[1], a[2] + s * b[2]
     return hit(solid, dx, dy, dz) < front_of(target, dx, dy, dz) * BEFORE
 
 
-@callable_bare_step
+@bare_step
 def _in_front(solid: Solid, a: Array, b: Array, first: float, last: float, target: TargetPose) -> Any:
     """The part of an interval in which the solid hides the target; solids that meet part it once."""
     at_first = _before(solid, a, b, first + 0.05 * (last - first), target)
@@ -359,7 +359,7 @@ def _in_front(solid: Solid, a: Array, b: Array, first: float, last: float, targe
     return (first, near) if at_first else (near, last)
 
 
-@callable_bare_step
+@bare_step
 def _merge(low: Array, high: Array, count: int) -> Any:
     """Sort intervals and join those that touch, in place; return how many are left."""
     for i in range(1, count):

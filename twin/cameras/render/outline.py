@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from mosca.data.arrays import Array
-from mosca.numba_support.decorators import kernel
+from mosca.numba_support.decorators import kernel, step
 from twin.cameras.optics.lens import project
 from twin.cameras.render.boundary_integral import MAX_NODES, NODE_AT, NODE_SHARE
 from twin.cameras.render.inputs import ImageBox, TargetPose
@@ -35,7 +35,7 @@ def lagrange_weights(nodes: Array, t: float, out: Array) -> None:
         out[k] = product
 
 
-@kernel
+@step
 def position_at(path: Array, weights: Array) -> Any:
     """Interpolate a path (K, 3)."""
     x = y = z = 0.0
@@ -46,7 +46,7 @@ def position_at(path: Array, weights: Array) -> Any:
     return x, y, z
 
 
-@kernel
+@step
 def rotation_at(rotation: Array, weights: Array, out: Array) -> None:
     """Interpolate rotations (K, 3, 3): sums of matrices, error of second order in the angle between nodes."""
     for i in range(3):
@@ -57,7 +57,7 @@ def rotation_at(rotation: Array, weights: Array, out: Array) -> None:
             out[i, j] = value
 
 
-@kernel
+@step
 def perpendicular_axes(x: float, y: float, z: float) -> Any:
     """Two unit vectors at right angles to (x, y, z) and to each other, the first one as nearly along x as can be."""
     n = math.sqrt(x * x + y * y + z * z)
@@ -71,7 +71,7 @@ def perpendicular_axes(x: float, y: float, z: float) -> Any:
     return ax, ay, az, y * az - z * ay, z * ax - x * az, x * ay - y * ax
 
 
-@kernel
+@step
 def outline_circle(target: TargetPose, r: float) -> Any:
     """The circle that is a target's outline with radius ``r``: centre, and two radii at right angles (9 numbers)."""
     shape, rotation, x, y, z, _r = target
@@ -87,7 +87,7 @@ def outline_circle(target: TargetPose, r: float) -> Any:
     )  # fmt: skip
 
 
-@kernel
+@step
 def circle_point(circle: tuple[float, ...], angle: float) -> Any:
     """The direction to a point of the circle, and its derivative by the angle."""
     c, s = math.cos(angle), math.sin(angle)
@@ -98,7 +98,7 @@ def circle_point(circle: tuple[float, ...], angle: float) -> Any:
     )  # fmt: skip
 
 
-@kernel
+@step
 def image_box(lens: Array, target: TargetPose) -> Any:
     """Whether the lens images all of a target's outline, and the box of its image [px]."""
     circle = outline_circle(target, 1.02 * target.radius)
@@ -115,13 +115,13 @@ def image_box(lens: Array, target: TargetPose) -> Any:
     return whole, ImageBox(left, right, top, bottom)
 
 
-@kernel
+@step
 def outline_steps(diameter: float, sigma: float) -> Any:
     """How many steps an outline of this image diameter needs."""
     return max(FEWEST_STEPS, int(math.pi * diameter / (STEP_SIGMA * sigma)) + 1)
 
 
-@kernel
+@step
 def trace(lens: Array, target: TargetPose, pieces: Array, n: int, sense: float, out: Array) -> None:
     """Write (u, v, dv) of the boundary into ``out`` (n, 3); ``sense``: +1 for contours oriented as the image."""
     shape, rotation, x, y, z, r = target
@@ -155,7 +155,7 @@ def trace(lens: Array, target: TargetPose, pieces: Array, n: int, sense: float, 
                 row += 1
 
 
-@kernel
+@step
 def contour_point(piece: Array, share: float) -> Any:
     """The point at a share of a piece of contour, and its derivative by the share."""
     if piece[0] == LINE:
@@ -167,7 +167,7 @@ def contour_point(piece: Array, share: float) -> Any:
     return piece[1] + c, piece[2] + s, -s * swing, c * swing
 
 
-@kernel
+@step
 def cut_pieces(pieces: Array, px_per_m: float, sigma: float) -> Any:
     """Return pieces (n, 9) with the nodes and panels that each needs, and the number of all nodes."""
     out = np.empty((pieces.shape[0], 9))
@@ -188,7 +188,7 @@ def cut_pieces(pieces: Array, px_per_m: float, sigma: float) -> Any:
     return out, total
 
 
-@kernel
+@step
 def quadratics(first: Array, middle: Array, last: Array) -> Any:
     """Return points (n, 9): quadratics in tau through u, v and amount at tau = -1, 0, 1."""
     n = first.shape[0]

@@ -24,7 +24,16 @@ from twin.cameras.render.mesh_occlusion import MeshRays
 from twin.cameras.render.occluder_culling import motion_bounds
 from twin.cameras.render.occluders import Occluders
 from twin.cameras.render.outline import BALL, FIGURE, FLAT
-from twin.cameras.render.target import HIDDEN_GIVEN, MESH_NEAR, REST_GIVEN, GivenBoundary, render_all, render_one
+from twin.cameras.render.target import (
+    BY_PRIMITIVES,
+    HIDDEN_GIVEN,
+    MESH_NEAR,
+    NO_BOUNDARY,
+    ONLY_SPAN,
+    REST_GIVEN,
+    GivenBoundary,
+    render_chosen,
+)
 
 __all__ = [
     "BALL",
@@ -116,12 +125,15 @@ def render_targets(
     )
     count = len(targets.radius)
     mesh = np.zeros(count, dtype=np.int64) if mesh_rays is None else mesh_rays.candidates(targets)
-    seen, state, spans = render_all(light, inputs, mesh)
+    spans = np.zeros((count, 3))
+    modes = np.where(mesh == 0, BY_PRIMITIVES, ONLY_SPAN)
+    seen, state = render_chosen(light, inputs, np.arange(count), modes, NO_BOUNDARY, spans)
     if mesh_rays is not None:
         for m in np.flatnonzero(state == MESH_NEAR):
             edges, first, share, rest = mesh_rays.hidden(int(m), lens, targets, inputs.nodes_s, spans[m])
-            mode = REST_GIVEN if rest else HIDDEN_GIVEN
-            seen[m] = render_one(light, inputs, int(m), mode, GivenBoundary(edges, first, share), spans[m])[:4]
+            mode = np.array([REST_GIVEN if rest else HIDDEN_GIVEN])
+            given = GivenBoundary(edges, first, share)
+            seen[m] = render_chosen(light, inputs, np.array([m]), mode, given, spans[m : m + 1])[0][0]
     seen[seen[:, 0] == 0.0, 1:] = np.nan
     return VisibleTargets(seen[:, 0], seen[:, 1:3], seen[:, 3])
 

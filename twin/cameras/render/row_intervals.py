@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mosca.data.arrays import Array
-from mosca.numba_support.decorators import callable_bare_step
+from mosca.numba_support.decorators import bare_step
 from twin.cameras.render.inputs import Solid
 from twin.cameras.render.occluders import CAPSULE, CYLINDER, ELLIPSOID, SPHERE
 
@@ -34,7 +34,7 @@ class Fan(NamedTuple):
     bz: float
 
 
-@callable_bare_step
+@bare_step
 def covered(solid: Solid, a: Array, b: Array) -> Any:
     """Interval (low, high) of s in which the rays ``a + s b`` (3,), camera frame, meet a solid; low > high: none."""
     kind, size, centre, rotation = solid
@@ -69,7 +69,7 @@ def covered(solid: Solid, a: Array, b: Array) -> Any:
     return _box(fan, size)
 
 
-@callable_bare_step
+@bare_step
 def roots(q2: float, q1: float, q0: float) -> Any:
     """Real roots (low, high) of q2 s^2 + 2 q1 s + q0, and whether there are any."""
     if q2 == 0.0:
@@ -87,7 +87,7 @@ def roots(q2: float, q1: float, q0: float) -> Any:
     return min(one, two), max(one, two), True
 
 
-@callable_bare_step
+@bare_step
 def _sphere(fan: Fan, height: float, p: float, q: float, r: float) -> Any:
     """Rays that touch an ellipsoid of half axes p, q, r about the point (0, 0, height): scaled, the unit sphere."""
     ox, oy, oz = fan.ox / p, fan.oy / q, (fan.oz - height) / r
@@ -109,7 +109,7 @@ def _sphere(fan: Fan, height: float, p: float, q: float, r: float) -> Any:
     return -np.inf, low
 
 
-@callable_bare_step
+@bare_step
 def _side(fan: Fan, r: float, h: float) -> Any:
     """Rays that touch the side of a cylinder about z between its caps."""
     ox, oy, oz, ax, ay, az, bx, by, bz = fan
@@ -128,7 +128,7 @@ def _side(fan: Fan, r: float, h: float) -> Any:
     return low, high
 
 
-@callable_bare_step
+@bare_step
 def _cap(fan: Fan, z: float, r: float) -> Any:
     """Rays through the rim of a disc at height z above the camera."""
     ox, oy, _oz, ax, ay, az, bx, by, bz = fan
@@ -146,7 +146,7 @@ def _cap(fan: Fan, z: float, r: float) -> Any:
     return low, high
 
 
-@callable_bare_step
+@bare_step
 def _box(fan: Fan, size: Array) -> Any:
     """Crossings of the fan's plane with the twelve edges."""
     ox, oy, oz, ax, ay, az, bx, by, bz = fan

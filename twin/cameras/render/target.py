@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mosca.data.arrays import Array
-from mosca.numba_support.decorators import kernel
+from mosca.numba_support.decorators import kernel, step
 from twin.cameras.optics.lens import project
 from twin.cameras.render.boundary_integral import EDGE, SPOT, Blur, Increments, Panel, add_points, fill
 from twin.cameras.render.bright_spots import spot_count, spots
@@ -71,28 +71,30 @@ class GivenBoundary(NamedTuple):
     hidden: float
 
 
-@kernel
-def render_all(light: Array, inputs: RenderInputs, mesh: Array) -> Any:
-    """Render all targets; ``mesh`` (m,): whether a mesh may hide each.
+NO_BOUNDARY = GivenBoundary(np.empty((0, 3)), np.zeros(1, dtype=np.int64), 0.0)
 
-    Returns (visible, x, y, diameter) of each, its state (MESH_NEAR: left to mesh rays), and for those when they are
-    exposed: from, in the middle, until [s].
+
+@kernel
+def render_chosen(
+    light: Array, inputs: RenderInputs, which: Array, modes: Array, given: GivenBoundary, spans: Array
+) -> Any:
+    """Render the targets ``which`` (n,), each in a mode (n,); ``given``: the boundary for modes that need one.
+
+    Returns (visible, x, y, diameter) of each (n, 4) and its state (n,): MESH_NEAR where only its span was asked for.
+    ONLY_SPAN writes to ``spans`` (n, 3) when a target is exposed: from, in the middle, until [s].
     """
-    count = inputs.targets.path.shape[0]
+    count = which.shape[0]
     seen = np.zeros((count, 4))
     state = np.zeros(count, dtype=np.int64)
-    spans = np.zeros((count, 3))
-    nothing = GivenBoundary(np.empty((0, 3)), np.zeros(1, dtype=np.int64), 0.0)
-    for m in range(count):
-        mode = BY_PRIMITIVES if mesh[m] == 0 else ONLY_SPAN
-        result = render_one(light, inputs, m, mode, nothing, spans[m])
-        seen[m, 0], seen[m, 1], seen[m, 2], seen[m, 3] = result.visible, result.x, result.y, result.diameter
-        state[m] = result.state
-    return seen, state, spans
+    for i in range(count):
+        result = _render_one(light, inputs, which[i], modes[i], given, spans[i])
+        seen[i, 0], seen[i, 1], seen[i, 2], seen[i, 3] = result.visible, result.x, result.y, result.diameter
+        state[i] = result.state
+    return seen, state
 
 
-@kernel
-def render_one(light: Array, inputs: RenderInputs, m: int, mode: int, given: GivenBoundary, span: Array) -> Any:
+@step
+def _render_one(light: Array, inputs: RenderInputs, m: int, mode: int, given: GivenBoundary, span: Array) -> Any:
     """Render target ``m`` in a ``mode``; ONLY_SPAN writes when it is exposed to ``span`` (3,)."""
     height, width = light.shape
     image = image_of(inputs, m, height, width)
@@ -147,17 +149,17 @@ def render_one(light: Array, inputs: RenderInputs, m: int, mode: int, given: Giv
     return _seen_share(image, visible, int(IN_VIEW if hidden == 0.0 else PARTLY))
 
 
-@kernel
+@step
 def _not_seen(image: TargetImage, state: int) -> Any:
     return Rendered(0.0, image.u, image.v, image.diameter, state)
 
 
-@kernel
+@step
 def _seen_share(image: TargetImage, visible: float, state: int) -> Any:
     return Rendered(visible, image.u, image.v, image.diameter, state)
 
 
-@kernel
+@step
 def _near(inputs: RenderInputs, m: int, mode: int, image: TargetImage) -> Any:
     """Return the solids that may hide a target, and the groups of instants in which to judge what they hide."""
     solids = inputs.solids
@@ -170,7 +172,7 @@ def _near(inputs: RenderInputs, m: int, mode: int, image: TargetImage) -> Any:
     return near, groups
 
 
-@kernel
+@step
 def _increments(image: TargetImage, box: ImageBox, reach: int, height: int) -> Any:
     """Return zero increments for the image of the whole motion; without rows where there is nothing to render."""
     pad = reach + 2 + math.ceil(image.spread)
@@ -183,7 +185,7 @@ def _increments(image: TargetImage, box: ImageBox, reach: int, height: int) -> A
     return Increments(np.zeros((y1 - y0, x1 - x0 + 2)), x0, y0)
 
 
-@kernel
+@step
 def _contours(inputs: RenderInputs, m: int, image: TargetImage) -> Any:
     """Return the pieces of a figure's contours (n, 9), and how many points any target's boundary needs."""
     sigma = inputs.blur_terms[8]
@@ -194,7 +196,7 @@ def _contours(inputs: RenderInputs, m: int, image: TargetImage) -> Any:
     return cut_pieces(inputs.figure_pieces[first[f] : first[f + 1]], image.stretch, sigma)
 
 
-@kernel
+@step
 def _blur_and_rows(inputs: RenderInputs, m: int, image: TargetImage) -> Any:
     """Return how a target's light spreads, and when its rows collect it."""
     on, off = lit_s(inputs, m)
@@ -202,13 +204,13 @@ def _blur_and_rows(inputs: RenderInputs, m: int, image: TargetImage) -> Any:
     return Blur(inputs.pixel_table, inputs.pixel_reach, image.patches), rows
 
 
-@kernel
+@step
 def _motion_in_steps(inputs: RenderInputs, image: TargetImage) -> Any:
     """The image's motion in units of 0.6 px over the blur's sigma: what decides how finely time is divided."""
     return image.motion_px * 0.6 / inputs.blur_terms[8]
 
 
-@kernel
+@step
 def _group(image: TargetImage, g: int, groups: int) -> Any:
     """The exposure of group ``g`` of instants: from, in the middle, until."""
     begin, end = image.begin_s, image.end_s
@@ -217,7 +219,7 @@ def _group(image: TargetImage, g: int, groups: int) -> Any:
     return group_begin, image.instant_s if groups == 1 else 0.5 * (group_begin + group_end), group_end
 
 
-@kernel
+@step
 def _add_given(out: Increments, inputs: RenderInputs, m: int, image: TargetImage, given: GivenBoundary) -> None:
     """Add the boundary that mesh rays found, group after group of instants."""
     lens, nodes, path = inputs.lens, inputs.nodes_s, inputs.targets.path[m]
@@ -237,7 +239,7 @@ def _add_given(out: Increments, inputs: RenderInputs, m: int, image: TargetImage
         add_points(EDGE, out, blur, moving, panel, rows)
 
 
-@kernel
+@step
 def _add_hidden(
     out: Increments,
     inputs: RenderInputs,
@@ -290,7 +292,7 @@ def _add_hidden(
     return hidden, rest
 
 
-@kernel
+@step
 def _ever_hidden(inputs: RenderInputs, m: int, image: TargetImage, near: NearSolids, groups: int) -> Any:
     """Whether anything may hide a part of the target in any of the groups of instants."""
     lens, nodes = inputs.lens, inputs.nodes_s
@@ -308,7 +310,7 @@ def _ever_hidden(inputs: RenderInputs, m: int, image: TargetImage, near: NearSol
     return False
 
 
-@kernel
+@step
 def _add_whole(
     out: Increments, inputs: RenderInputs, m: int, image: TargetImage, contours: Array, points: int
 ) -> None:
@@ -348,7 +350,7 @@ def _add_whole(
             add_points(SPOT, out, blur, quadratics(spot_before, spot_at, spot_after), here, rows)
 
 
-@kernel
+@step
 def _add_sampled(out: Increments, inputs: RenderInputs, m: int, image: TargetImage, near: NearSolids) -> Any:
     """Add the part of a target that the lens images and nothing hides, from samples; return its share."""
     lens, nodes, path = inputs.lens, inputs.nodes_s, inputs.targets.path[m]
@@ -377,7 +379,7 @@ def _add_sampled(out: Increments, inputs: RenderInputs, m: int, image: TargetIma
     return seen / rays.shape[0]
 
 
-@kernel
+@step
 def _inside(lens: Array, target: TargetPose, width: int, height: int) -> Any:
     """Share of a target's disc that lies inside the image, from 240 points on it."""
     circle = outline_circle(target, target.radius)

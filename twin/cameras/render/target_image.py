@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mosca.data.arrays import Array
-from mosca.numba_support.decorators import kernel
+from mosca.numba_support.decorators import step
 from twin.cameras.optics.lens import project
 from twin.cameras.optics.lens_vector import FISHEYE, KIND
 from twin.cameras.optics.psf import patches
@@ -54,7 +54,7 @@ class TargetImage(NamedTuple):
     """Motion of the target meanwhile."""
 
 
-@kernel
+@step
 def image_of(inputs: RenderInputs, m: int, height: int, width: int) -> Any:
     """Return the TargetImage of target ``m`` in an image of height x width."""
     rotation = np.empty((3, 3))
@@ -87,14 +87,14 @@ def image_of(inputs: RenderInputs, m: int, height: int, width: int) -> Any:
     return TargetImage(state, target, u, v, diameter, stretch, patch, spread, begin, instant, end, motion, moved)
 
 
-@kernel
+@step
 def lit_s(inputs: RenderInputs, m: int) -> Any:
     """When target ``m`` is lit: while it shines and the strobe is on (from, until)."""
     lit = inputs.targets.lit_s
     return max(inputs.rows.on_s, lit[m, 0]), min(inputs.rows.off_s, lit[m, 1])
 
 
-@kernel
+@step
 def _mid_exposure(inputs: RenderInputs, m: int, rotation: Array, height: int) -> Any:
     """The target at the middle of its own rows' exposure; ``rotation`` (3, 3) is filled.
 
@@ -127,7 +127,7 @@ def _mid_exposure(inputs: RenderInputs, m: int, rotation: Array, height: int) ->
     return TargetPose(inputs.targets.shape[m], rotation, x, y, z, r), u, v, stretch, instant, imaged
 
 
-@kernel
+@step
 def _exposed(inputs: RenderInputs, m: int, instant: float, v: float, rows: float, height: int) -> Any:
     """From when to when any of the ``rows`` above and below the target's image at ``v`` collects its light."""
     lens, nodes, path = inputs.lens, inputs.nodes_s, inputs.targets.path[m]
@@ -140,7 +140,7 @@ def _exposed(inputs: RenderInputs, m: int, instant: float, v: float, rows: float
     return max(begin, on), min(min(end, (height - 1) * row_time + length), off)
 
 
-@kernel
+@step
 def _row_instant(
     lens: Array,
     nodes: Array,
@@ -169,7 +169,7 @@ def _row_instant(
     return t
 
 
-@kernel
+@step
 def image_motion(lens: Array, nodes: Array, path: Array, begin: float, end: float) -> Any:
     """Length of the image of a path [px] (-1: not imaged), and how far the target goes [m].
 
@@ -196,7 +196,7 @@ def image_motion(lens: Array, nodes: Array, path: Array, begin: float, end: floa
     return (turned_back if turned_back > 1.2 * chord else chord), max(swing, 0.0)
 
 
-@kernel
+@step
 def carried(
     edges: Array, lens: Array, nodes: Array, path: Array, u: float, v: float, begin: float, middle: float, end: float
 ) -> Any:

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mosca.data.arrays import Array
-from mosca.numba_support.decorators import kernel
+from mosca.numba_support.decorators import kernel, step
 from twin.cameras.sensor.counter_rng import STEP, mix, normal, uniform
 from twin.cameras.sensor.level_lookup import LevelBank, level_bank
 from twin.cameras.sensor.sensor import Sensor
@@ -234,7 +234,7 @@ def _onto_levels(
         _row_onto_levels(line, index[y], used, scale)
 
 
-@kernel
+@step
 def _row_onto_levels(line: Array, index: Array, used: Array, scale: tuple[float, float, float, float]) -> None:
     """Fill one row's levels from its electrons (which it overwrites)."""
     floor_e, anchor, anchor_scale, step = scale
@@ -250,7 +250,7 @@ def _row_onto_levels(line: Array, index: Array, used: Array, scale: tuple[float,
         used[index[x]] = 1
 
 
-@kernel
+@step
 def _columns(columns: int, width: int) -> Any:
     """Return, for each pixel of a row, the position (width,) in a coarse map's columns."""
     u = np.empty(width)
@@ -259,7 +259,7 @@ def _columns(columns: int, width: int) -> Any:
     return u
 
 
-@kernel
+@step
 def _stretched(coarse: Array, y: int, height: int, columns: Array, line: Array) -> None:
     """Fill row ``y`` of a coarse map stretched over the image, bilinear, constant beyond the outer middles."""
     rows = coarse.shape[0]

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from mosca.numba_support.decorators import kernel
+from mosca.numba_support.decorators import kernel, step
 
 STEP = np.uint64(0x9E3779B97F4A7C15)
 """The odd number nearest to 2^64 over the golden ratio: successive states never repeat within 2^64."""
@@ -101,7 +101,7 @@ def poisson(mu: float, bits: Any) -> Any:
     return _search(max(n, 0.0), mu, p)
 
 
-@kernel
+@step
 def _search(n: float, mu: float, p: float) -> float:
     """The largest n with P(N < n) <= p, searched from a guess."""
     while not _reached(n, mu, p):
@@ -111,7 +111,7 @@ def _search(n: float, mu: float, p: float) -> float:
     return n
 
 
-@kernel
+@step
 def _reached(n: float, mu: float, p: float) -> bool:
     """Whether P(N < n) <= p: the smaller of the two tails summed until its terms no longer count."""
     if n <= 0.0:

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mosca.data.arrays import Array
-from mosca.numba_support.decorators import callable_bare_step, kernel
+from mosca.numba_support.decorators import bare_step, kernel
 from twin.cameras.sensor.sensor import Sensor
 
 SPACING = 0.15
@@ -157,7 +157,7 @@ def _law(level: float, noise: float, edges: Array, edge_laws: Array, edge_made: 
     _add_up(offset, noise, electrons, edges, edge_laws, edge_made, shifted, thresholds)
 
 
-@callable_bare_step
+@bare_step
 def _add_up(
     offset: float,
     noise: float,
@@ -188,7 +188,7 @@ def _add_up(
     thresholds[edges.size] = np.uint64(9223372036854775808)
 
 
-@callable_bare_step
+@bare_step
 def _edge_law(edge: float, start: int, noise: float, laws: Array, row: int) -> None:
     """Fill a row of ``laws`` with P(n + noise < edge) for n = start, start + 1, ..."""
     for i in range(laws.shape[1]):

@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 
 from mosca.data.arrays import Array
-from mosca.numba_support.decorators import kernel
+from mosca.numba_support.decorators import kernel, step
 from twin.cameras.optics.lens import TwinLens
 from twin.cameras.render.inputs import Solid
 from twin.cameras.render.occluders import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE, hit
@@ -154,12 +154,12 @@ def _cast(
     return geom, distance, normal, other
 
 
-@kernel
+@step
 def _is_known(kind: int) -> bool:
     return kind in (PLANE, SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX)
 
 
-@kernel
+@step
 def _meet_plane(size: Array, xyz: Array, rotation: Array, g: int, dx: float, dy: float, dz: float) -> Any:
     """Distance at which a ray meets the front of plane g (its +z side); inf if never."""
     fall = rotation[g, 0, 2] * dx + rotation[g, 1, 2] * dy + rotation[g, 2, 2] * dz
@@ -175,7 +175,7 @@ def _meet_plane(size: Array, xyz: Array, rotation: Array, g: int, dx: float, dy:
     return t
 
 
-@kernel
+@step
 def _normal(kind: int, size: Array, xyz: Array, rotation: Array, g: int, px: float, py: float, pz: float) -> Any:
     """Outward unit normal of primitive g at a point of its surface, camera frame."""
     dx, dy, dz = px - xyz[g, 0], py - xyz[g, 1], pz - xyz[g, 2]
