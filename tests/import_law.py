@@ -86,6 +86,10 @@ LAW: dict[str, tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]] = {
         (),
         ("numpy", "scipy", "llvmlite", "pydantic", "tomli_w", "click", "rich", "junitparser", "pytest"),
     ),
+    # verdicts are computed from numbers alone
+    "scenarios.campaign.statistics": (("scenarios.campaign.statistics", "mosca.data.arrays"), (), ("numpy", "scipy")),
+    # what runs tasks on other computers is known here alone
+    "scenarios.campaign.cluster": (ROOMS, (), ("distributed",)),
     # its errors name the key that was given: only pydantic's core makes them
     "scenarios.spec.limits": (("reports.metrics",), (), ("pydantic", "pydantic_core")),
 }

@@ -8,6 +8,7 @@ from markdown_text import cell
 from mosca.data.files.rig_file import rig_schema
 from mosca.data.files.target_file import target_schema
 from mosca.formats.bodies.model_file import model_schema
+from scenarios.spec.claim import claim_schema
 from scenarios.spec.scenario import scenario_schema
 
 Schema = dict[str, Any]
@@ -16,7 +17,7 @@ METRICS = ("limits", "breaks")
 
 
 def pages() -> dict[str, str]:
-    """Return the pages of scenario, rig, target and marker-model files (uri -> Markdown)."""
+    """Return the pages of scenario, claim, rig, target and marker-model files (uri -> Markdown)."""
     return {
         "reference/scenario.md": _page(
             "Scenario files",
@@ -24,6 +25,12 @@ def pages() -> dict[str, str]:
             "must hold. `mosca new FILE.toml` writes a commented one, with the schema beside it by which editors "
             "complete keys; `mosca schema scenario` prints it. Keys that are left out have the default.",
             scenario_schema(),
+        ),
+        "reference/claim.md": _page(
+            "Claim files",
+            "What is claimed of many runs of a scenario, and what varies from run to run ([Claims](../claims.md)). "
+            "Schema: `mosca schema claim`.",
+            claim_schema(),
         ),
         "reference/rig.md": _page(
             "Rig files",

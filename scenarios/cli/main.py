@@ -18,6 +18,7 @@ import click
 from mosca import __version__
 from mosca.errors import InputError, MoscaError
 from scenarios.cli import capture as cli_capture
+from scenarios.cli import claim as cli_claim
 from scenarios.cli import demo as cli_demo
 from scenarios.cli import edit as cli_edit
 from scenarios.cli import flight as cli_flight
@@ -214,6 +215,7 @@ def view(run: Path, web: bool) -> None:
 
 
 cli.add_command(cli_suite.suite)
+cli.add_command(cli_claim.claim)
 cli.add_command(cli_tracks.reconstruct)
 cli.add_command(cli_tracks.labels)
 cli.add_command(cli_tracks.bodies)
@@ -269,9 +271,9 @@ twin.add_command(cli_lab.twin_serve)
 
 
 @cli.command()
-@click.argument("kind", type=click.Choice(["scenario", "rig", "target", "marker-model"]))
+@click.argument("kind", type=click.Choice(["scenario", "claim", "rig", "target", "marker-model"]))
 def schema(kind: str) -> None:
-    """Print the JSON schema of scenario, rig, target or marker-model files, for editors.
+    """Print the JSON schema of scenario, claim, rig, target or marker-model files, for editors.
 
     \b
     Example:  mosca schema scenario > scenario.schema.json
@@ -280,6 +282,8 @@ def schema(kind: str) -> None:
 
     if kind == "scenario":
         from scenarios.spec.scenario import scenario_schema as made
+    elif kind == "claim":
+        from scenarios.spec.claim import claim_schema as made
     elif kind == "target":
         from mosca.data.files.target_file import target_schema as made
     elif kind == "marker-model":

@@ -34,10 +34,10 @@ SESSION_CODE = Path(estimated.__file__)
 Kept = TypeVar("Kept")
 
 
-def cache_folder() -> Path:
-    """Return the folder of the kept calibrations."""
+def cache_folder(of: str = "calibrations") -> Path:
+    """Return the folder of the kept calibrations, or of other results that are kept."""
     base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(base) / "mosca-testbench" / "calibrations"
+    return Path(base) / "mosca-testbench" / of
 
 
 def kept(
@@ -63,13 +63,13 @@ def kept(
         LOG.warning("%s: calibrations are not kept: %s", folder, error.strerror)
         return made()
     with _one_at_a_time(path.with_suffix(".lock")):
-        found: Kept | None = _read(path)
+        found: Kept | None = read_kept(path)
         if found is not None:
             LOG.info("calibration kept in %s", path)
             return found
         result = made()
         try:
-            _write(path, result)
+            write_kept(path, result)
             _remove_oldest(folder, MOST_KEPT if most is None else most)
         except (OSError, InputError) as error:
             LOG.warning("%s: the calibration is not kept: %s", path, error)
@@ -78,8 +78,13 @@ def kept(
 
 def key_of(inputs: object, code: Path = SESSION_CODE) -> str:
     """Return a digest of the inputs, of the code and of what else decides last digits."""
-    digest = hashlib.sha256(source_stamp(code).encode())
-    _add(digest, (numerics(), inputs))
+    return digest_of((source_stamp(code), numerics(), inputs))
+
+
+def digest_of(value: object) -> str:
+    """Return a digest of numbers, texts, arrays, dataclasses, tables, and tuples and mappings of these."""
+    digest = hashlib.sha256()
+    _add(digest, value)
     return digest.hexdigest()[:32]
 
 
@@ -106,7 +111,7 @@ def _add(digest: Any, value: object) -> None:
     digest.update(b")")
 
 
-def _read(path: Path) -> Any:
+def read_kept(path: Path) -> Any:
     """Return what is kept in a file; None where there is none, or where it is not whole."""
     try:
         content = read_bytes(path, MOST_BYTES)
@@ -120,7 +125,8 @@ def _read(path: Path) -> Any:
     return pickle.loads(body)
 
 
-def _write(path: Path, result: object) -> None:
+def write_kept(path: Path, result: object) -> None:
+    """Write a result that ``read_kept`` reads, whole or not at all."""
     body = pickle.dumps(result)
     with whole_file(path) as temporary:
         temporary.write_bytes(hashlib.sha256(body).digest() + body)

@@ -6,10 +6,9 @@ import shutil
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import FrameType
@@ -22,6 +21,7 @@ from mosca.errors import InputError, MoscaError
 from reports.compare import Regression, missing, regressions
 from reports.record import RunRecord, read_record, write_record
 from scenarios.run.interrupt import first_ctrl_c, was_interrupted
+from scenarios.run.worker_processes import begin_worker, ctrl_c_held_back
 from scenarios.spec.catalog import Entry
 
 BASELINES = Path(__file__).resolve().parents[2] / "reports" / "baselines"
@@ -63,8 +63,8 @@ def run_suite(entries: Sequence[Entry], out: Path, jobs: int, told: Callable[[Ou
     # spawn: a forked child would inherit threads of the parent's libraries in unknown states
     context = multiprocessing.get_context("spawn")
     jobs = min(jobs, max(1, len(order)))
-    with first_ctrl_c(asked.set), ProcessPoolExecutor(jobs, mp_context=context, initializer=_begin_worker) as pool:
-        with _ctrl_c_held_back():
+    with first_ctrl_c(asked.set), ProcessPoolExecutor(jobs, mp_context=context, initializer=begin_worker) as pool:
+        with ctrl_c_held_back():
             pending = {pool.submit(_run_one, str(e.path), e.name, str(out / e.name), e.overrides) for e in order}
         try:
             while pending:
@@ -94,36 +94,6 @@ def _outcome_of(future: "Future[Outcome]", stopping: bool) -> Outcome | None:
         if not stopping:
             raise
         return None
-
-
-@contextmanager
-def _ctrl_c_held_back() -> Iterator[None]:
-    """Hold Ctrl-C back from this thread and for good from processes begun here: this process alone decides.
-
-    The terminal sends it to all of them; where signals cannot be held back (Windows), workers end by themselves.
-    """
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-def _begin_worker() -> None:
-    # between two scenarios there is nothing to end
-    signal.signal(signal.SIGTERM, signal.SIG_IGN)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-
-
-def _end_with_parent() -> None:
-    """End this worker when the suite was killed: nobody would wait for its scenario."""
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
 
 
 def _end_scenario(number: int, frame: FrameType | None) -> None:

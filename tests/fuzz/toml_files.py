@@ -24,7 +24,9 @@ from mosca.formats.bodies.body_file import read_bodies, write_bodies
 from mosca.formats.bodies.model_file import read_model
 from mosca.labelling.automatic.template import STANDARD, read_template
 from mosca.labelling.surface.model import FACE, read_surface_model
+from scenarios.campaign.campaign import CLAIMS
 from scenarios.commands.lamp_file import read_lamps
+from scenarios.spec.claim import load_claim
 from scenarios.spec.scenario import load_scenario
 from twin.scenes.user_markers import read_marker_table
 
@@ -471,6 +473,10 @@ def _scenario(name: str) -> Callable[[Path], None]:
     return toml_seed((ROOT / "scenarios/library" / f"{name}.toml").read_text(encoding="utf-8"))
 
 
+def _claim(name: str) -> Callable[[Path], None]:
+    return toml_seed((CLAIMS / f"{name}.toml").read_text(encoding="utf-8"))
+
+
 def _template(folder: Path) -> Any:
     read = read_template(folder / "a.toml")
     middle = [k for k, name in enumerate(read.names) if read.other_side[k] == k and name]
@@ -524,6 +530,7 @@ READERS = (
     ),
     Reader("surface model", (toml_seed(FACE.read_text(encoding="utf-8")),), FILES, _surface, _surface_expected),
     Reader("scenario", tuple(map(_scenario, ("spaces/space_1m", "delivery/bursts"))), FILES, *_models(load_scenario)),
+    Reader("claim", tuple(map(_claim, ("space_1m", "quick_cloud"))), FILES, *_models(load_claim)),
     Reader("program", (toml_seed(PROGRAM),), FILES, *_models(read_program)),
     Reader("stream faults", (toml_seed(FAULTS),), FILES, *_models(read_faults)),
     Reader("lamps", (toml_seed(LAMPS),), FILES, _lamps, _lamps_expected),

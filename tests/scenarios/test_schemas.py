@@ -6,10 +6,11 @@ from mosca.data.files.rig_file import rig_schema
 from mosca.data.files.target_file import target_schema
 from mosca.data.files.toml import Table, described
 from mosca.formats.bodies.model_file import model_schema
+from scenarios.spec.claim import claim_schema
 from scenarios.spec.scenario import scenario_schema
 
 
-@pytest.mark.parametrize("made", [scenario_schema, rig_schema, target_schema, model_schema])
+@pytest.mark.parametrize("made", [scenario_schema, claim_schema, rig_schema, target_schema, model_schema])
 def test_every_key_is_described(made):
     schema = made()
     tables = {"": schema, **schema.get("$defs", {})}

@@ -1,0 +1,89 @@
+"""The verb for a claim over many runs: claim."""
+
+import os
+import sys
+import threading
+from pathlib import Path
+from typing import Any
+
+import click
+
+from scenarios.cli.options import EXIT_BROKEN, EXIT_PASSED, FILE, OUT_FOLDER, print_table, table
+from scenarios.cli.progress import Progress
+
+EXIT_UNDECIDED = 3
+"""Besides the codes of every verb: the runs that were allowed do not decide."""
+EXITS = {"conforming": EXIT_PASSED, "not conforming": EXIT_BROKEN, "undecided": EXIT_UNDECIDED}
+
+
+@click.command()
+@click.argument("claim", type=FILE)
+@click.option("--jobs", type=click.IntRange(1, 256), help="runs at a time  [default: all cores]")
+@click.option("--scheduler", metavar="ADDRESS", help="make the runs on this Dask cluster, e.g. tcp://10.0.0.5:8786")
+@click.option("--out", type=OUT_FOLDER, help="folder for result.json and claim.html  [default: runs/claims/CLAIM]")
+def claim(claim: Path, jobs: int | None, scheduler: str | None, out: Path | None) -> None:
+    """Judge what is claimed of a scenario over many runs: seeds, rigs, calibrations drawn anew.
+
+    CLAIM is a file or the name of a built-in claim. Runs are made until the claim is decided; a false verdict has at
+    most the probability that the file states, however often it is looked at. Runs that are done are kept: after
+    Ctrl-C the same command goes on.
+
+    Exit codes: 0 conforming, 1 not conforming, 3 undecided, 2 an input error.
+
+    \b
+    Example:  mosca claim quick_cloud --out runs/claims/try
+    """
+    from mosca.errors import InputError
+    from scenarios.campaign.campaign import find_claim
+    from scenarios.campaign.result import check_out, write_result
+    from scenarios.run.one_writer import one_writer
+
+    path = find_claim(str(claim))
+    target = out or Path("runs") / "claims" / path.stem
+    if jobs is not None and scheduler is not None:
+        raise InputError("--jobs and --scheduler exclude each other: a cluster has the workers that it has")
+    check_out(target)
+    with one_writer(target):
+        result = _result(path, jobs, scheduler)
+        # before anything is written: no full disk loses the figures
+        _print(result.document)
+        runs, most = result.document["runs"], result.document["looks"][-1]
+        click.echo(f"{path.stem}: {result.verdict}, after {runs} of at most {most} runs")
+        sys.stdout.flush()
+        write_result(result.document, target)
+    click.echo(f"{target / 'claim.html'}")
+    sys.exit(EXITS[result.verdict])
+
+
+def _result(path: Path, jobs: int | None, scheduler: str | None) -> Any:
+    """Make the runs, with the progress on the terminal."""
+    from scenarios.campaign.campaign import run_claim
+    from scenarios.campaign.cluster import ClusterEngine
+    from scenarios.campaign.engine import LocalEngine
+    from scenarios.run.interrupt import first_ctrl_c
+
+    asked = threading.Event()
+    with Progress(path.stem) as shown, first_ctrl_c(asked.set):
+        engine = LocalEngine(jobs or os.cpu_count() or 1) if scheduler is None else ClusterEngine(scheduler)
+        try:
+            return run_claim(path, engine, told=shown, stopped=asked.is_set)
+        except KeyboardInterrupt:
+            click.echo(f"{path.stem}: runs that are done are kept; the same command goes on", err=True)
+            raise
+        finally:
+            engine.close()
+
+
+def _print(document: Any) -> None:
+    """Print each claim beside its limit."""
+    from reports.claim.words import claim_words
+
+    shown = table("claimed", "found", f"{100 * document['confidence']:.4g} %", "guard band", "runs", "")
+    shown.columns[-1].justify = "left"
+    for one in document["claims"]:
+        words = claim_words(one)
+        shown.add_row(
+            words.claimed, words.found, words.interval, words.guard_band, str(one["runs"]),
+            one["verdict"] + (f": {one['note']}" if one["note"] else ""),
+        )  # fmt: skip
+    print_table(shown)
