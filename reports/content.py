@@ -38,6 +38,13 @@ def content_digest(record: RunRecord) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:12]
 
 
+def budget_content(parameters: Mapping[str, Any]) -> str:
+    """Return a digest of the keys that decide an error budget: all but claim, texts, seed and length of the take."""
+    values = {key: value for key, value in parameters.items() if key not in (*WORDS, *CLAIM, "seed")}
+    values["capture"] = {key: value for key, value in values["capture"].items() if key != "duration_s"}
+    return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()[:12]
+
+
 def _flat(values: Mapping[str, Any], without: tuple[str, ...] = (), above: str = "") -> Any:
     """Yield (dotted key, value) of nested tables; lists are values."""
     for key, value in values.items():

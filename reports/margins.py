@@ -12,6 +12,10 @@ from reports.units import figure
 
 NEAR = 0.85
 """Share of what a limit allows from which a figure is named as near it; a choice for reading, no criterion."""
+BUDGETED = 0.8
+"""Share of a limit from which, or from a broken limit, the page leads to an error budget."""
+SQUARES = ("position_rms", "relative_accuracy", "reprojection_rms")
+"""Metrics of which there are error budgets: root mean squares, whose squares add up."""
 NAMED = 3
 """Markers, cameras or seconds that are named."""
 
@@ -40,6 +44,17 @@ def near_limits(record: RunRecord, evidence: Evidence) -> list[dict[str, str]]:
         why = _why(metric.name, evidence)
         found.append({"name": metric.name, "share": f"{figure(100 * share)} %", "state": state, "why": why})
     return found
+
+
+def budget_wanted(record: RunRecord) -> str | None:
+    """Return the first metric near or over its limit that has error budgets; None where there is none."""
+    if record.source != "twin" or record.expect != "pass" or record.error_budget:
+        return None
+    for metric in record.metrics:
+        share = share_of_limit(metric)
+        if metric.name in SQUARES and (metric.passed is False or (share is not None and share >= BUDGETED)):
+            return metric.name
+    return None
 
 
 def _why(name: str, evidence: Evidence) -> str:

@@ -3,6 +3,7 @@
 import json
 import math
 import os
+import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,10 +13,12 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from mosca.data.files.whole_file import write_text
+from reports.budget import HEADINGS, ErrorBudget, budget_rows, budget_words
+from reports.budget_plot import error_budget_picture
 from reports.error_tables import Cell, marker_table, number_cell
 from reports.evidence import Evidence
 from reports.glossary import COLUMNS, term
-from reports.margins import NEAR, near_limits, share_of_limit
+from reports.margins import NEAR, budget_wanted, near_limits, share_of_limit
 from reports.playback.data import played
 from reports.playback.player import SCRIPTS, camera_cells, player
 from reports.plots import limit_mm, pictures
@@ -35,8 +38,8 @@ TILES = (
 """The headline figures of a page: the first four of these that the record has."""
 
 
-def write_page(path: Path, record: RunRecord, evidence: Evidence) -> None:
-    """Write the page of one run to ``path``, whole or not at all.
+def write_page(path: Path, record: RunRecord, evidence: Evidence, squares: ErrorBudget | None = None) -> None:
+    """Write the page of one run to ``path``, whole or not at all; ``squares``: the error budget of its scenario.
 
     The same record and evidence give the same bytes (timings are part of the record). Nothing is loaded
     from outside: pictures are inline SVG, and the library of the player is in the page.
@@ -52,6 +55,7 @@ def write_page(path: Path, record: RunRecord, evidence: Evidence) -> None:
         tiles=_tiles(record),
         changed=_changed(record),
         near=near_limits(record, evidence),
+        squares=_squares(record, squares),
         metrics=[
             *(_metric_row(metric) for metric in record.metrics),
             *(_not_judged_row(name) for name in record.not_judged),
@@ -91,6 +95,21 @@ def write_page(path: Path, record: RunRecord, evidence: Evidence) -> None:
         timings=[(_words(name), duration(float(value))) for name, value in record.timings.items()],
         provenance=json.dumps(record.provenance, indent=2, default=str, ensure_ascii=False),
     )
+
+
+def _squares(record: RunRecord, made: ErrorBudget | None) -> dict[str, Any] | None:
+    """Return what the page shows of the scenario's error budget, or the command for it; None far from the limits."""
+    metric = budget_wanted(record)
+    if metric is None:
+        return None
+    changed = [(key, pair[1]) for key, pair in record.provenance.get("changed", {}).items() if key != "seed"]
+    sets = "".join(f" --set {shlex.quote(f'{key}={json.dumps(value)}')}" for key, value in changed)
+    command = f"mosca budget {record.scenario} --metric {metric}{sets}"
+    if made is None:
+        return {"metric": metric, "command": command, "rows": None}
+    picture = error_budget_picture(made)
+    return {"metric": metric, "rows": budget_rows(made), "headings": HEADINGS, "words": budget_words(made),
+            "svg": Markup(picture.svg), "caption": picture.caption}  # fmt: skip
 
 
 def _camera_cells(one: Mapping[str, Any], expected: int | None) -> tuple[Cell, ...]:

@@ -84,7 +84,7 @@ LAW: dict[str, tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]] = {
     "scenarios": (
         ROOMS,
         (),
-        ("numpy", "scipy", "llvmlite", "pydantic", "tomli_w", "click", "rich", "junitparser", "pytest"),
+        ("numpy", "scipy", "llvmlite", "pydantic", "tomli_w", "click", "rich", "junitparser", "pytest", "SALib"),
     ),
     # verdicts are computed from numbers alone
     "scenarios.campaign.statistics": (("scenarios.campaign.statistics", "mosca.data.arrays"), (), ("numpy", "scipy")),

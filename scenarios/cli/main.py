@@ -17,6 +17,7 @@ import click
 
 from mosca import __version__
 from mosca.errors import InputError, MoscaError
+from scenarios.cli import budget as cli_budget
 from scenarios.cli import capture as cli_capture
 from scenarios.cli import claim as cli_claim
 from scenarios.cli import demo as cli_demo
@@ -215,6 +216,7 @@ def view(run: Path, web: bool) -> None:
 
 
 cli.add_command(cli_suite.suite)
+cli.add_command(cli_budget.budget)
 cli.add_command(cli_claim.claim)
 cli.add_command(cli_tracks.reconstruct)
 cli.add_command(cli_tracks.labels)

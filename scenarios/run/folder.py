@@ -18,6 +18,7 @@ from reports.calibration_page import write_calibration_page
 from reports.page import write_page
 from reports.record import write_record
 from scenarios.run.flight import flight_files
+from scenarios.run.kept_budgets import kept_budget
 from scenarios.run.scenario import RunResult
 from scenarios.run.take_files import POSES_FILE, RIG_FILE, TRACKS_FILES
 from scenarios.run.vibration import vibration_files
@@ -83,7 +84,7 @@ def _files(result: RunResult, rrd: Path | None) -> dict[str, Callable[[Path], ob
         if own is None or own.calibration.refused
         else lambda path: write_rig(own.calibration.rig, path),
         "run.rrd": None if rrd is None else lambda path: shutil.move(rrd, path),
-        "report.html": lambda path: write_page(path, result.record, result.evidence),
+        "report.html": lambda path: write_page(path, result.record, result.evidence, kept_budget(result.record)),
         "calibration.html": None
         if own is None
         else lambda path: write_calibration_page(path, own.calibration, own.evidence),

@@ -1,0 +1,1 @@
+"""Error budgets: which source of error costs what, by switching sources off."""

@@ -1,0 +1,48 @@
+"""Budgets that were made, kept by scenario, settings and commit, so that a run's page shows them."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from mosca.errors import InputError
+from reports.budget import ErrorBudget, read_budget, write_budget
+from reports.content import budget_content
+from reports.margins import budget_wanted
+from reports.record import RunRecord
+from scenarios.run.kept_calibrations import cache_folder
+
+MOST_KEPT = 50
+"""Budgets that are kept, the last made ones (5 kB each)."""
+
+
+def keep_budget(budget: ErrorBudget, folder: Path | None = None) -> None:
+    """Keep a budget; where the folder cannot be written it is not kept."""
+    folder = folder or _folder()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        write_budget(budget, folder / f"{_key(budget.scenario, budget.content, budget.commit, budget.metric)}.json")
+        last_made = sorted(folder.glob("*.json"), key=lambda path: path.stat().st_mtime)
+        for path in last_made[:-MOST_KEPT]:
+            path.unlink(missing_ok=True)
+    except (OSError, InputError):
+        return
+
+
+def kept_budget(record: RunRecord, folder: Path | None = None) -> ErrorBudget | None:
+    """Return the budget that a run's page shows: of the same scenario, settings and commit, where there is one."""
+    metric, parameters = budget_wanted(record), record.provenance.get("parameters")
+    if metric is None or not isinstance(parameters, Mapping):
+        return None
+    commit = str(record.provenance.get("git"))
+    path = (folder or _folder()) / f"{_key(record.scenario, budget_content(parameters), commit, metric)}.json"
+    try:
+        return read_budget(path)
+    except InputError:
+        return None
+
+
+def _folder() -> Path:
+    return cache_folder().with_name("budgets")
+
+
+def _key(name: str, content: str, commit: str, metric: str) -> str:
+    return f"{name.replace('/', '-')}-{content}-{commit}-{metric}"
