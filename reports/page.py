@@ -206,6 +206,12 @@ def badge(record: RunRecord) -> dict[str, str]:
     """Return text, sign and tone of the record's verdict."""
     if record.passed and record.expect in ("fail", "caught"):
         return {"text": "Fails as it must", "sign": "✓", "tone": "good"}
+    if record.expect == "diagnosed":
+        return (
+            {"text": "Diagnosed", "sign": "✓", "tone": "good"}
+            if record.passed
+            else {"text": "Not diagnosed", "sign": "✗", "tone": "bad"}
+        )
     if record.not_judged and not any(metric.passed is False for metric in record.metrics):
         return {"text": "Not judged", "sign": "–", "tone": ""}
     if record.passed and all(metric.limit is None for metric in record.metrics):

@@ -17,8 +17,8 @@ from reports.suite.history import MOST_DRAWN, PastResult
 from reports.suite.sparkline import sparkline
 from reports.units import duration, figure, shown
 
-MUST = {"pass": "must pass", "fail": "must fail", "caught": "must be caught"}
-AS_IT_MUST = {"pass": "passed", "fail": "failed", "caught": "caught"}
+MUST = {"pass": "must pass", "fail": "must fail", "caught": "must be caught", "diagnosed": "must be diagnosed"}
+AS_IT_MUST = {"pass": "passed", "fail": "failed", "caught": "caught", "diagnosed": "diagnosed"}
 HEADLINES = ("position_rms", "relative_accuracy")
 """Metrics whose history is drawn, the first of these that has a limit; else the first limit of the scenario's own."""
 OF_EVERY_RUN = ("sets_complete", "frames_complete")
@@ -60,8 +60,8 @@ def verdict(result: SuiteResult) -> tuple[str, str]:
         wrong = [broken_words(metric) for metric in record.metrics if metric.as_it_must is False]
         if record.expect == "pass":
             did = "FAILED"
-        elif record.expect == "caught":
-            did = "NOT CAUGHT"
+        elif record.expect in ("caught", "diagnosed"):
+            did = f"NOT {record.expect.upper()}"
         else:
             did = "FAILED OTHERWISE" if any(m.passed is False for m in record.metrics) else "PASSED"
         return did, "; ".join(wrong) or record.verdict

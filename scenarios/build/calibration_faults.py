@@ -7,7 +7,16 @@ from scipy.spatial.transform import Rotation
 
 from mosca.data.files.toml import Table
 from mosca.data.rig import Camera, MoscaLens, Pose, Rig
-from scenarios.spec.faults import LensFault, MovedFault, ScaleFault, SwapFault, TurnFault
+from scenarios.spec.faults import (
+    LensFault,
+    LittleDepthFault,
+    MirroredFault,
+    MovedFault,
+    ResolutionFault,
+    ScaleFault,
+    SwapFault,
+    TurnFault,
+)
 from twin.cameras.exposure.mount import pixels_per_radian
 from twin.cameras.optics.lens import TwinLens
 
@@ -29,7 +38,47 @@ def with_fault(rig: Rig, fault: Table | None) -> Rig:
     if isinstance(fault, TurnFault):
         rig.camera(fault.camera)
         return Rig(tuple(_turned(c, fault.turn_px) if c.name == fault.camera else c for c in rig.cameras))
+    if isinstance(fault, MirroredFault):
+        rig.camera(fault.camera)
+        return Rig(tuple(_mirrored(c, fault) if c.name == fault.camera else c for c in rig.cameras))
+    if isinstance(fault, ResolutionFault):
+        return Rig(tuple(_resized(c, fault) for c in rig.cameras))
+    if isinstance(fault, LittleDepthFault):
+        return Rig(tuple(_farther(c, fault) for c in rig.cameras))
     return rig
+
+
+def _mirrored(camera: Camera, fault: MirroredFault) -> Camera:
+    """Return the camera as it sees the plane mirrored across its line of sight: two reflections, one rotation."""
+    pose, middle = camera.world_from_camera, np.array(fault.middle_m)
+    sight = middle - pose.translation
+    sight = sight / np.linalg.norm(sight)
+    normal = np.array(fault.normal) / np.linalg.norm(fault.normal)
+    turn = (np.eye(3) - 2 * np.outer(sight, sight)) @ (np.eye(3) - 2 * np.outer(normal, normal))
+    centre = middle + turn.T @ (pose.translation - middle)
+    return replace(camera, world_from_camera=Pose(turn.T @ pose.rotation, centre))
+
+
+def _resized(camera: Camera, fault: ResolutionFault) -> Camera:
+    lens, factor = camera.lens, fault.factor
+    if not isinstance(lens, MoscaLens):
+        return replace(camera, lens=replace(lens, fx_px=factor * lens.fx_px, fy_px=factor * lens.fy_px))
+    # in millimetres the image is the same; what a pixel measures is not
+    lens = replace(lens, mx_mm_per_px=lens.mx_mm_per_px / factor, my_mm_per_px=lens.my_mm_per_px / factor)
+    if not fault.told:
+        return replace(camera, lens=lens)
+    lens = replace(lens, xp_px=factor * lens.xp_px, yp_px=factor * lens.yp_px)
+    return replace(camera, lens=lens, width=round(factor * camera.width), height=round(factor * camera.height))
+
+
+def _farther(camera: Camera, fault: LittleDepthFault) -> Camera:
+    pose, middle, lens = camera.world_from_camera, np.array(fault.middle_m), camera.lens
+    if isinstance(lens, MoscaLens):
+        lens = replace(lens, c_mm=fault.factor * lens.c_mm)
+    else:
+        lens = replace(lens, fx_px=fault.factor * lens.fx_px, fy_px=fault.factor * lens.fy_px)
+    place = middle + fault.factor * (pose.translation - middle)
+    return replace(camera, lens=lens, world_from_camera=Pose(pose.rotation, place))
 
 
 def _undistorted(camera: Camera) -> Camera:

@@ -20,6 +20,7 @@ from mosca.errors import InputError, MoscaError
 from scenarios.cli import budget as cli_budget
 from scenarios.cli import capture as cli_capture
 from scenarios.cli import claim as cli_claim
+from scenarios.cli import clinic as cli_clinic
 from scenarios.cli import demo as cli_demo
 from scenarios.cli import edit as cli_edit
 from scenarios.cli import flight as cli_flight
@@ -237,6 +238,7 @@ cli.add_command(cli_rig.calibrate)
 cli.add_command(cli_rig.rig)
 cli.add_command(cli_rig.target)
 cli.add_command(cli_capture.capture)
+cli.add_command(cli_clinic.clinic)
 cli.add_command(cli_station.station)
 
 

@@ -38,6 +38,7 @@ from scenarios.flight.pilot import Pilot
 from scenarios.flight.predicted import Flown
 from scenarios.run.applications import applications
 from scenarios.run.calibration_take import calibration_take
+from scenarios.run.clinic import clinic_report, verdict
 from scenarios.run.continuous import collect_continuous
 from scenarios.run.flight import flight_evidence, flight_of
 from scenarios.run.identification import check_source
@@ -54,7 +55,7 @@ from scenarios.score.bodies import rigid_bodies
 from scenarios.score.continuous import as_worn
 from scenarios.score.delivery import camera_frames, expected_sets, frames_complete, sets_complete
 from scenarios.score.flight import flight_scores
-from scenarios.score.reference import requested_truth
+from scenarios.score.reference import ReferenceTrajectories, requested_truth
 from scenarios.score.score_run import scored
 from scenarios.score.sensor import sensor_findings, stated_sensors
 from scenarios.score.without_truth import self_checks
@@ -120,10 +121,8 @@ class _Opened:
 def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | None = None) -> RunResult:
     """Run ``spec``; its file names are relative to ``folder``. PremiseError where a premise fails."""
     options = options or RunOptions()
-    if options.source == "twin" and options.truth is not None:
-        raise InputError(f"--truth {options.truth}: the twin has its own truth; leave --truth out, or give --source")
-    given_truth = None if options.source == "twin" else requested_truth(options)
     LOG.info("%s: frames of %s", name, options.source)
+    given_truth = _given_truth(options)
     timings = StageTimes(options.stage)
     with ExitStack() as stack, timed(timings, "total"):
         with timed(timings, "build"):
@@ -139,6 +138,8 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
         survey = surveyed(spec, built.riding, own, options.workers, timings)
         opened = _opened(spec, built, options, survey)
         stack.enter_context(opened.source)
+        if spec.clinic is not None:
+            return _diagnosed(spec, name, options, built, opened, believed, own, timings, stack)
         if opened.twin is not None:
             with timed(timings, "compile"):
                 compile_side_by_side(opened.twin)
@@ -197,6 +198,15 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
         evidence = as_worn(evidence, spec, continuous)
     found = (getattr(built.scene, "commands", None), own, poses, done.person, done.vibration, done.model, flight)
     return RunResult(record, evidence, written, worth.truth, *found)
+
+
+def _given_truth(options: RunOptions) -> Truth | ReferenceTrajectories | None:
+    """Return the truth that goes with other frames than the twin's; InputError where one is given for the twin's."""
+    if options.source != "twin":
+        return requested_truth(options)
+    if options.truth is not None:
+        raise InputError(f"--truth {options.truth}: the twin has its own truth; leave --truth out, or give --source")
+    return None
 
 
 def _filled(spec: Scenario, collected: Collected, tracks: Tracks) -> Tracks:
@@ -356,6 +366,30 @@ def _with_bodies(collected: Collected, bodies: tuple[RigidBody, ...]) -> tuple[C
     check_bodies(bodies)
     poses = body_poses(collected.tracks, bodies)
     return replace(collected, tracks=labelled_by_bodies(collected.tracks, bodies)), poses
+
+
+def _diagnosed(
+    spec: Scenario,
+    name: str,
+    options: RunOptions,
+    built: _Built,
+    opened: _Opened,
+    believed: Rig,
+    own: SessionCalibration | None,
+    timings: Mapping[str, float],
+    stack: ExitStack,
+) -> RunResult:
+    """Return the result of a scenario whose fault the clinic must name; no accuracy is scored."""
+    found = clinic_report(spec, opened.source, opened.twin, believed, opened.settings, options, stack)
+    if options.record_to is not None:
+        _write_beside(options.record_to, believed, None)
+    passed, told = verdict(spec, found)
+    nothing = Collected(table([]), (), -1, Assembly(), {}, {})
+    for k, one in enumerate(found.causes):
+        nothing.assembly.notes[f"cause {k + 1}"] = f"{one.code}: {'; '.join(one.evidence)}"
+    worth = Scored({}, {}, nothing, None, None)
+    record = replace(record_of(spec, name, options.source, worth, timings, built.known), passed=passed, verdict=told)
+    return RunResult(record, evidence_of(spec, believed, worth), nothing.tracks, None, None, own)
 
 
 def _refused(

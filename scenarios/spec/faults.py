@@ -51,6 +51,31 @@ class MovedFault(Table):
     shift_m: Vector = Field(description="where they are believed to stand minus where they do, world frame [m]")
 
 
+class MirroredFault(Table):
+    """One camera has the mirrored pose of a plane in the working space's middle."""
+
+    kind: Literal["mirrored_pose"]
+    camera: str = Field(description="name of the camera")
+    normal: Vector = Field(description="the plane's normal, world frame")
+    middle_m: Vector = Field((0.0, 0.0, 0.0), description="the plane's middle [m]")
+
+
+class ResolutionFault(Table):
+    """The lenses were calibrated at another resolution, crop or zoom."""
+
+    kind: Literal["other_resolution"]
+    factor: Positive = Field(description="on the principal distance in pixels")
+    told: bool = Field(False, description="the rig file also states images larger by this factor")
+
+
+class LittleDepthFault(Table):
+    """Principal and object distances are wrong by one factor, as of a target that was shown at one distance alone."""
+
+    kind: Literal["little_depth"]
+    factor: Positive = Field(description="believed over true distances")
+    middle_m: Vector = Field((0.0, 0.0, 0.0), description="where the target was shown [m]")
+
+
 class LabelFault(Table):
     """Labels are swapped, pair by pair, in the take; those that the skeleton was fitted to are right."""
 
@@ -100,6 +125,9 @@ FaultSpec = Annotated[
     | TurnFault
     | ScaleFault
     | MovedFault
+    | MirroredFault
+    | ResolutionFault
+    | LittleDepthFault
     | LabelFault
     | RateFault
     | LateCommandsFault

@@ -35,6 +35,7 @@ from scenarios.spec.cameras import (
     SurroundingsSpec,
     TimingSpec,
 )
+from scenarios.spec.clinic import ClinicSpec
 from scenarios.spec.continuous import ContinuousSpec
 from scenarios.spec.faults import FaultSpec, LabelFault, RateFault
 from scenarios.spec.flight import FlightSpec, check_flight
@@ -144,8 +145,10 @@ class Scenario(Table):
     title: str = Field(description="what is claimed, in one line")
     description: str = Field("", description="why, and where the limits come from")
     tier: Literal["quick", "full"] = Field("full", description="'quick' runs in CI, 'full' at night")
-    expect: Literal["pass", "fail", "caught"] = Field(
-        "pass", description="'fail' for a control, 'caught' for a calibration that must be refused or warned of"
+    expect: Literal["pass", "fail", "caught", "diagnosed"] = Field(
+        "pass",
+        description="'fail' for a control, 'caught' for a calibration that must be refused or warned of, "
+        "'diagnosed' for a fault that the clinic must name",
     )
     caught_as: str | None = Field(None, description="the finding's code: " + ", ".join(CODES))
     told: tuple[str, ...] = Field((), description="phrases that the record's notes must hold: what it must notice")
@@ -169,6 +172,9 @@ class Scenario(Table):
     camera: tuple[CameraSpec, ...] = Field((), description="what is different with one camera, by its name")
     zone: tuple[ZoneSpec, ...] = Field((), description="volumes with cameras of their own, two or more; [[zone]]")
     calibration: CalibrationSpec | None = None
+    clinic: ClinicSpec | None = Field(
+        None, description="what the clinic is told, and the cause that it must name first"
+    )
     fault: FaultSpec | None = Field(None, description="what is done wrong in a control, unknown to the pipeline")
     pipeline: PipelineSpec = PipelineSpec()
     continuous: ContinuousSpec | None = Field(None, description="cameras that are not synchronised")
@@ -210,12 +216,14 @@ class Scenario(Table):
     def _consistent(self) -> "Scenario":
         if (self.expect == "caught") != (self.caught_as is not None):
             raise ValueError("expect = 'caught' and caught_as belong together: say which finding there must be")
+        if (self.expect == "diagnosed") != (self.clinic is not None):
+            raise ValueError("expect = 'diagnosed' and [clinic] belong together: say which cause must come first")
         if self.expect == "caught":
             if self.session is None:
                 raise ValueError("expect = 'caught' needs a [calibration] in which something is wrong")
             if self.caught_as not in CODES:
                 raise ValueError(f"caught_as = '{self.caught_as}' is no finding; there are {', '.join(CODES)}")
-        elif not self.limits:
+        elif self.clinic is None and not self.limits:
             raise ValueError("[limits] is empty: a scenario without a limit claims nothing; add one")
         if self.zone:
             _check_zones(self)

@@ -1,0 +1,247 @@
+"""Causes that images show: saturation, blur that grows, merged markers, reflections."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.stats import binom
+from scipy.stats import t as student
+
+from mosca.camera.ray_table import make_ray_table
+from mosca.clinic.causes import Diagnosis
+from mosca.clinic.observations import PointImages
+from mosca.correspondence.match import EVERYWHERE, match
+from mosca.data.arrays import Array
+from mosca.data.detections import MERGED, Detections, Seen
+from mosca.data.frames import CameraInfo, FrameSet
+from mosca.data.rays import Predicted
+from mosca.data.rig import Rig
+from mosca.data.settings import MatchSettings
+
+PLATEAU = 0.5
+"""Share of a marker's pixels that may be white: beyond it fewer pixels tell of its place than do not."""
+MERGED_SHARE = 0.1
+"""Share of images that may be merged with a neighbour's."""
+BLUR_GROWTH = 0.2
+"""Growth of a marker's edge over the take [px] from which a camera is out of focus: a third of the blur of a sharp
+lens (0.6 px, Nyquist sampled)."""
+FREE_SHARE = 0.15
+"""Share of a camera's detections that may belong to no point."""
+GLINT_PX, GLINT_FRAMES = 0.5, 0.8
+"""A spot at one place to this, in so many of the frames, is no moving marker."""
+MIRROR_M, MIRROR_VOTES = 0.01, 3
+"""A mirror image lies so near to its marker mirrored in a plane; so many make a plane."""
+
+
+@dataclass
+class ImageSums:
+    """What is kept of a camera's images: time, share of white pixels and edge width of its markers."""
+
+    time_s: list[float] = field(default_factory=list)
+    edge_px: list[float] = field(default_factory=list)
+    white: list[float] = field(default_factory=list)
+    merged: int = 0
+    detections: int = 0
+
+
+class ImageWitness:
+    """Looks at the markers in the images of each frame set; ``attend`` is called with set and detections."""
+
+    def __init__(self, cameras: Sequence[CameraInfo]) -> None:
+        self.sums = {info.name: ImageSums() for info in cameras}
+        self._white = {info.name: 2**info.bit_depth - 1 for info in cameras}
+
+    def attend(self, frame_set: FrameSet, detections: Mapping[str, Detections]) -> None:
+        """Take the images of a set."""
+        for name, found in detections.items():
+            frame, one = frame_set.frames.get(name), self.sums.get(name)
+            if frame is None or frame.image is None or one is None:
+                continue
+            one.detections += len(found)
+            one.merged += int((found.flags & MERGED > 0).sum())
+            edges = []
+            for xy, size, flag in zip(found.xy_px, found.diameter_px, found.flags, strict=True):
+                if flag & MERGED:
+                    continue
+                white, edge = marker_image(frame.image, xy, size, self._white[name])
+                one.white.append(white)
+                edges.append(edge)
+            usable = [edge for edge in edges if np.isfinite(edge)]
+            if usable:
+                one.time_s.append(1e-9 * frame_set.time_ns)
+                one.edge_px.append(float(np.median(usable)))
+
+
+def marker_image(image: Array, xy: Array, diameter_px: float, white: int) -> tuple[float, float]:
+    """Return the share of white pixels of a disc in an image (H, W), and the width of its edge [px].
+
+    The edge's width is the height of the disc over its steepest rise along row and column through its centre: a
+    Gaussian's standard deviation times sqrt(2 pi). NaN where the disc is not whole in the image.
+    """
+    reach = int(np.ceil(0.5 * diameter_px)) + 4
+    x, y = round(float(xy[0])), round(float(xy[1]))
+    if not (reach <= x < image.shape[1] - reach and reach <= y < image.shape[0] - reach):
+        return 0.0, float("nan")
+    cut = image[y - reach : y + reach + 1, x - reach : x + reach + 1].astype(float)
+    area = max(0.25 * np.pi * diameter_px**2, 1.0)
+    share = float(min((cut >= white).sum() / area, 1.0))
+    height = float(cut.max() - np.median(cut[[0, -1]]))
+    steps = [
+        np.abs(np.diff(cut[reach - 1 : reach + 2].mean(axis=0))),
+        np.abs(np.diff(cut[:, reach - 1 : reach + 2].mean(axis=1))),
+    ]
+    steep = float(np.mean([step.max() for step in steps]))
+    return share, height / steep if steep > 0 else float("nan")
+
+
+def image_causes(witness: ImageWitness, rate_hz: float, alpha: float) -> list[Diagnosis]:
+    """Return what images show to be wrong; ``alpha``: chance of a false alarm of each cause."""
+    found = []
+    for name, one in witness.sums.items():
+        if one.detections == 0:
+            continue
+        n = max(one.detections / max(0.1 * rate_hz, 1.0), 1.0)
+        if len(one.white) and (share := float(np.mean(np.array(one.white) > PLATEAU))) > 0.5:
+            chance = float(binom.sf(share * n - 1, n, 0.5)) if n >= 1 else 1.0
+            text = (
+                f"camera '{name}': {100 * share:.0f} % of its markers have more than {100 * PLATEAU:.0f} % white "
+                f"pixels ({100 * 0.5:.0f} % of them allowed, p = {chance:.1g})"
+            )
+            found.append(Diagnosis("saturated", chance, (text,), camera=name, figures={"share": share}))
+        share = one.merged / one.detections
+        chance = float(binom.sf(share * n - 1, n, MERGED_SHARE))
+        text = (
+            f"camera '{name}': {100 * share:.0f} % of its marker images are merged with another "
+            f"({100 * MERGED_SHARE:.0f} % allowed, p = {chance:.1g})"
+        )
+        found.append(Diagnosis("markers-merged", chance, (text,), camera=name, figures={"share": share}))
+        if (blurred := _focus(name, one)) is not None:
+            found.append(blurred)
+    return _worst([one for one in found if one.p_value < alpha])
+
+
+def _focus(name: str, one: ImageSums) -> Diagnosis | None:
+    if len(one.time_s) < 20:
+        return None
+    t, edge = np.array(one.time_s), np.array(one.edge_px)
+    t = (t - t[0]) / max(t[-1] - t[0], 1e-9)
+    # blocks, since neighbouring images are of the same markers at almost the same place
+    parts = np.array_split(np.arange(len(t)), min(12, len(t) // 2))
+    x, y = np.array([t[p].mean() for p in parts]), np.array([np.median(edge[p]) for p in parts])
+    slope, start = np.polyfit(x, y, 1)
+    rest = y - start - slope * x
+    sigma = np.sqrt(rest @ rest / (len(x) - 2) / ((x - x.mean()) ** 2).sum())
+    chance = float(2 * student.sf(abs(slope) / max(sigma, 1e-12), len(x) - 2))
+    if abs(slope) / np.sqrt(2 * np.pi) < BLUR_GROWTH:
+        return None
+    text = (
+        f"camera '{name}': the blur of marker edges goes from {start / np.sqrt(2 * np.pi):.2f} to "
+        f"{(start + slope) / np.sqrt(2 * np.pi):.2f} px (a change of {BLUR_GROWTH:g} allowed, p = {chance:.1g})"
+    )
+    return Diagnosis("focus-drift", chance, (text,), camera=name, figures={"growth_px": float(slope)})
+
+
+def _worst(found: list[Diagnosis]) -> list[Diagnosis]:
+    """Return one diagnosis a code, the evidence of all cameras in it."""
+    merged: dict[str, Diagnosis] = {}
+    for one in sorted(found, key=lambda one: one.p_value):
+        first = merged.get(one.code)
+        merged[one.code] = (
+            one
+            if first is None
+            else Diagnosis(
+                one.code, first.p_value, (*first.evidence, *one.evidence), camera=first.camera, figures=first.figures
+            )
+        )
+    return list(merged.values())
+
+
+def reflection_causes(seen: Sequence[Seen], rig: Rig, observed: PointImages, alpha: float) -> list[Diagnosis]:
+    """Return reflections: detections of no point that repeat at one place, or mirror points in one plane."""
+    free: dict[int, dict[str, list[int]]] = {}
+    for row, frame in enumerate(observed.frame):
+        of = free.setdefault(int(frame), {})
+        for k, name in enumerate(rig.names):
+            of.setdefault(name, []).append(int(observed.index[row, k]))
+    shares, evidence, counts = [], [], 0
+    left: list[tuple[int, dict[str, Detections]]] = []
+    for frame_set, detections, _ in seen:
+        used = free.get(frame_set.pulse, {})
+        rest = {}
+        for name, found in detections.items():
+            keep = np.setdiff1d(np.arange(len(found)), np.array(used.get(name, []), int))
+            rest[name] = _select(found, keep)
+        left.append((frame_set.pulse, rest))
+    for name in rig.names:
+        total = sum(len(d[name]) for _, d, _ in seen if name in d)
+        alone = sum(len(rest[name]) for _, rest in left if name in rest)
+        share = alone / max(total, 1)
+        shares.append(share)
+        glints = _glints([rest[name].xy_px for _, rest in left if name in rest])
+        if glints:
+            places = ", ".join(f"({x:.0f}, {y:.0f})" for x, y in glints[:4])
+            evidence.append(f"camera '{name}': spots that never move and belong to no point at {places} px")
+            counts += len(glints)
+    mirrored, planes = _mirrors(left, rig, observed)
+    if planes:
+        n, d = planes[0]
+        evidence.append(
+            f"{mirrored} points are markers mirrored in one plane, {d:.2f} m from the origin, normal "
+            f"({n[0]:.2f}, {n[1]:.2f}, {n[2]:.2f})"
+        )
+    if not evidence or (max(shares) < FREE_SHARE and not counts and mirrored < 0.05 * len(observed)):
+        return []
+    evidence.insert(
+        0,
+        "detections that belong to no point: "
+        + ", ".join(f"{name} {100 * share:.0f} %" for name, share in zip(rig.names, shares, strict=True)),
+    )
+    return [Diagnosis("reflections", alpha * 1e-3, tuple(evidence), figures={"free": max(shares)})]
+
+
+def _select(found: Detections, rows: Array) -> Detections:
+    names = [name for name in Detections.__dataclass_fields__ if name != "camera"]
+    return Detections(found.camera, *(getattr(found, name)[rows] for name in names))
+
+
+def _glints(places: list[Array]) -> list[tuple[float, float]]:
+    """Return places at which nearly every image has a free detection."""
+    filled = [xy for xy in places if len(xy)]
+    if len(filled) < GLINT_FRAMES * len(places) or len(filled) < 20:
+        return []
+    glints = []
+    for xy in filled[len(filled) // 2]:
+        hits = sum(bool((np.linalg.norm(other - xy, axis=1) < GLINT_PX).any()) for other in filled)
+        if hits >= GLINT_FRAMES * len(places):
+            glints.append((float(xy[0]), float(xy[1])))
+    return glints
+
+
+def _mirrors(
+    left: list[tuple[int, dict[str, Detections]]], rig: Rig, observed: PointImages
+) -> tuple[int, list[tuple[Array, float]]]:
+    """Return how many points of free detections mirror markers in the best plane, and that plane."""
+    settings = MatchSettings(camera_sigma_px=0.3, minimum_cameras=2, judge_sizes=False)
+    sets = []
+    for pulse, rest in left[:: max(1, len(left) // 30)]:
+        table = make_ray_table(rig, rest, np.full(len(rig.cameras), 0.3), settings.target)
+        ghosts = match(table, Predicted.nothing(), settings, EVERYWHERE).xyz
+        real = observed.xyz[observed.frame == pulse]
+        if len(ghosts) and len(real):
+            sets.append((real, ghosts))
+    best, plane = 0, []
+    for real, ghosts in sets[:5]:
+        for x in real:
+            for y in ghosts:
+                n = (y - x) / max(float(np.linalg.norm(y - x)), 1e-9)
+                d = float(n @ (x + y) / 2)
+                votes = sum(_votes(r, g, n, d) for r, g in sets)
+                if votes > best:
+                    best, plane = votes, [(n, d)]
+    return (best, plane) if best >= MIRROR_VOTES * len(sets) / 2 and best >= 10 else (0, [])
+
+
+def _votes(real: Array, ghosts: Array, n: Array, d: float) -> int:
+    mirrored = real - 2 * (real @ n - d)[:, None] * n
+    away = np.linalg.norm(mirrored[:, None] - ghosts[None], axis=2)
+    return int((away.min(axis=0) < MIRROR_M).sum())

@@ -1,0 +1,47 @@
+"""A scenario whose fault the clinic must name first: frames with the fault, the rig believed in, a verdict."""
+
+from contextlib import ExitStack
+
+from mosca.clinic.diagnose import ClinicReport, KnownLengths, diagnose_frames, diagnose_tracks, joined
+from mosca.data.frames import FrameSource
+from mosca.data.rig import Rig
+from mosca.data.tracks import table
+from mosca.pipeline import PipelineSettings, run
+from scenarios.build.planted_faults import PlantedSource, swapped
+from scenarios.run.pipeline import recorded
+from scenarios.spec.scenario import Scenario
+from scenarios.types import RunOptions, TruthSource
+
+
+def clinic_report(
+    spec: Scenario, source: FrameSource, twin: TruthSource | None, believed: Rig, settings: PipelineSettings,
+    options: RunOptions, stack: ExitStack,
+) -> ClinicReport:  # fmt: skip
+    """Return what the clinic finds in the frames of ``source``, with the faults of ``spec`` planted in them.
+
+    The clinic gets frames, the rig that is believed in, and what a person tells it; no truth.
+    """
+    told = spec.clinic
+    assert told is not None
+    read = recorded(PlantedSource(source, told), twin, options, spec, stack)
+    if told.swapped is not None:
+        tracks = table([step.samples for step in run(read, believed, settings)])
+        return diagnose_tracks(swapped(tracks, told.swapped, spec.capture.frame_rate_hz), None)
+    lengths = () if told.known_length_m is None else (told.known_length_m,)
+    empty = ClinicReport((), ())
+    return joined(diagnose_frames(read, believed, KnownLengths(lengths)), empty)
+
+
+def verdict(spec: Scenario, report: ClinicReport) -> tuple[bool, str]:
+    """Return whether the right cause came first, and that in words."""
+    told = spec.clinic
+    assert told is not None
+    codes = [one.code for one in report.causes]
+    first = codes[0] if codes else "none"
+    more = f" (then {', '.join(codes[1:])})" if codes[1:] else ""
+    if first == "none" and report.not_judged:
+        return False, f"not judged: {report.not_judged[0]}"
+    if first == told.cause:
+        evidence = f": {report.causes[0].evidence[-1]}" if report.causes else ""
+        return True, f"diagnosed as it must be: {first}{more}{evidence}"
+    return False, f"not diagnosed: '{told.cause}' should have come first; first was {first}{more}"
