@@ -42,7 +42,15 @@ def some_frame(seed=3, params=0):
     sets = (("drone", rng.normal(size=(4, 3))), ("", np.empty((0, 3))), ("alle ä", rng.normal(size=(7, 3))))
     skeletons = ((9, bodies(3)), (10, bodies(0)))
     return StreamFrame(
-        2**31 + 5, 12.3456789, sets, rng.normal(size=(5, 3)), bodies(6), skeletons, markers, (7, 8), params
+        2**31 + 5,
+        12.3456789,
+        sets,
+        rng.normal(size=(5, 3)),
+        bodies(6),
+        skeletons,
+        markers,
+        timecode=(7, 8),
+        params=params,
     )
 
 
