@@ -18,9 +18,9 @@ PICTURES = "runs/site_pictures"
 FOLDERS = {
     "calibration": "Calibrations of the whole rig from rendered images of a target, then a measurement with it.",
     "calibration_faults": "Calibrations with a planted fault: each must be refused, or warned of.",
+    "clinic": "Faults that users report: `mosca clinic` must name the right cause first.",
     "continuous": "Cameras that run freely: no common trigger.",
     "controls": "Planted faults: each must put metrics beyond their limits, into the range that the fault explains.",
-    "clinic": "Faults that users report: `mosca clinic` must name the right cause first.",
     "delivery": "Frames that are lost, late, out of order; a camera that dies and returns.",
     "flight": "A drone that flies on the poses that the pipeline measures.",
     "lenses": "What lenses do: models, defocus, coma, vignetting, and what no model expresses.",
