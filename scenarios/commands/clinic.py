@@ -28,6 +28,8 @@ def clinic_of(
 
     InputError where there is nothing to look at, or frames without a rig.
     """
+    if not path.exists():
+        raise InputError(f"{path}: no such folder or file; a recording, a run's folder or a file of tracks is wanted")
     rig_file = rig_path or (path / RIG_FILE if (path / RIG_FILE).is_file() else None)
     tracks_file = tracks_path or next((path / n for n in TRACKS_FILES if (path / n).is_file()), None)
     poses_file = path / POSES_FILE if (path / POSES_FILE).is_file() else None
