@@ -6,11 +6,9 @@ quartz, and calls back at each pulse, so that emulated cameras can be wired to i
 
 import math
 import os
-import pty
 import select
 import threading
 import time
-import tty
 from collections.abc import Callable, Iterable, Sequence
 from threading import Event, Lock, Thread
 from typing import Protocol, Self
@@ -104,6 +102,9 @@ class PulseBox:
     def __init__(self, on_pulse: OnPulse | None = None, drift_ppm: float = 0.0) -> None:
         self._on_pulse = on_pulse
         self._speed = 1 + drift_ppm * 1e-6
+        import pty  # terminals, which Windows has not
+        import tty
+
         self._master, self._slave = pty.openpty()
         tty.setraw(self._master)
         tty.setraw(self._slave)

@@ -4,7 +4,6 @@ Its protocol: ``hardware.triggers.pulse_protocol``.
 """
 
 import logging
-import termios
 import threading
 import time
 from collections import deque
@@ -167,8 +166,17 @@ class SerialTrigger(External):
                     answer += self._port.read_until(b"\n")
                     if answer.endswith(b"\n"):
                         break
-        except (OSError, termios.error) as error:  # SerialException is an OSError
+        except _port_errors() as error:
             raise DeviceError(f"{self._where}: is gone ({error}); plug it in and start again") from None
         if not answer.endswith(b"\n"):
             raise DeviceError(f"{self._where}: no answer to '{line}' within {ANSWER_S:g} s; is its firmware loaded?")
         return answer.decode("ascii", errors="replace").strip()
+
+
+def _port_errors() -> tuple[type[Exception], ...]:
+    """Return what a serial port raises: SerialException is an OSError; termios, not on Windows, has its own."""
+    try:
+        from termios import error
+    except ImportError:
+        return (OSError,)
+    return OSError, error
