@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from matplotlib.ticker import MaxNLocator
 
 from reports.claim.words import claim_words, scale
 from reports.plot_style import (
@@ -55,6 +56,7 @@ def _looks(one: Mapping[str, Any], number: int, confidence: float) -> Picture:
         )  # fmt: skip
     axes.axhline(factor * one["target"], color=INK, ls=DOTTED)
     axes.set_xlabel("runs")
+    axes.xaxis.set_major_locator(MaxNLocator(nbins=6, integer=True))
     axes.set_ylabel(f"{'share that keeps the limit' if share else one['metric']} [{unit or '1'}]")
     legend_above(axes)
     words = claim_words(one)
@@ -79,6 +81,7 @@ def _values(document: Mapping[str, Any], one: Mapping[str, Any], number: int) ->
     axes.axvline(limit, color=INK, ls=DOTTED)
     axes.set_xlabel(f"{one['metric']} [{unit or '1'}]")
     axes.set_ylabel("runs")
+    axes.yaxis.set_major_locator(MaxNLocator(nbins=6, integer=True))
     gone = len(document["each_run"]) - len(values)
     alt = f"{one['metric']} of {len(values)} runs" + (f"; {gone} failed" if gone else "")
     caption = f"{alt[0].upper()}{alt[1:]}. Dotted: the limit."

@@ -71,8 +71,8 @@ def check_budget(spec: Scenario, where: Path) -> None:
         if has:
             more = "; its run has a budget of its own" if table == "self_orientation" else ""
             raise InputError(f"{where}: budgets are of frame sets and one fixed rig, {table} is given{more}")
-    if spec.expect == "caught":
-        raise InputError(f"{where}: expect = 'caught': such a scenario measures nothing; choose another one")
+    if spec.expect in ("caught", "diagnosed"):
+        raise InputError(f"{where}: expect = '{spec.expect}': such a scenario measures nothing; choose another one")
     if any(one.body is not None for one in spec.camera):
         raise InputError(f"{where}: a [[camera]] rides on a body; budgets are of cameras that stand")
 
