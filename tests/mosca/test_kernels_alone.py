@@ -1,11 +1,16 @@
 """Functions compiled without a Python wrapper crash when called from Python: no code does so."""
 
+import ast
 import importlib
 import pkgutil
 from collections.abc import Iterator
+from pathlib import Path
 from types import CodeType, ModuleType
 
 import mosca
+import twin
+
+TESTS = Path(__file__).parents[1]
 
 
 def codes(code: CodeType) -> Iterator[CodeType]:
@@ -36,11 +41,41 @@ def called_by_python(module: ModuleType) -> list[str]:
     return [f"{module.__name__}.{c.co_name}: {n}" for c in functions(module) for n in names & {*c.co_names}]
 
 
+def called_by_tests(source: str) -> list[str]:
+    """Name what a file's functions that are not compiled call of what it imports and is for other kernels only."""
+    tree = ast.parse(source)
+    names = {}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] in ("mosca", "twin"):
+            module = importlib.import_module(str(node.module))
+            names |= {
+                one.asname or one.name: one.name for one in node.names if alone(getattr(module, one.name, None))
+            }
+    found = []
+    waiting: list[ast.AST] = [tree]
+    while names and waiting:
+        node = waiting.pop()
+        decorators = [ast.unparse(one) for one in getattr(node, "decorator_list", ())]
+        if any("kernel" in one or "njit" in one for one in decorators):
+            continue
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in names:
+            found.append(node.func.id)
+        waiting += ast.iter_child_nodes(node)
+    return found
+
+
 def test_only_kernels_call_what_is_compiled_for_kernels_alone() -> None:
-    found = [m.name for m in pkgutil.walk_packages(mosca.__path__, "mosca.")]
+    found = [m.name for room in (mosca, twin) for m in pkgutil.walk_packages(room.__path__, f"{room.__name__}.")]
     modules = [importlib.import_module(name) for name in found]
     assert sum(alone(one) for module in modules for one in vars(module).values()) > 50
     assert [call for module in modules for call in called_by_python(module)] == []
+
+
+def test_no_test_calls_what_is_compiled_for_kernels_alone() -> None:
+    files = [*TESTS.rglob("*.py"), *(TESTS.parent / "witness").rglob("*.py")]
+    assert {path.name: calls for path in files if (calls := called_by_tests(path.read_text(encoding="utf-8")))} == {}
+    planted = "from twin.cameras.optics.pixel_kernel import share\ndef f():\n    return share(1.0, 2.0)\n"
+    assert called_by_tests(planted) == ["share"]
 
 
 def test_a_call_from_python_is_found() -> None:

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from mosca.data.arrays import Array
-from mosca.numba_support.decorators import bare_step
+from mosca.numba_support.decorators import bare_step, callable_bare_step
 
 STEPS_PER_PX = 32
 
@@ -57,7 +57,7 @@ def share(table: Array, reach: int, s: float) -> float:
     return result
 
 
-@bare_step
+@callable_bare_step
 def weight(table: Array, reach: int, s: float) -> float:
     """Share of a line's light that a pixel at distance s collects."""
     if s <= -reach or s >= reach:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mosca.data.arrays import Array
-from mosca.numba_support.decorators import step
+from mosca.numba_support.decorators import callable_bare_step, step
 from twin.cameras.optics.blur_parameters import Optics
 from twin.cameras.optics.pixel_kernel import PixelKernel, gaussian_kernel
 
@@ -62,7 +62,7 @@ def blur_circle_px(optics: Optics, distance_m: float) -> float:
     return float(_blur_circle(psf_of(optics, 2, 2).terms, distance_m))
 
 
-@step
+@callable_bare_step
 def _blur_circle(terms: Array, distance: float) -> float:
     focus, aperture, focal = terms[0], terms[1], terms[2]
     if focus == 0.0:
