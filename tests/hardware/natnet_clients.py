@@ -21,11 +21,11 @@ RATE_HZ = 100.0
 PERIOD_S = 1 / RATE_HZ
 
 
-def until(met):
-    """Wait until ``met()`` is true."""
+def until(met, told=lambda: ""):
+    """Wait until ``met()`` is true; ``told()`` says what there was instead."""
     deadline = time.monotonic() + PATIENT_S
     while not met():
-        assert time.monotonic() < deadline
+        assert time.monotonic() < deadline, told()
         time.sleep(0.005)
 
 

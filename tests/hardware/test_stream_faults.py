@@ -251,7 +251,7 @@ def test_the_account_names_frames_clients_commands_and_faults():
     with server(frames.model) as served, PlainClient(served.command_port) as client:
         player = StreamPlayer(served, line)
         player.play(frames, PERIOD_S)
-        until(lambda: len(client.frames) == 22)
+        until(lambda: len(client.frames) == 22, lambda: (account_lines(player, 0.2, line), client.frames))
         told = account_lines(player, 0.2, line)
     assert told[0].startswith("20 frames in 0.2 s, p99 ")
     assert told[1] == f"127.0.0.1:{client.address[1]}: 22 frames sent, 0 dropped"
