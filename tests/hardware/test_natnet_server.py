@@ -8,6 +8,7 @@ import sys
 import threading
 import time
 import tracemalloc
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -215,6 +216,7 @@ def test_a_silent_client_is_let_go_and_may_come_back():
     with server(forget_s=0.2) as served, PlainClient(served.command_port) as client:
         until(lambda: served.connected() == 0)
         assert served.clients()[0].left == "silent"
+        served.settings = replace(served.settings, forget_s=1e6)  # this computer may stall longer than the 0.2 s
         client.connect()
         assert served.clients()[0].left == ""
         assert served.connected() == 1
@@ -306,11 +308,13 @@ def flood(served, rng, count):
             if k % 50 == 49:
                 stamp = struct.pack("<Q", k)
                 answer = b""
-                end = time.monotonic() + 30
+                end, asked = time.monotonic() + 30, 0.0
                 while answer[:2] != b"\x0d\0" or answer[4:12] != stamp:
-                    assert time.monotonic() < end, "the server does not answer"
-                    if not answer:
+                    now = time.monotonic()
+                    assert now < end, "the server does not answer"
+                    if now - asked > 0.02:  # again: answers to garbage, and frames, may have filled this buffer
                         bad.sendto(struct.pack("<HH", 12, 8) + stamp, to)
+                        asked = now
                     try:
                         answer = bad.recv(65536)
                     except (TimeoutError, ConnectionRefusedError):
