@@ -20,6 +20,14 @@ FIRST_RUN = 370
 """Functions that ``mosca run actor`` compiles after an installation; other work more or fewer."""
 
 
+def is_first_run() -> bool:
+    """Return whether no kernels are kept yet, so that all of them will be compiled."""
+    from mosca.detection.frame_set_kernel import detect_frame_set
+    from mosca.numba_support.cache import is_compiled
+
+    return not is_compiled(detect_frame_set)
+
+
 class Progress:
     """A context that gives a function of (done, all) which tells how far it is; after Ctrl-C it says how far it was.
 
@@ -36,6 +44,7 @@ class Progress:
         self._compiled: Any = None
         self._told = 0
         self._stage = ""
+        self._is_first: bool | None = None
         self._over = threading.Event()
         self._teller: threading.Thread | None = None
 
@@ -109,7 +118,9 @@ class Progress:
         if count < SOME or count == before:
             return ""
         left = ""
-        if count < FIRST_RUN:
+        if self._is_first is None:
+            self._is_first = is_first_run()
+        if self._is_first and count < FIRST_RUN:
             seconds = (time.monotonic() - self._begun_s) * (FIRST_RUN - count) / count
             left = f" of about {FIRST_RUN}, some {seconds:.0f} s left"
         return f", compiling (once after an installation): {count} functions{left}"
