@@ -1,6 +1,7 @@
 """The causes that the clinic knows: what each means and what to do about it."""
 
-from dataclasses import dataclass, field
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
 
 
 @dataclass(frozen=True)
@@ -115,3 +116,16 @@ class Diagnosis:
     def cause(self) -> Cause:
         """Title and next step."""
         return CAUSES[self.code]
+
+
+def merged(found: Iterable[Diagnosis]) -> list[Diagnosis]:
+    """Return one diagnosis a code: the first one's, with the evidence of all and the smallest p-value."""
+    one_each: dict[str, Diagnosis] = {}
+    for one in found:
+        first = one_each.get(one.code)
+        one_each[one.code] = (
+            one
+            if first is None
+            else replace(first, p_value=min(first.p_value, one.p_value), evidence=(*first.evidence, *one.evidence))
+        )
+    return list(one_each.values())

@@ -33,7 +33,7 @@ FALSE_ALARMS = 1e-3
 """Chance of an alarm in a take without a fault."""
 ALPHA = FALSE_ALARMS / len(CAUSES)
 """Chance of each cause's false alarm."""
-FILES, GEOMETRY, WITNESSES, TRACKS = range(4)
+GEOMETRY, WITNESSES, TRACKS = range(3)
 KIND = {
     "other-resolution": GEOMETRY, "wrong-lens": GEOMETRY, "camera-moved": GEOMETRY, "mirrored-pose": GEOMETRY,
     "mixed-calibrations": GEOMETRY, "warming": GEOMETRY, "frames-one-off": GEOMETRY, "dropped-unnoticed": GEOMETRY,
@@ -71,7 +71,7 @@ def diagnose_sizes(rig: Rig, cameras: Sequence[CameraInfo]) -> list[Diagnosis]:
         for c in rig.cameras
         if c.name in infos and (c.width, c.height) != (infos[c.name].width, infos[c.name].height)
     ]
-    return [Diagnosis("other-resolution", 0.0, tuple(wrong), score=-1e12)] if wrong else []
+    return [Diagnosis("other-resolution", 0.0, tuple(wrong))] if wrong else []
 
 
 def diagnose_frames(source: FrameSource, rig: Rig, known: KnownLengths | None = None) -> ClinicReport:
@@ -157,10 +157,6 @@ def joined(one: ClinicReport, other: ClinicReport) -> ClinicReport:
 def in_order(found: Sequence[Diagnosis]) -> list[Diagnosis]:
     """Return causes, likeliest first, each once."""
     best: dict[str, Diagnosis] = {}
-    for one in sorted(found, key=lambda one: (_kind(one), one.score, one.p_value)):
+    for one in sorted(found, key=lambda one: (KIND[one.code], one.score, one.p_value)):
         best.setdefault(one.code, one)
     return list(best.values())
-
-
-def _kind(one: Diagnosis) -> int:
-    return FILES if one.p_value == 0.0 and one.explained is None and one.score < -1e11 else KIND[one.code]

@@ -5,17 +5,19 @@ from itertools import combinations
 
 import numpy as np
 
+from mosca.calibration.quality.limits import QualityLimits
 from mosca.clinic.causes import Diagnosis
 from mosca.clinic.misfit import Fit, Residuals, fit
 from mosca.data.arrays import Array
 from mosca.data.rig import Rig, principal_point_px
+from mosca.diagnostics.camera_health import HealthSettings
 
-UNIT_WEIGHT = 3.0
-"""Factor on the stated noise up to which residuals are no fault (``QualityLimits.unit_weight``)."""
-MOVED_PX = 0.5
-"""Displacement of images below which no geometry is blamed (``QualityLimits.moved_px``)."""
-LATE_S = 100e-6
-"""Delay below which no clock is blamed (``HealthSettings.late_s``)."""
+UNIT_WEIGHT = QualityLimits().unit_weight
+"""Factor on the stated noise up to which residuals are no fault."""
+MOVED_PX = QualityLimits().moved_px
+"""Displacement of images below which no geometry is blamed."""
+LATE_S = HealthSettings().late_s
+"""Delay below which no clock is blamed."""
 WHOLE = 0.15
 """Share of a period by which a delay may differ from whole periods and still be one of pairing."""
 EXPLAINED = 0.5

@@ -8,7 +8,7 @@ from scipy.stats import binom
 from scipy.stats import t as student
 
 from mosca.camera.ray_table import make_ray_table
-from mosca.clinic.causes import Diagnosis
+from mosca.clinic.causes import Diagnosis, merged
 from mosca.clinic.observations import PointImages
 from mosca.correspondence.match import EVERYWHERE, match
 from mosca.data.arrays import Array
@@ -117,7 +117,7 @@ def image_causes(witness: ImageWitness, rate_hz: float, alpha: float) -> list[Di
         found.append(Diagnosis("markers-merged", chance, (text,), camera=name, figures={"share": share}))
         if (blurred := _focus(name, one)) is not None:
             found.append(blurred)
-    return _worst([one for one in found if one.p_value < alpha])
+    return merged(sorted((one for one in found if one.p_value < alpha), key=lambda one: one.p_value))
 
 
 def _focus(name: str, one: ImageSums) -> Diagnosis | None:
@@ -139,21 +139,6 @@ def _focus(name: str, one: ImageSums) -> Diagnosis | None:
         f"{(start + slope) / np.sqrt(2 * np.pi):.2f} px (a change of {BLUR_GROWTH:g} allowed, p = {chance:.1g})"
     )
     return Diagnosis("focus-drift", chance, (text,), camera=name, figures={"growth_px": float(slope)})
-
-
-def _worst(found: list[Diagnosis]) -> list[Diagnosis]:
-    """Return one diagnosis a code, the evidence of all cameras in it."""
-    merged: dict[str, Diagnosis] = {}
-    for one in sorted(found, key=lambda one: one.p_value):
-        first = merged.get(one.code)
-        merged[one.code] = (
-            one
-            if first is None
-            else Diagnosis(
-                one.code, first.p_value, (*first.evidence, *one.evidence), camera=first.camera, figures=first.figures
-            )
-        )
-    return list(merged.values())
 
 
 def reflection_causes(seen: Sequence[Seen], rig: Rig, observed: PointImages, alpha: float) -> list[Diagnosis]:

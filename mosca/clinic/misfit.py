@@ -16,14 +16,15 @@ from mosca.camera.projection import project_with_jacobians
 from mosca.clinic.observations import PointImages
 from mosca.data.arrays import Array
 from mosca.data.rig import Rig
+from mosca.data.settings import MatchSettings, TrackSettings
 from mosca.diagnostics.long_run_covariance import long_run_covariance
 
 MOST = 3000
 """Points that are used, evenly over the take."""
-CORRELATED_S = 0.1
-"""Residuals nearer in time are one (the tracker's memory of an acceleration, ``TrackSettings.memory_s``)."""
-IMAGE_PX = 0.06
-"""Random error of an image point besides detection noise (``MatchSettings.camera_sigma_px``)."""
+CORRELATED_S = TrackSettings().memory_s
+"""Residuals nearer in time are one (the tracker's memory of an acceleration)."""
+IMAGE_PX = MatchSettings().camera_sigma_px
+"""Random error of an image point besides detection noise."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,14 +6,15 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.stats import f as f_distribution
 
-from mosca.clinic.causes import Diagnosis
+from mosca.clinic.causes import Diagnosis, merged
 from mosca.clinic.misfit import Residuals
 from mosca.data.arrays import Array
 from mosca.data.frames import Frame, FrameSource, WrappedSource, mid_exposure_ns
 from mosca.data.rig import Rig
+from mosca.diagnostics.camera_health import HealthSettings
 
-CERTAIN_S = 100e-6
-"""Scatter of stamps below which they are taken for those of exposures (``HealthSettings.late_s``)."""
+CERTAIN_S = HealthSettings().late_s
+"""Scatter of stamps below which they are taken for those of exposures."""
 FACTOR = 3.0
 """Factor by which stamps may scatter more than the motion says that exposures do."""
 
@@ -82,14 +83,7 @@ def stamp_causes(
         )
         if chance < alpha:
             found.append(Diagnosis("arrival-stamps", chance, (text,), camera=name, figures={"scatter_s": scatter}))
-    merged: dict[str, Diagnosis] = {}
-    for one in found:
-        first = merged.get(one.code)
-        merged[one.code] = one if first is None else Diagnosis(
-            one.code, min(one.p_value, first.p_value), (*first.evidence, *one.evidence), camera=first.camera,
-            figures=first.figures,
-        )  # fmt: skip
-    return list(merged.values())
+    return merged(found)
 
 
 def row_causes(witness: StampWitness, residuals: Residuals, rig: Rig, limit_px: float) -> list[Diagnosis]:

@@ -32,7 +32,7 @@ def length_causes(observed: PointImages, known_m: Sequence[float], sigma_m: floa
         pair = rigid_pair(observed, stated)
         if pair is None:
             continue
-        names, vector, place, xyz_sigma = pair
+        vector, place = pair
         length = np.linalg.norm(vector, axis=1)
         measured = float(np.median(length))
         ratio = measured / stated
@@ -49,13 +49,12 @@ def length_causes(observed: PointImages, known_m: Sequence[float], sigma_m: floa
                 f"p = {chance:.1g}), at every place alike"
             )
             found.append(Diagnosis("wrong-scale", chance, (text,), figures={"ratio": ratio}))
-        _ = names, xyz_sigma
     return found
 
 
-def rigid_pair(observed: PointImages, stated_m: float) -> tuple[tuple[int, int], Array, Array, float] | None:
-    """Return the two tracks whose distance is nearest to a stated one, of those that stay apart alike: names, vectors
-    (n, 3), middles (n, 3) and scatter; None where there are none.
+def rigid_pair(observed: PointImages, stated_m: float) -> tuple[Array, Array] | None:
+    """Return vectors and middles (n, 3) of the two tracks whose distance is nearest to a stated one, of those that
+    stay apart alike; None where there are none.
     """
     names, counts = np.unique(observed.track, return_counts=True)
     names = names[counts >= max(20, 0.3 * counts.max(initial=0))]
@@ -75,7 +74,7 @@ def rigid_pair(observed: PointImages, stated_m: float) -> tuple[tuple[int, int],
             scatter = float(np.std(length) / np.mean(length))
             off = abs(np.log(np.median(length) / stated_m))
             if scatter < RIGID and off < NEAR and (best is None or off < best[0]):
-                best = (off, (a, b), second - first, 0.5 * (first + second), scatter)
+                best = (off, second - first, 0.5 * (first + second))
     return None if best is None else best[1:]
 
 

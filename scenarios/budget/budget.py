@@ -1,10 +1,9 @@
 """The budget of a scenario: runs of all coalitions, in processes, and what they sum up to."""
 
-import multiprocessing
 import time
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +19,7 @@ from scenarios.budget.intervals import BLOCKS, by_seed_and_block, interval95
 from scenarios.budget.plan import Job, Player, camera_players, check_budget, jobs_of, source_players
 from scenarios.budget.shapley import MOST_EXACT, Orders, exact_values
 from scenarios.run.provenance import provenance
+from scenarios.run.worker_processes import spawned_pool
 from scenarios.spec.scenario import Scenario
 from scenarios.spec.switches import switch
 
@@ -87,30 +87,31 @@ class Game:
     scale: float
     """Metric squared -> unit of the budget."""
 
+    @cached_property
     def values(self) -> dict[int, Array]:
-        """Return mask -> mean squares (seeds, blocks)."""
+        """Mask -> mean squares (seeds, blocks)."""
         return {mask: self.scale * by_seed_and_block(runs) for mask, runs in self.runs.items()}
 
+    @cached_property
     def shapley(self) -> Array:
-        """Return the Shapley values (players, seeds, blocks)."""
-        values = self.values()
+        """The Shapley values (players, seeds, blocks)."""
         if self.orders is None:
-            return exact_values(values, len(self.players))
-        return self.orders.values(values)
+            return exact_values(self.values, len(self.players))
+        return self.orders.values(self.values)
 
     def total(self) -> tuple[float, tuple[float, float]]:
         """Return the mean square with all sources on, and its interval."""
-        found = self.values()[(1 << len(self.players)) - 1]
+        found = self.values[(1 << len(self.players)) - 1]
         return float(found.mean()), interval95(found)
 
     def remainder(self) -> tuple[float, tuple[float, float]]:
         """Return the mean square with all sources off, and its interval."""
-        found = self.values()[0]
+        found = self.values[0]
         return float(found.mean()), interval95(found)
 
     def contributions(self) -> tuple[Contribution, ...]:
         """Return what each player adds, the largest first."""
-        values, phi = self.values(), self.shapley()
+        values, phi = self.values, self.shapley
         every = (1 << len(self.players)) - 1
         more = np.zeros(len(self.players))
         if self.orders is not None:
@@ -133,7 +134,7 @@ class Game:
     def predicted(self) -> tuple[PredictedSquare, ...]:
         """Return the stated covariances' mean squares beside the measured ones: random part, calibration."""
         every = self.runs[(1 << len(self.players)) - 1]
-        phi = self.shapley()
+        phi = self.shapley
         of_rig = [k for k, one in enumerate(self.players) if switch(one.name).acts_on != "take"]
         of_take = [k for k in range(len(self.players)) if k not in of_rig]
         rows = []
@@ -168,9 +169,7 @@ def _run_all(jobs: Sequence[Job], workers: int, progress: Progress) -> dict[int,
         for done, job in enumerate(jobs, start=1):
             take(job, job.run(), done)
         return found
-    # spawn: a forked child would inherit threads of the parent's libraries in unknown states
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(min(workers, len(jobs)), mp_context=context) as pool:
+    with spawned_pool(min(workers, len(jobs))) as pool:
         seeded = {job.spec.seed: job for job in jobs}
         # calibrations first: later jobs find them kept, and none waits for another's
         list(pool.map(_calibrate, seeded.values()))

@@ -1,13 +1,12 @@
 """Where runs are made: processes of this computer, or anything else that takes chunks of runs."""
 
-import multiprocessing
 from collections.abc import Mapping, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures import Future
 from typing import Protocol
 
 from scenarios.campaign.tasks import RunTask
 from scenarios.campaign.worker import RunOutcome, Work, code_stamp, run_chunk
-from scenarios.run.worker_processes import begin_worker, ctrl_c_held_back
+from scenarios.run.worker_processes import begin_worker, ctrl_c_held_back, spawned_pool
 
 Chunk = Future[list[RunOutcome]]
 
@@ -52,7 +51,7 @@ class LocalEngine:
     def __init__(self, jobs: int) -> None:
         """Keep ``jobs`` processes, which begin with the first chunks."""
         self._jobs = jobs
-        self._pool = self._begun()
+        self._pool = spawned_pool(self._jobs, begin_worker)
 
     @property
     def slots(self) -> int:
@@ -67,7 +66,7 @@ class LocalEngine:
     def revive(self) -> None:
         """Begin new processes after one of them died."""
         self.close()
-        self._pool = self._begun()
+        self._pool = spawned_pool(self._jobs, begin_worker)
 
     def close(self) -> None:
         """End the processes."""
@@ -77,8 +76,3 @@ class LocalEngine:
             worker.kill()
         for worker in workers:
             worker.join()
-
-    def _begun(self) -> ProcessPoolExecutor:
-        # spawn: a forked child would inherit threads of the parent's libraries in unknown states
-        context = multiprocessing.get_context("spawn")
-        return ProcessPoolExecutor(self._jobs, mp_context=context, initializer=begin_worker)

@@ -1,8 +1,6 @@
 """A map of crashes and position error over latency and dropout: many short flights, in processes."""
 
-import multiprocessing
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -19,6 +17,7 @@ from reports.plot_style import svg_file
 from scenarios.flight.pilot import PERIOD_S, motion_noise
 from scenarios.flight.predicted import PoseNoise, fly_predicted
 from scenarios.run.pose_noise import pose_noise
+from scenarios.run.worker_processes import spawned_pool
 from scenarios.score.flight import flight_scores
 from scenarios.spec.catalog import find
 from scenarios.spec.scenario import Scenario, load_scenario
@@ -101,9 +100,8 @@ class MapOptions:
             for dropout in self.dropout
             for k in range(self.runs)
         ]
-        context = multiprocessing.get_context("spawn")
         outcomes: list[FlightOutcome] = []
-        with ProcessPoolExecutor(self.workers, mp_context=context) as pool:
+        with spawned_pool(self.workers) as pool:
             chunk = max(1, min(8, len(jobs) // (4 * self.workers)))
             for outcome in pool.map(_fly, jobs, [folder] * len(jobs), [noise] * len(jobs), chunksize=chunk):
                 outcomes.append(outcome)

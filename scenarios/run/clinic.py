@@ -2,7 +2,7 @@
 
 from contextlib import ExitStack
 
-from mosca.clinic.diagnose import ClinicReport, KnownLengths, diagnose_frames, diagnose_tracks, joined
+from mosca.clinic.diagnose import ClinicReport, KnownLengths, diagnose_frames, diagnose_tracks
 from mosca.data.frames import FrameSource
 from mosca.data.rig import Rig
 from mosca.data.tracks import table
@@ -28,8 +28,7 @@ def clinic_report(
         tracks = table([step.samples for step in run(read, believed, settings)])
         return diagnose_tracks(swapped(tracks, told.swapped, spec.capture.frame_rate_hz), None)
     lengths = () if told.known_length_m is None else (told.known_length_m,)
-    empty = ClinicReport((), ())
-    return joined(diagnose_frames(read, believed, KnownLengths(lengths)), empty)
+    return diagnose_frames(read, believed, KnownLengths(lengths))
 
 
 def verdict(spec: Scenario, report: ClinicReport) -> tuple[bool, str]:

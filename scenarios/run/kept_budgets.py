@@ -41,7 +41,7 @@ def kept_budget(record: RunRecord, folder: Path | None = None) -> ErrorBudget | 
 
 
 def _folder() -> Path:
-    return cache_folder().with_name("budgets")
+    return cache_folder("budgets")
 
 
 def _key(name: str, content: str, commit: str, metric: str) -> str:

@@ -1,11 +1,20 @@
-"""Worker processes that leave Ctrl-C to the process that began them, and end with it."""
+"""Pools of worker processes; workers that leave Ctrl-C to the process that began them, and end with it."""
 
 import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
+
+
+def spawned_pool(jobs: int, initializer: Callable[[], object] | None = None) -> ProcessPoolExecutor:
+    """Return a pool of ``jobs`` processes that are spawned.
+
+    A forked child would inherit threads of its parent's libraries in unknown states.
+    """
+    return ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn"), initializer=initializer)
 
 
 @contextmanager

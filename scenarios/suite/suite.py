@@ -7,7 +7,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,7 +21,7 @@ from mosca.errors import InputError, MoscaError
 from reports.compare import Regression, missing, regressions
 from reports.record import RunRecord, read_record, write_record
 from scenarios.run.interrupt import first_ctrl_c, was_interrupted
-from scenarios.run.worker_processes import begin_worker, ctrl_c_held_back
+from scenarios.run.worker_processes import begin_worker, ctrl_c_held_back, spawned_pool
 from scenarios.spec.catalog import Entry
 
 BASELINES = Path(__file__).resolve().parents[2] / "reports" / "baselines"
@@ -60,10 +60,8 @@ def run_suite(entries: Sequence[Entry], out: Path, jobs: int, told: Callable[[Ou
     order = sorted(entries, key=_weight, reverse=True)
     done: dict[str, Outcome] = {}
     asked = threading.Event()
-    # spawn: a forked child would inherit threads of the parent's libraries in unknown states
-    context = multiprocessing.get_context("spawn")
     jobs = min(jobs, max(1, len(order)))
-    with first_ctrl_c(asked.set), ProcessPoolExecutor(jobs, mp_context=context, initializer=begin_worker) as pool:
+    with first_ctrl_c(asked.set), spawned_pool(jobs, begin_worker) as pool:
         with ctrl_c_held_back():
             pending = {pool.submit(_run_one, str(e.path), e.name, str(out / e.name), e.overrides) for e in order}
         try:
