@@ -2,7 +2,6 @@
 
 import base64
 import json
-import tomllib
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -166,6 +165,3 @@ def test_the_library_is_the_version_that_is_named() -> None:
     assert f"plotly.js (gl3d - minified) v{version}" in head
     assert "MIT" in (file.parent / "plotly-LICENSE.txt").read_text("utf-8")
     assert "</script" not in file.read_text("utf-8")
-    packaged = tomllib.loads((folder.parent / "pyproject.toml").read_text("utf-8"))["tool"]["setuptools"]
-    patterns = packaged["package-data"]["reports"]
-    assert all(any(Path(one).match(pattern) for pattern in patterns) for one in SCRIPTS.values())
