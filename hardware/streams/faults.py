@@ -139,6 +139,13 @@ def fault_of(text: str) -> StreamFault:
     return check(StreamFault, {"fault": found[1], **given}, f"--fault {text}")
 
 
+def ordered_faults(named: Sequence[str], file: Path | None, seed: int | None) -> StreamFaults:
+    """Return the faults of a file and those that a command line names; ``seed`` None: the file's, or 0."""
+    given = StreamFaults() if file is None else read_faults(file)
+    program = (*given.program, *(fault_of(text) for text in named))
+    return StreamFaults(seed=given.seed if seed is None else seed, program=program)
+
+
 @dataclass
 class FaultAccount:
     """What was made of a fault: how many frames it acted on, and the stream's time of the first and the last."""

@@ -1,6 +1,5 @@
 """A take at its own pace into a server, through faults, until it ends or is stopped."""
 
-import heapq
 import itertools
 import threading
 import time
@@ -10,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from hardware.streams.fault_line import FaultLine
+from hardware.streams.faulted_sender import FaultedSender
 from hardware.streams.stream_server import Outgoing, StreamServer
 from hardware.streams.values import StreamFrame
 
@@ -26,11 +26,10 @@ class StreamPlayer:
     """
 
     def __init__(self, server: StreamServer, line: FaultLine | None = None, speed: float | None = 1.0) -> None:
-        self.server, self._line, self._speed = server, line, speed
+        self.server, self._speed = server, speed
         self.played = 0
         self._late = np.zeros(MOST_KEPT, np.float32)
-        self._waiting: list[tuple[int, int, Outgoing]] = []
-        self._order = itertools.count()
+        self._sender = FaultedSender(server, line)
         self._stopped = threading.Event()
 
     @property
@@ -62,12 +61,12 @@ class StreamPlayer:
                 break
             if not self._wait(due_ns):
                 return
-            self._take(encoded, at_s, due_ns, period_s)
+            self._late[self.played % MOST_KEPT] = (time.monotonic_ns() - due_ns) * 1e-9
+            self._sender.send(encoded, at_s, due_ns, period_s)
             self.played += 1
-        for delay_s, outgoing in () if self._line is None else self._line.rest():
-            self._push(delay_s, outgoing)
-        if self._waiting:
-            self._wait(max(at_ns for at_ns, _, _ in self._waiting))
+        last_ns = self._sender.release()
+        if last_ns is not None:
+            self._wait(last_ns)
 
     def _ahead(self, frames: Iterable[StreamFrame]) -> Iterator[Outgoing]:
         """Yield frames encoded some at a time, in the pause after one was sent: half the work of one by one."""
@@ -75,41 +74,15 @@ class StreamPlayer:
         while some := [self.server.encoded(frame) for frame in itertools.islice(rest, AHEAD)]:
             yield from some
 
-    def _take(self, encoded: Outgoing, at_s: float, due_ns: int, period_s: float) -> None:
-        server, line = self.server, self._line
-        now_ns = time.monotonic_ns()
-        self._late[self.played % MOST_KEPT] = (now_ns - due_ns) * 1e-9
-        if line is None:
-            server.deliver(server.prepare(encoded, due_ns, now_ns))
-            return
-        line.steer(server, at_s)
-        frame = line.changed(encoded.frame, at_s)
-        outgoing = server.prepare(
-            encoded if frame is encoded.frame else server.encoded(frame),
-            due_ns + server.offset_ns,
-            now_ns + server.offset_ns,
-        )
-        for delay_s, one in line.routed(outgoing, at_s, period_s):
-            self._push(delay_s, one)
-        self._wait(0)
-
-    def _push(self, delay_s: float, outgoing: Outgoing) -> None:
-        """Deliver after a delay, but never before what was pushed earlier."""
-        at_ns = time.monotonic_ns() + round(delay_s * 1e9)
-        if self._waiting:
-            at_ns = max(at_ns, max(waiting[0] for waiting in self._waiting))
-        heapq.heappush(self._waiting, (at_ns, next(self._order), outgoing))
-
     def _wait(self, until_ns: int) -> bool:
         """Wait until a time, delivering what is due before it; False where it was stopped."""
         while True:
-            now = time.monotonic_ns()
-            while self._waiting and self._waiting[0][0] <= now:
-                self.server.deliver(heapq.heappop(self._waiting)[2])
-            next_ns = min(until_ns, self._waiting[0][0]) if self._waiting else until_ns
+            now = time.monotonic_ns()  # before what is due is delivered: nothing due until then stays behind
+            waits_ns = self._sender.deliver_due()
+            next_ns = until_ns if waits_ns is None else min(until_ns, waits_ns)
             if now >= until_ns:
                 return not self._stopped.is_set()
-            wait_s = max(0.0, (next_ns - now) * 1e-9)
+            wait_s = max(0.0, (next_ns - time.monotonic_ns()) * 1e-9)
             if wait_s < SHORT_S:
                 time.sleep(wait_s)  # cheaper, and rarely later, than to wait for an event
             elif self._stopped.wait(wait_s - SHORT_S / 2):

@@ -37,39 +37,57 @@ class SkeletonPoses:
 
     def __init__(self, motion: JointMotion, up: UpAxis = "z", name: str = "person") -> None:
         self.frames, self.time_ns = motion.frame, motion.time_ns
-        joints: list[str] = []
+        self._up: UpAxis = up
+        self._joints: list[str] = []
         for joint in JOINTS:  # from the pelvis on outward
-            if joint in motion.joints and (joint == "pelvis" or _above(joint) in joints):
-                joints.append(joint)
-        columns = [motion.joints.index(joint) for joint in joints]
-        centre = motion.centre[:, columns]
-        turn = np.array(motion.rotation[:, columns])
-        parents = [-1 if joint == "pelvis" else joints.index(_above(joint)) for joint in joints]
-        for k, parent in enumerate(parents):
-            if parent >= 0:
-                turn[:, k] = np.stack(product(turn[:, parent].T, turn[:, k].T), axis=1)
-        self.model = StreamedSkeleton(name, NUMBER, _bones(joints, parents, centre, turn))
-        self._rows: Array = np.zeros((len(motion), len(joints)), BODY)
-        self._rows["id"] = NUMBER << 16 | np.arange(1, len(joints) + 1)
-        self._rows["position"] = centre @ UP[up].T
-        turned = product(UP_TURN[up], np.moveaxis(turn, -1, 0))
-        self._rows["quaternion"] = np.stack(turned, axis=-1)[..., [1, 2, 3, 0]]
-        known = np.isfinite(self._rows["position"]).all(axis=2) & np.isfinite(turn).all(axis=2)
-        self._rows["params"] = np.where(known, TRACKED, 0)
-        self._last = _nowhere(len(joints))
+            if joint in motion.joints and (joint == "pelvis" or _above(joint) in self._joints):
+                self._joints.append(joint)
+        self._parents = [-1 if one == "pelvis" else self._joints.index(_above(one)) for one in self._joints]
+        centre, turn = self._in_world(motion)
+        self.model = StreamedSkeleton(name, NUMBER, _bones(self._joints, self._parents, centre, turn))
+        self._rows = self._records(centre, turn)
+        self._last = _nowhere(len(self._joints))
 
     def at(self, frame: int) -> tuple[tuple[int, Array], ...]:
         """Return the skeleton at a frame; a bone without a pose keeps its last one and is not ``TRACKED``."""
-        self._last["params"] = 0
         row = int(np.searchsorted(self.frames, frame))
-        if row < len(self.frames) and self.frames[row] == frame:
-            known = self._rows[row]["params"] == TRACKED
-            self._last[known] = self._rows[row][known]
-        return ((NUMBER, self._last.copy()),)
+        there = row < len(self.frames) and self.frames[row] == frame
+        return self._after(self._rows[row] if there else None)
+
+    def posed(self, motion: JointMotion | None) -> tuple[tuple[int, Array], ...]:
+        """Return the skeleton at the one instant of a ``motion`` with the same joints; None: not known."""
+        return self._after(None if motion is None else self._records(*self._in_world(motion))[0])
 
     def restart(self) -> None:
         """Forget the last poses."""
         self._last = _nowhere(len(self._last))
+
+    def _in_world(self, motion: JointMotion) -> tuple[Array, Array]:
+        """Return the joints' centres (n, b, 3) and their segments' quaternions wxyz in the world (n, b, 4)."""
+        columns = [motion.joints.index(joint) for joint in self._joints]
+        turn = np.array(motion.rotation[:, columns])
+        for k, parent in enumerate(self._parents):
+            if parent >= 0:
+                turn[:, k] = np.stack(product(turn[:, parent].T, turn[:, k].T), axis=1)
+        return motion.centre[:, columns], turn
+
+    def _records(self, centre: Array, turn: Array) -> Array:
+        """Return records (n, b) BODY."""
+        rows: Array = np.zeros(turn.shape[:2], BODY)
+        rows["id"] = NUMBER << 16 | np.arange(1, turn.shape[1] + 1)
+        rows["position"] = centre @ UP[self._up].T
+        turned = product(UP_TURN[self._up], np.moveaxis(turn, -1, 0))
+        rows["quaternion"] = np.stack(turned, axis=-1)[..., [1, 2, 3, 0]]
+        known = np.isfinite(rows["position"]).all(axis=2) & np.isfinite(turn).all(axis=2)
+        rows["params"] = np.where(known, TRACKED, 0)
+        return rows
+
+    def _after(self, row: Array | None) -> tuple[tuple[int, Array], ...]:
+        self._last["params"] = 0
+        if row is not None:
+            known = row["params"] == TRACKED
+            self._last[known] = row[known]
+        return ((NUMBER, self._last.copy()),)
 
 
 def _nowhere(bones: int) -> Array:

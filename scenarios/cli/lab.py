@@ -10,7 +10,7 @@ import click
 from mosca.errors import InputError
 from scenarios.cli.options import FILE, OUT_FILE, POSITIVE, Number, print_table, table
 from scenarios.cli.progress import Progress
-from scenarios.cli.stream_options import stream_options, stream_settings
+from scenarios.cli.stream_options import fault_options, stream_options, stream_settings
 
 if TYPE_CHECKING:
     from hardware.emulate.serve import Served
@@ -35,7 +35,7 @@ SHARE = Number(0.0, 1.0)
 @click.option("--withhold", type=SHARE, default=0.0, help="share of trigger pulses that do not reach a camera")
 @click.option("--reboot", "reboots", multiple=True, metavar="CAMERA@S", help="this camera reboots after S seconds")
 @click.option("--drift", type=Number(), default=0.0, metavar="PPM", help="the clocks drift from -PPM to +PPM")
-@click.option("--seed", type=click.IntRange(min=0), default=0, help="of the losses")
+@click.option("--seed", type=click.IntRange(min=0), default=0, help="of the losses and the stream's faults")
 @click.option("--switchover", is_flag=True, help="cameras can be taken over with a key (control switchover)")
 @click.option("--rig-out", type=OUT_FILE, help="write a rig file with which 'mosca capture --rig' grabs from them")
 @click.option(
@@ -52,6 +52,7 @@ SHARE = Number(0.0, 1.0)
     type=FILE,
     help="streamed tracks: a run folder, or a file whose frames are pulses  [default: the truth]",
 )
+@fault_options
 def twin_serve(**given: Any) -> None:
     """Serve virtual cameras or a recording as GigE Vision cameras, for any client of the standard.
 
@@ -62,6 +63,7 @@ def twin_serve(**given: Any) -> None:
     \b
     Example:  mosca twin serve subjects/drone --seconds 60 --rig-out served.toml
               mosca twin serve subjects/drone --rig-out served.toml --stream natnet --stream lsl
+              mosca twin serve subjects/drone --stream natnet --fault latency=0.03@5+2 --fault body-lost@10+1
     """
     from scenarios.lab.serve import serve
 

@@ -13,7 +13,9 @@ from scenarios.cli.stream_options import stream_options, stream_settings
 @click.option("--rig", type=FILE, help="calibrated rig file; a scenario and hardware:RIG.toml bring their own")
 @click.option("--out", type=OUT_FILE, help="tracks: .npz, .csv, .c3d or .trc; until the end OUT.part.csv grows")
 @click.option("--record", type=OUT_FILE, help="write counts and the stages' times here: .json")
-@click.option("--skeleton", type=FILE, help="follow the person of this file of 'skeleton fit': labels and joints")
+@click.option(
+    "--skeleton", type=FILE, help="follow the person of this file of 'skeleton fit': labels, joints; streamed too"
+)
 @click.option("--joints", type=OUT_FILE, help="its joint centres and rotations with covariances: .csv")
 @click.option("--rrd", type=OUT_FILE, help="points, trails and bones for the Rerun viewer: .rrd")
 @click.option("--view", is_flag=True, help="show points, trails and bones live in the Rerun viewer")

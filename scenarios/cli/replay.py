@@ -7,7 +7,7 @@ import click
 
 from mosca.errors import InputError
 from scenarios.cli.options import FILE, POSITIVE, Number, echo_lines
-from scenarios.cli.stream_options import stream_options, stream_settings
+from scenarios.cli.stream_options import fault_options, stream_options, stream_settings
 
 
 @click.command()
@@ -21,10 +21,7 @@ from scenarios.cli.stream_options import stream_options, stream_settings
 @click.option("--loop", is_flag=True, help="after the last frame comes the first; numbers and times go on")
 @click.option("--seconds", type=POSITIVE, help="end after this")
 @click.option("--wait", type=click.IntRange(0, 64), default=0, help="begin when so many clients have connected")
-@click.option(
-    "--fault", "fault", multiple=True, metavar="NAME[=VALUE][@AT_S[+FOR_S]]", help="a fault on demand  [repeatable]"
-)
-@click.option("--faults", type=FILE, help="TOML file of faults over time")
+@fault_options
 @click.option("--seed", type=click.IntRange(min=0), help="of what the faults draw  [default: the file's, or 0]")
 def replay(tracks: Path, **given: Any) -> None:
     """Stream tracks at their own pace to the clients of a motion-capture lab, with faults on demand.

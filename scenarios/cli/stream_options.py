@@ -7,6 +7,7 @@ import click
 
 from mosca import __version__
 from mosca.errors import InputError
+from scenarios.cli.options import FILE
 
 if TYPE_CHECKING:
     from hardware.streams.turns import UpAxis
@@ -65,6 +66,15 @@ def stream_options(default: str | None, address: str = "--address") -> Callable[
         return command
 
     return add
+
+
+def fault_options(command: Any) -> Any:
+    """Add --fault and --faults, of what is streamed."""
+    command = click.option("--faults", type=FILE, help="TOML file of a stream's faults over time")(command)
+    return click.option(
+        "--fault", "fault", multiple=True, metavar="NAME[=VALUE][@AT_S[+FOR_S]]",
+        help="a fault of the stream on demand  [repeatable]",
+    )(command)  # fmt: skip
 
 
 def stream_settings(given: dict[str, Any]) -> tuple[tuple["StreamSettings", ...], "UpAxis"]:

@@ -69,6 +69,8 @@ def run_live_command(options: LiveOptions, report: Callable[[str], None]) -> lis
         check_writable(options.record)
     check_show(options)
     check_virtual(options)
+    if options.lag is not None and options.stream and options.skeleton is not None:
+        raise InputError(f"--lag {options.lag}: excludes --stream with --skeleton, whose poses would come late")
     smoother = None if options.lag is None else FixedLag(LagSettings(lag=options.lag))
     with ExitStack() as stack:
         log = None if options.out is None else stack.enter_context(_log(options.out, stack))
@@ -76,7 +78,7 @@ def run_live_command(options: LiveOptions, report: Callable[[str], None]) -> lis
         source = opened_live(options, stack)
         show = LiveShow(options, source.rig, stack) if options.rrd is not None or options.view else None
         virtual = live_virtual(options, source, () if show is None else show.logs, stack)
-        stream = stack.enter_context(LiveStream(options, source)) if options.stream else None
+        stream = stack.enter_context(LiveStream(options, source, person)) if options.stream else None
         for note in (*source.notes, *(() if stream is None else (stream.where,))):
             report(note)
         warm_up()  # a compiler's seconds would count as latency
@@ -111,7 +113,10 @@ def run_live_command(options: LiveOptions, report: Callable[[str], None]) -> lis
 
 @dataclass(frozen=True)
 class _Sinks:
-    """What the samples of a live run go through, in this order: smoother, person, viewer, log."""
+    """What the samples of a live run go through.
+
+    In this order: stream, virtual objects, smoother, person, viewer, log; a stream with a person comes after it.
+    """
 
     smoother: FixedLag | None
     person: LivePerson | None
@@ -132,7 +137,7 @@ class _Sinks:
             now = time.perf_counter()
             seconds[stage], start = now - start, now
 
-        if self.stream is not None:
+        if self.stream is not None and self.person is None:
             self.stream.step(step.frame_set.pulse, step.frame_set.time_ns, samples)
             timed("stream")
         if self.virtual is not None:
@@ -144,6 +149,9 @@ class _Sinks:
         if self.person is not None:
             poses, label_of = self.person.step(samples)
             timed("skeleton")
+            if self.stream is not None:
+                self.stream.step(step.frame_set.pulse, step.frame_set.time_ns, samples, poses, label_of)
+                timed("stream")
         if self.show is not None:
             self.show.show(step.frame_set.pulse, step.frame_set.time_ns, step.samples, poses, step)
             timed("show")

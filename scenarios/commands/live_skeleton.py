@@ -25,19 +25,25 @@ from scenarios.commands.skeleton_words import check_bodies
 
 
 class LivePerson:
-    """A subject in a live run; names of its tracks in ``label_of``, (frame, track) -> label, until they are taken."""
+    """A subject in a live run.
+
+    ``labels``: of its markers; ``example``: its joints in a pose of the take that it was fitted to, None where the
+    model has too few markers for one.
+    """
 
     def __init__(self, path: Path, joints: Path | None, stack: ExitStack) -> None:
         subject = read_subject(path)
         check_bodies(subject, path)
-        self._labels = subject.model.labels
+        self.labels = subject.model.labels
         self._log = None if joints is None else JointsLog(joints)
         if self._log is not None:
             stack.callback(self._log.close)
         kinematics = Kinematics(subject.model, subject.parameters)
         kinematics.pose(subject.q)
+        tracker = SkeletonTracker(subject)
         # compiles what would else count as latency
-        SkeletonTracker(subject).step(kinematics.markers(), np.zeros((len(self._labels), 3, 3)))
+        solution = tracker.step(kinematics.markers(), np.zeros((len(self.labels), 3, 3)))
+        self.example = None if solution is None else tracker.joints_at(solution, 0, 0)
         self._live = stack.enter_context(LiveSkeleton(subject, background=True))
         self._frame = -1
         self.posed = self.frames = self._named = 0
@@ -71,7 +77,7 @@ class LivePerson:
         else:
             lines = [
                 f"skeleton: first after {1e-9 * (self._found_ns - self._first_ns):.1f} s, in {self.posed} of "
-                f"{self.frames} frames, {self._named / max(self.posed, 1):.1f} of {len(self._labels)} markers; "
+                f"{self.frames} frames, {self._named / max(self.posed, 1):.1f} of {len(self.labels)} markers; "
                 f"lost {self._live.losses} times"
             ]
         if self._log is not None:

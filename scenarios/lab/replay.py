@@ -7,7 +7,7 @@ from pathlib import Path
 
 from hardware.streams.content import TakeFrames
 from hardware.streams.fault_line import FaultLine
-from hardware.streams.faults import StreamFaults, fault_of, read_faults
+from hardware.streams.faults import ordered_faults
 from hardware.streams.play import StreamPlayer, account_lines, looped
 from hardware.streams.turns import UpAxis
 from hardware.streams.values import StreamedSkeleton
@@ -54,7 +54,7 @@ def replay_tracks(request: ReplayRequest, report: Callable[[str], None]) -> list
     ``report`` is called with the line that says where. InputError for files, options and faults that cannot be.
     """
     check_wait(request.settings, request.wait)
-    faults = _faults(request)
+    faults = ordered_faults(request.fault, request.faults, request.seed)
     frames = _take(request)
     period_s = 1.0 / frames.rate_hz
     line = FaultLine(faults, frames.model, frames.numbers) if faults.program else None
@@ -76,13 +76,6 @@ def _content(frames: TakeFrames) -> str:
     person = [f"{len(one.bones)} bones" for one in frames.model if isinstance(one, StreamedSkeleton)]
     angles = [f"{len(frames.names.angles)} joint angles"] if frames.names.angles else []
     return ", ".join((f"{len(frames.numbers)} labels", *person, *angles, f"bodies: {names}"))
-
-
-def _faults(request: ReplayRequest) -> StreamFaults:
-    given = StreamFaults() if request.faults is None else read_faults(request.faults)
-    named = tuple(fault_of(text) for text in request.fault)
-    seed = given.seed if request.seed is None else request.seed
-    return StreamFaults(seed=seed, program=(*given.program, *named))
 
 
 def _take(request: ReplayRequest) -> TakeFrames:

@@ -15,6 +15,8 @@ from hardware.emulate.faults import Faults
 from hardware.emulate.pulse_generators import PulseBox
 from hardware.emulate.serve import FIRST_ADDRESS, Served, served
 from hardware.streams.content import TakeFrames
+from hardware.streams.fault_line import FaultLine
+from hardware.streams.faults import ordered_faults
 from hardware.streams.stream_server import StreamServer
 from hardware.streams.turns import UpAxis
 from mosca.data.files.rig_file import CameraTable, read_rig, read_rig_file, rig_toml
@@ -93,6 +95,9 @@ class ServeRequest:
     """Of the streams."""
     tracks: Path | None = None
     """What is streamed: a run folder or file of tracks; None: the truth."""
+    fault: tuple[str, ...] = ()
+    faults: Path | None = None
+    """Of the streams; their seed is that of ``trouble``."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +134,8 @@ def serve(
         for name in request.trouble.reboots:
             if name not in names:
                 raise InputError(f"--reboot {name}: there are the cameras {', '.join(names)}")
-        stream = _stream(request, subject, stack)
+        rate_hz = request.rate_hz or infos[0].frame_rate_hz
+        stream = _stream(request, subject, rate_hz, stack)
         up = stack.enter_context(
             served(
                 subject.source,
@@ -143,7 +149,6 @@ def serve(
                 progress=progress,
             )
         )
-        rate_hz = request.rate_hz or up.rate_hz
         box = stack.enter_context(PulseBox(up.pulse)) if request.trigger == "serial" else None
         if request.rig_out is not None:
             text = rig_text(subject.rig, up, rate_hz, request.trigger, "" if box is None else box.port)
@@ -153,38 +158,46 @@ def serve(
         if stream is None:
             _stay(up, rate_hz, request)
             return up
-        server, frames = stream
-        with closing(_on_line(up, server, frames, request.loop)) as pulsed:
+        server, frames, faults = stream
+        with closing(_on_line(up, server, frames, faults, request.loop, 1.0 / rate_hz)) as pulsed:
             report(server.where())
             _stay(up, rate_hz, request)
-        for line in (f"{pulsed.sent} frames", *server.lines()):
+        made = () if faults is None else (account.line() for account in faults.accounts)
+        for line in (f"{pulsed.sent} frames", *server.lines(), *made):
             report(f"stream: {line}")
         return up
 
 
-def _stream(request: ServeRequest, subject: ServedSource, stack: ExitStack) -> tuple[StreamServer, TakeFrames] | None:
-    """Return the streams' server and frames, None where none is asked for."""
+def _stream(
+    request: ServeRequest, subject: ServedSource, rate_hz: float, stack: ExitStack
+) -> tuple[StreamServer, TakeFrames, FaultLine | None] | None:
+    """Return the streams' server, frames and faults, None where no stream is asked for."""
     if not request.streams:
-        if request.tracks is not None:
-            raise InputError(f"--tracks {request.tracks}: is of streams; give --stream natnet")
+        given = {"--tracks": request.tracks, "--faults": request.faults, "--fault": " ".join(request.fault) or None}
+        for option, value in given.items():
+            if value is not None:
+                raise InputError(f"{option} {value}: is of streams; give --stream natnet")
         return None
+    ordered = ordered_faults(request.fault, request.faults, request.trouble.seed)
     if request.tracks is not None:
         frames = tracked_frames(request.tracks, request.up)
     else:
         assert subject.truth is not None
         frames = subject.truth()
-    rate_hz = request.rate_hz or subject.source.cameras[0].frame_rate_hz
+    faults = FaultLine(ordered, frames.model, frames.numbers) if ordered.program else None
     server = opened_streams(request.streams, frames.model, frames.names, rate_hz)
-    return stack.enter_context(server), frames
+    return stack.enter_context(server), frames, faults
 
 
-def _on_line(up: Served, server: StreamServer, frames: TakeFrames, loop: bool) -> PulsedStream:
+def _on_line(
+    up: Served, server: StreamServer, frames: TakeFrames, faults: FaultLine | None, loop: bool, period_s: float
+) -> PulsedStream:
     """Return the stream as one more device on the cameras' trigger line."""
     exposure_ns = round(up.devices[0].identity.exposure_us * 1000)
     by_pulse = {frame.number: frame for frame in frames}
     # what loops is the cameras' frames; of a source that is not whole in memory the tracks tell how many
     length = up.store.length or max(by_pulse) + 1
-    pulsed = PulsedStream(server, by_pulse, exposure_ns, length if loop else None)
+    pulsed = PulsedStream(server, by_pulse, exposure_ns, length if loop else None, faults, period_s)
     up.line.add(pulsed)
     return pulsed
 

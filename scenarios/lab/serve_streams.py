@@ -14,6 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from hardware.streams.content import TakeFrames
+from hardware.streams.fault_line import FaultLine
+from hardware.streams.faulted_sender import FaultedSender
 from hardware.streams.stream_server import StreamServer
 from hardware.streams.turns import UpAxis
 from hardware.streams.values import StreamFrame
@@ -97,15 +99,23 @@ def tracked_frames(path: Path, up: UpAxis) -> TakeFrames:
 class PulsedStream:
     """A device on the trigger line that sends a frame a pulse. ``close`` ends it; a context is not needed.
 
-    ``frames``: by pulse. ``length``: pulses after which the first frame follows, None: once through. ``sent``: pulses
-    that had a frame.
+    ``frames``: by pulse. ``length``: pulses after which the first frame follows, None: once through. ``faults``: that
+    the frames go through, by the time from the first pulse on. ``sent``: pulses that had a frame.
     """
 
     def __init__(
-        self, server: StreamServer, frames: Mapping[int, StreamFrame], exposure_ns: int, length: int | None = None
+        self,
+        server: StreamServer,
+        frames: Mapping[int, StreamFrame],
+        exposure_ns: int,
+        length: int | None = None,
+        faults: FaultLine | None = None,
+        period_s: float = 0.01,
     ) -> None:
-        self._server, self._frames, self._exposure_ns, self._length = server, frames, exposure_ns, length
+        self._frames, self._exposure_ns, self._length, self._period_s = frames, exposure_ns, length, period_s
+        self._sender = FaultedSender(server, faults)
         self.sent = 0
+        self._first_ns: int | None = None
         self._due: queue.SimpleQueue[tuple[int, int] | None] = queue.SimpleQueue()
         self._thread = threading.Thread(target=self._run, name="stream", daemon=True)
         self._thread.start()
@@ -120,12 +130,37 @@ class PulsedStream:
         self._thread.join()
 
     def _run(self) -> None:
-        while (due := self._due.get()) is not None:
-            number, time_ns = due
-            frame = self._frames.get(number if self._length is None else number % self._length)
-            if frame is None:
+        waits_ns: int | None = None
+        while True:
+            try:
+                due = self._due.get(timeout=_seconds_until(waits_ns))
+            except queue.Empty:
+                waits_ns = self._sender.deliver_due()
                 continue
-            time.sleep(max(0.0, (time_ns + self._exposure_ns - time.monotonic_ns()) * 1e-9))
-            frame = replace(frame, number=number)
-            self._server.send(frame, time_ns + self._exposure_ns // 2, time.monotonic_ns())
-            self.sent += 1
+            if due is None:
+                break
+            self._send(*due)
+            waits_ns = self._sender.deliver_due()
+        self._sender.release()
+        self._deliver_until(None)
+
+    def _deliver_until(self, time_ns: int | None) -> None:
+        """Deliver what waits, each at its time, until a monotonic time; None: all of it."""
+        while (at_ns := self._sender.deliver_due()) is not None and (time_ns is None or at_ns < time_ns):
+            time.sleep(_seconds_until(at_ns) or 0.0)
+        time.sleep(_seconds_until(time_ns) or 0.0)
+
+    def _send(self, number: int, time_ns: int) -> None:
+        frame = self._frames.get(number if self._length is None else number % self._length)
+        if frame is None:
+            return
+        self._first_ns = time_ns if self._first_ns is None else self._first_ns
+        self._deliver_until(time_ns + self._exposure_ns)
+        at_s, mid_ns = (time_ns - self._first_ns) * 1e-9, time_ns + self._exposure_ns // 2
+        self._sender.send(replace(frame, number=number), at_s, mid_ns, self._period_s)
+        self.sent += 1
+
+
+def _seconds_until(time_ns: int | None) -> float | None:
+    """Return the time from now until a monotonic time, 0 where it is over; None for None."""
+    return None if time_ns is None else max(0.0, (time_ns - time.monotonic_ns()) * 1e-9)

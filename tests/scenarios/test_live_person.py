@@ -2,12 +2,16 @@
 
 from contextlib import ExitStack
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from scipy.spatial.transform import Rotation
 from tiny_scenario import write_tiny
 
+from hardware.streams.stream_server import StreamServer
+from hardware.streams.values import HAS_MODEL, TRACKED, StreamedSkeleton
 from mosca.data.rig import Rig
 from mosca.data.tracks import Samples
 from mosca.errors import InputError
@@ -15,12 +19,14 @@ from mosca.formats.bodies.subject_file import write_subject
 from mosca.formats.joints.joints_csv import JointsLog, read_joints_csv
 from mosca.formats.tracks.tracks_file import TracksLog, read_tracks
 from mosca.skeleton.fit import fit_subject
+from mosca.skeleton.isb_angles import isb_angles
 from mosca.skeleton.marker_frames import marker_frames
 from mosca.skeleton.track import track_subject
 from reports.viewer import RerunLog
 from scenarios.cli.main import cli
 from scenarios.commands.live_skeleton import LivePerson, LiveShow
 from scenarios.commands.live_sources import LiveOptions
+from scenarios.commands.live_stream import LiveStream
 from tests.skeleton_takes import RATE_HZ, legs_model, made_subject, take
 from tests.studies.live_skeleton import disturbed
 
@@ -77,6 +83,85 @@ def test_a_persons_labels_joints_and_bones(person, tmp_path):
     chunk = pytest.importorskip("rerun.chunk", reason="rerun-sdk 0.41 or later is not installed")
     shown = {one.entity_path for one in chunk.RrdReader(tmp_path / "t.rrd").store().stream().to_chunks()}
     assert {"/world/points", "/world/skeleton/bones", "/world/skeleton/joints"} <= shown
+
+
+class Heard(StreamServer):
+    """A server that keeps the frames that it is sent."""
+
+    def __init__(self, model, names):
+        super().__init__()
+        self.model, self.names, self.heard = model, names, []
+
+    def deliver(self, outgoing):
+        self.heard.append(outgoing.frame)
+
+    def where(self):
+        return ""
+
+    def connected(self):
+        return 0
+
+    def start(self):
+        pass
+
+    def shut(self, why=""):
+        pass
+
+    def lines(self):
+        return []
+
+
+def test_a_person_is_streamed_with_labels_bones_and_angles(person, tmp_path, monkeypatch):
+    """Bones against products of the joints' rotations by scipy, labels against those of the take."""
+    path, subject, frames = person
+    servers = []
+
+    def opened(settings, model, names, rate_hz):
+        servers.append(Heard(model, names))
+        return servers[0]
+
+    monkeypatch.setattr("scenarios.commands.live_stream.opened_streams", opened)
+    source = SimpleNamespace(
+        scene=None,
+        session_ns=lambda host_ns: None,
+        frames=SimpleNamespace(cameras=[SimpleNamespace(frame_rate_hz=RATE_HZ)]),
+    )
+    joints = []
+    with ExitStack() as stack:
+        live = LivePerson(path, None, stack)
+        live._live._worker = None  # names come in the frame that asks for them
+        stream = stack.enter_context(LiveStream(LiveOptions(""), source, live))
+        for k, samples in enumerate(disturbed(frames, 0.0, 0.0, 0.0).samples):
+            poses, label_of = live.step(samples)
+            stream.step(k, int(frames.time_ns[k]), samples, poses, label_of)
+            joints.append(poses[-1].joints)
+    (server,) = servers
+    (skeleton,) = [one for one in server.model if isinstance(one, StreamedSkeleton)]
+    names = [bone.name for bone in skeleton.bones]
+    assert names == ["pelvis", "l_thigh", "l_shank", "l_foot", "r_thigh", "r_shank", "r_foot"]
+    number_of = {number: label for label, number in server.names.numbers.items()}
+    truth = {label: frames.xyz[:, k] for k, label in enumerate(subject.model.labels)}
+    posed = 0
+    for k, (frame, known) in enumerate(zip(server.heard, joints, strict=True)):
+        ((_, bones),) = frame.skeletons
+        for marker in frame.markers[frame.markers["params"] & HAS_MODEL > 0]:
+            np.testing.assert_allclose(marker["position"], truth[number_of[marker["id"]]][k], atol=1e-6)
+        if known is None:
+            assert not (bones["params"] & TRACKED).any()
+            assert np.isnan(frame.angles).all()
+            continue
+        posed += 1
+        turn = {
+            joint: Rotation.from_quat(known.rotation[0, c], scalar_first=True) for c, joint in enumerate(known.joints)
+        }
+        shank = turn["pelvis"] * turn["l_hip"] * turn["l_knee"]
+        bone = bones[names.index("l_shank")]
+        assert (Rotation.from_quat(bone["quaternion"]).inv() * shank).magnitude() < 1e-6
+        np.testing.assert_allclose(bone["position"], known.centre[0, known.joints.index("l_knee")], atol=1e-6)
+        assert frame.angles[server.names.angles.index("l_knee_flexion")] == isb_angles(known).angles[
+            0, isb_angles(known).names.index("l_knee_flexion")
+        ]  # fmt: skip
+    assert posed > 30
 
 
 def test_a_take_without_the_person_says_so(person, tmp_path):

@@ -19,8 +19,11 @@ from needs import needs_aravis
 
 from hardware.drivers import open_camera
 from hardware.settings import CameraHardware
+from hardware.streams.fault_line import FaultLine
+from hardware.streams.faults import ordered_faults
 from hardware.streams.lsl.outlets import LslSettings
 from hardware.streams.natnet.settings import NatNetSettings
+from hardware.streams.stream_server import StreamServer
 from mosca.data.rotations import rotation_from_quaternion
 from scenarios.build.cameras import true_rig, twin_source, virtual_cameras
 from scenarios.build.scene import build_scene
@@ -141,37 +144,83 @@ def test_true_bodies_lie_on_their_true_markers(tmp_path):
         assert one.number == k
 
 
-class Heard:
+class Heard(StreamServer):
     """A server that keeps what it is sent."""
 
     def __init__(self):
-        self.frames = []
+        super().__init__()
+        self.heard = []
 
-    def send(self, frame, mid_ns, received_ns):
-        self.frames.append((frame.number, frame.timestamp_s, mid_ns, received_ns))
+    def deliver(self, outgoing):
+        self.heard.append((outgoing.frame.number, outgoing, time.monotonic_ns()))
+
+    def where(self):
+        return ""
+
+    def connected(self):
+        return 0
+
+    def start(self):
+        pass
+
+    def shut(self, why=""):
+        pass
+
+    def lines(self):
+        return []
 
 
 def test_a_loop_begins_again_and_pulses_without_tracks_are_silent(tmp_path):
     spec, scene, _ = truth_of(write_tiny(tmp_path, duration_s=0.05))
     frames = {frame.number: frame for frame in true_frames(spec, scene, "z") if frame.number != 2}
-    heard = Heard()
-    stream = PulsedStream(heard, frames, 1_000_000, 5)
+    server = Heard()
+    stream = PulsedStream(server, frames, 1_000_000, 5)
     now = time.monotonic_ns()
     for k in range(12):
         stream.pulse(k, now + k * 1000)
     stream.close()
-    assert [number for number, *_ in heard.frames] == [k for k in range(12) if k % 5 != 2]
-    assert [mid for *_, mid, _ in heard.frames] == [now + k * 1000 + 500_000 for k in range(12) if k % 5 != 2]
+    assert [number for number, *_ in server.heard] == [k for k in range(12) if k % 5 != 2]
+    assert [one.mid_ns for _, one, _ in server.heard] == [now + k * 1000 + 500_000 for k in range(12) if k % 5 != 2]
     # nothing comes before its exposure is over
-    assert all(came >= mid + 500_000 for *_, mid, came in heard.frames)
-    assert heard.frames[4][1] == frames[0].timestamp_s
+    assert all(one.received_ns >= one.mid_ns + 500_000 for _, one, _ in server.heard)
+    assert server.heard[4][1].frame.timestamp_s == frames[0].timestamp_s
     assert stream.sent == 10
+
+
+def test_faults_act_on_pulses_as_they_were_ordered(tmp_path):
+    """Pulses 0.01 s apart: late ones in their order with true stamps, lost and doubled ones, swapped labels."""
+    spec, scene, _ = truth_of(write_tiny(tmp_path, duration_s=0.4))
+    frames = true_frames(spec, scene, "z")
+    orders = ["latency=0.03@0.049+0.06", "duplicate=5@0.199+0.1", "burst-loss=3@0.299+0.04", "label-swap@0.359"]
+    faults = FaultLine(ordered_faults(orders, None, 0), frames.model, frames.numbers)
+    server = Heard()
+    stream = PulsedStream(server, {frame.number: frame for frame in frames}, 1_000_000, None, faults, 0.01)
+    now = time.monotonic_ns()
+    for k in range(40):
+        stream.pulse(k, now + k * 10_000_000)
+    stream.close()
+    numbers = [number for number, *_ in server.heard]
+    twice = [24, 29]  # each fifth since 0.2 s
+    assert numbers == sorted([*(k for k in range(40) if k not in (30, 31, 32)), *twice])
+    assert [one.mid_ns for number, one, _ in server.heard] == [now + k * 10_000_000 + 500_000 for k in numbers]
+    late = [at - one.received_ns for number, one, at in server.heard if 5 <= number <= 10]
+    assert min(late) >= 30e6
+    first = frames.names.numbers
+    a, b = (first[label] for label in tuple(first)[:2])
+    for number, one, _ in server.heard:
+        ids = one.frame.markers["id"].tolist()
+        assert (ids.index(a) > ids.index(b)) == (number >= 36)
+    counts = [account.count for account in faults.accounts]
+    assert counts == [6, 2, 3, 4]
 
 
 @pytest.mark.parametrize(
     ("words", "told"),
     [
         ("tiny.toml --stream natnet --trigger Software", "--trigger Software: excludes --stream, whose frames come"),
+        ("tiny.toml --fault ghosts", "--fault ghosts: is of streams; give --stream natnet"),
+        ("tiny.toml --stream natnet --fault ghost", "--fault ghost: NAME[=VALUE][@AT_S[+FOR_S]] is wanted"),
+        ("tiny.toml --stream natnet --fault body-lost", "fault 'body-lost': 1 bodies are wanted; the stream's: none"),
         ("tiny.toml --tracks tiny.toml", "tiny.toml: is of streams; give --stream natnet"),
         ("tiny.toml --stream-address 127.0.0.1", "--stream-address 127.0.0.1: is of streams; give --stream natnet"),
         (
