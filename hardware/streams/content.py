@@ -210,7 +210,7 @@ class TakeFrames:
     def __iter__(self) -> Iterator[StreamFrame]:
         content, frames = StreamContent(*self._made_of), self._frames
         edges = [np.searchsorted(one.frame, [frames, frames + 1]).T.tolist() for one in (self._tracks, self._poses)]
-        labelled = np.cumsum([0, *(self._label >= 0)])
+        labelled = np.concatenate([[0], np.cumsum(self._label >= 0)])
         if self._skeleton is not None:
             self._skeleton.restart()
         for number, time_ns, (first, last), posed in zip(
