@@ -1,7 +1,7 @@
 """The verb ``mosca clinic``."""
 
 import sys
-from pathlib import Path
+from typing import Any
 
 import click
 
@@ -12,6 +12,11 @@ from scenarios.cli.options import EXIT_BROKEN, EXIT_PASSED, FILE, POSITIVE
 @click.argument("take", type=FILE)
 @click.option("--rig", type=FILE, help="rig file that it was measured with  [default: rig.toml in TAKE]")
 @click.option("--tracks", type=FILE, help="labelled tracks of the take  [default: tracks.npz or .csv in TAKE]")
+@click.option(
+    "--calibration",
+    type=FILE,
+    help="record of its calibration, as 'mosca calibrate' writes it  [default: RIG.calibration.json]",
+)
 @click.option("--fps", type=POSITIVE, help="frame rate of a recording that does not tell its own [Hz]")
 @click.option(
     "--known-length",
@@ -25,15 +30,7 @@ from scenarios.cli.options import EXIT_BROKEN, EXIT_PASSED, FILE, POSITIVE
     "--tape-sigma-mm", type=POSITIVE, default=1.0, show_default=True, help="standard deviation of --known-length"
 )
 @click.option("--json", "as_json", is_flag=True, help="print JSON")
-def clinic(
-    take: Path,
-    rig: Path | None,
-    tracks: Path | None,
-    fps: float | None,
-    lengths: tuple[float, ...],
-    tape_sigma_mm: float,
-    as_json: bool,
-) -> None:
+def clinic(as_json: bool, lengths: tuple[float, ...], tape_sigma_mm: float, **given: Any) -> None:
     """Name the likeliest cause of a fault in a take, with its evidence and what to do next.
 
     TAKE is a recording or a run folder. Exit codes: 0 nothing is wrong that can be seen, 1 a cause is named or
@@ -43,8 +40,8 @@ def clinic(
     Example:  mosca clinic recordings/take_1 --rig rig.toml --known-length 0.6
     """
     from mosca.clinic.diagnose import KnownLengths
-    from scenarios.commands.clinic import clinic_json, clinic_lines, clinic_of
+    from scenarios.commands.clinic import ClinicRequest, clinic_json, clinic_lines, clinic_of
 
-    report = clinic_of(take, rig, fps, tracks, KnownLengths(lengths, 1e-3 * tape_sigma_mm))
+    report = clinic_of(ClinicRequest(known=KnownLengths(lengths, 1e-3 * tape_sigma_mm), **given))
     click.echo(clinic_json(report) if as_json else "\n".join(clinic_lines(report)))
     sys.exit(EXIT_BROKEN if report.causes or report.not_judged else EXIT_PASSED)

@@ -14,7 +14,10 @@ from scenarios.cli.progress import Progress
 @click.argument("recording", type=FILE)
 @click.option("--target", required=True, type=FILE, help="target file (TOML): what was put before the cameras")
 @click.option(
-    "--out", required=True, type=OUT_FILE, help="rig file to write (.toml); its page goes beside it (.html)"
+    "--out",
+    required=True,
+    type=OUT_FILE,
+    help="rig file to write (.toml); its page (.html) and record (.calibration.json) go beside it",
 )
 @click.option(
     "--lens",

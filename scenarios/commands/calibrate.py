@@ -22,6 +22,7 @@ from mosca.data.targets import ScaleBar
 from mosca.data.wands import LFrame, SingleLight, Wand
 from mosca.detection.detect import DetectionSettings
 from mosca.errors import CalibrationError, InputError
+from mosca.formats.rigs.calibration_record import RECORD_SUFFIX, write_calibration_record
 from mosca.formats.selfcal_points import read_selfcal_points
 from mosca.formats.wand_points import read_wand_points
 from mosca.recording import open_recording
@@ -78,13 +79,14 @@ class CalibrateOptions:
 def calibrate(request: CalibrateOptions, progress: Callable[[int, int | None], None]) -> list[str]:
     """Calibrate, write the rig and its page, and return what to report, a line each.
 
-    A calibration that must not be used writes its page alone and raises CalibrationError.
+    A calibration that must not be used writes its page and its record alone and raises CalibrationError.
     """
     settings = request.settings()
     out = request.out
     if out.suffix != ".toml":
         raise InputError(f"{out}: a rig file ends in .toml")
-    for path in (out, out.with_suffix(".html")):
+    page, record = out.with_suffix(".html"), out.with_suffix(RECORD_SUFFIX)
+    for path in (out, page, record):
         check_writable(path)
     target = read_target_file(request.target)
     if isinstance(target, PointsTarget):
@@ -94,7 +96,6 @@ def calibrate(request: CalibrateOptions, progress: Callable[[int, int | None], N
     known = None if request.known is None else read_rig(request.known)
     if settings.exterior_only and known is None:
         raise InputError("--exterior-only keeps the lenses of an earlier rig; give it with --known RIG.toml")
-    page = out.with_suffix(".html")
     LOG.info("%s: target %s, reading and adjusting", request.recording, request.target)
     sightings = _table(request, target)
     if sightings is None:
@@ -115,12 +116,13 @@ def calibrate(request: CalibrateOptions, progress: Callable[[int, int | None], N
     )
     LOG.info("%d image points adjusted, %d findings", len(calibration.sightings), len(calibration.findings))
     write_calibration_page(page, calibration, evidence)
+    write_calibration_record(calibration, record)
     if calibration.refused:
         first = calibration.refused[0]
         kept = "; the earlier file is unchanged" if out.exists() else ""
         raise CalibrationError(f"{out} not written{kept}: {first.code}: {first.message} (see {page})")
     write_rig(calibration.rig, out)
-    return [*summary_lines(calibration), f"{out} written; {page}"]
+    return [*summary_lines(calibration), f"{out} written; {page}, {record}"]
 
 
 def summary_lines(calibration: Calibration) -> list[str]:

@@ -1,8 +1,14 @@
 """``mosca clinic``: a recording or a run folder, with what lies in it, and the likeliest cause of its fault."""
 
 import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
+import numpy as np
+
+from mosca.clinic.causes import merged
 from mosca.clinic.diagnose import (
     ALPHA,
     FALSE_ALARMS,
@@ -13,25 +19,52 @@ from mosca.clinic.diagnose import (
     diagnose_tracks,
     joined,
 )
+from mosca.clinic.history import CAUSE_OF, calibration_causes, health_causes, poorly_connected, said
+from mosca.data.calibration import Finding
 from mosca.data.files.rig_file import read_rig
+from mosca.data.tracks import Tracks
+from mosca.diagnostics.camera_health import CameraHealth
 from mosca.errors import InputError
 from mosca.formats.bodies.bodies_csv import read_bodies_csv
+from mosca.formats.rigs.calibration_record import RECORD_SUFFIX, read_calibration_record
 from mosca.formats.tracks.tracks_file import read_tracks
 from mosca.recording import open_recording
+from reports.record import read_record
 from scenarios.run.take_files import POSES_FILE, RIG_FILE, TRACKS_FILES
 
+RECORD_FILE = "record.json"
 
-def clinic_of(
-    path: Path, rig_path: Path | None, fps: float | None, tracks_path: Path | None, known: KnownLengths
-) -> ClinicReport:
-    """Return what is wrong with the take in ``path``: its frames with the rig, its tracks, its bodies' poses.
+
+@dataclass(frozen=True)
+class ClinicRequest:
+    """Arguments of ``mosca clinic``; ``rig``, ``tracks`` and ``calibration`` None: what lies in the take."""
+
+    take: Path
+    rig: Path | None = None
+    fps: float | None = None
+    tracks: Path | None = None
+    calibration: Path | None = None
+    known: KnownLengths = field(default_factory=KnownLengths)
+
+
+def clinic_of(request: ClinicRequest) -> ClinicReport:
+    """Return what is wrong with a take: its frames with the rig, its tracks, its bodies' poses, its records.
 
     InputError where there is nothing to look at, or frames without a rig.
     """
+    path = request.take
     if not path.exists():
         raise InputError(f"{path}: no such folder or file; a recording, a run's folder or a file of tracks is wanted")
-    rig_file = rig_path or (path / RIG_FILE if (path / RIG_FILE).is_file() else None)
-    tracks_file = tracks_path or next((path / n for n in TRACKS_FILES if (path / n).is_file()), None)
+    rig_file = request.rig or (path / RIG_FILE if (path / RIG_FILE).is_file() else None)
+    report = _take_report(request, rig_file)
+    beside = None if rig_file is None else rig_file.with_suffix(RECORD_SUFFIX)
+    record = request.calibration or (beside if beside is not None and beside.is_file() else None)
+    return report if record is None else with_calibration(report, record)
+
+
+def _take_report(request: ClinicRequest, rig_file: Path | None) -> ClinicReport:
+    path = request.take
+    tracks_file = request.tracks or next((path / n for n in TRACKS_FILES if (path / n).is_file()), None)
     poses_file = path / POSES_FILE if (path / POSES_FILE).is_file() else None
     report = ClinicReport((), ())
     if path.is_file() and path.suffix != ".mcap":
@@ -39,19 +72,61 @@ def clinic_of(
     if tracks_file is not None or poses_file is not None:
         tracks = None if tracks_file is None else read_tracks(tracks_file)
         report = diagnose_tracks(tracks, None if poses_file is None else read_bodies_csv(poses_file))
-    is_run = (path / "record.json").is_file()
-    if is_run and tracks_file is not None:
-        return report
+        if (path / RECORD_FILE).is_file():
+            rate_hz = None if tracks is None else rate_of(tracks)
+            return joined(report, health_report(path / RECORD_FILE, rate_hz))
     if rig_file is None:
         if tracks_file is not None:
             return report
         raise InputError(f"{path}: no {RIG_FILE} in it; give the rig that the take was measured with: --rig RIG.toml")
     rig = read_rig(rig_file)
-    with open_recording(path, None, fps) as source:
+    with open_recording(path, None, request.fps) as source:
         if wrong := diagnose_sizes(rig, source.cameras):
             return joined(report, ClinicReport(tuple(wrong), (f"sizes of the images and of {rig_file}",)))
-    with open_recording(path, rig, fps) as source:
-        return joined(report, diagnose_frames(source, rig, known))
+    with open_recording(path, rig, request.fps) as source:
+        return joined(report, diagnose_frames(source, rig, request.known))
+
+
+def rate_of(tracks: Tracks) -> float | None:
+    """Return the frame rate of tracks [Hz]; None where they are of one frame."""
+    frames, first = np.unique(tracks.frame, return_index=True)
+    if len(frames) < 2:
+        return None
+    return float(1e9 / np.median(np.diff(tracks.time_ns[first]) / np.diff(frames)))
+
+
+def health_report(path: Path, rate_hz: float | None) -> ClinicReport:
+    """Return what the record of a run says of its cameras."""
+    cameras = [_health(name, values) for name, values in read_record(path).cameras.items()]
+    if not cameras:
+        return ClinicReport((), ())
+    period_s = float("inf") if rate_hz is None else 1.0 / rate_hz
+    found = health_causes(cameras, period_s, ALPHA)
+    return ClinicReport(
+        tuple(found), (f"{path}: health of {len(cameras)} cameras",), tuple(poorly_connected(cameras))
+    )
+
+
+def _health(name: str, values: Mapping[str, Any]) -> CameraHealth:
+    known = {
+        key: values.get(key) for key in ("residual_px", "extra_px", "connected", "missing", "late_s", "late_sigma_s")
+    }
+    numbers = {key: float(v) if isinstance(v, int | float) else float("nan") for key, v in known.items()}
+    return CameraHealth(name=name, residuals_px=(), **numbers)
+
+
+def with_calibration(report: ClinicReport, path: Path) -> ClinicReport:
+    """Return a report with what the calibration's record at ``path`` warned of.
+
+    A warning adds to the evidence of its cause; where the take shows no such cause, it ranks last.
+    """
+    record = read_calibration_record(path)
+    findings = [Finding(one.code, one.severity, one.message, one.camera) for one in record.findings]
+    sigma0 = "unknown" if record.sigma0 is None else f"{record.sigma0:.2f}"
+    told = [f"{path}: {record.target}, {record.image_points} image points, sigma0 {sigma0}"]
+    told += [said(one) for one in findings if one.severity != "note" and one.code not in CAUSE_OF]
+    causes = merged([*report.causes, *calibration_causes(findings)])
+    return ClinicReport(tuple(causes), (*report.looked_at, *told), report.not_judged)
 
 
 def clinic_lines(report: ClinicReport) -> list[str]:

@@ -24,6 +24,7 @@ from mosca.data.wands import SingleLight
 from mosca.editing.edit_file import read_track_edits
 from mosca.editing.history import TakeFormat, read_edited, write_edited
 from mosca.formats.bodies.bodies_csv import read_bodies_csv, write_bodies_csv
+from mosca.formats.rigs.calibration_record import read_calibration_record
 from mosca.formats.selfcal_points import read_selfcal_points
 from mosca.formats.tracks.c3d import read_c3d
 from mosca.formats.tracks.marker_table import MarkerTable
@@ -546,6 +547,23 @@ def _record_expected(folder: Path) -> Any:
     return {**{key: given[key] for key in ("scenario", "seed", "passed")}, "metrics": metrics}
 
 
+CALIBRATION_RECORD = """{"target": "TestField", "image_points": 1200, "left_out": 3, "sigma0": 1.04,
+ "scaled_by": "the test field's marks", "shake_px": 0.03, "weak": ["cam1.a"],
+ "cameras": [{"name": "cam1", "sigma_px": [0.04, 0.05], "sigma_m": [2e-5, null]}],
+ "findings": [{"code": "little-depth", "severity": "warn", "message": "a plane", "camera": "cam1"}]}
+"""
+
+
+def _calibration_record(folder: Path) -> Any:
+    return read_calibration_record(folder / "a.json").model_dump(mode="json")
+
+
+def _calibration_record_expected(folder: Path) -> Any:
+    document = json.loads((folder / "a.json").read_bytes().decode("utf-8"))
+    optional = [{"camera": None, **one} for one in document["findings"]]
+    return {**document, "findings": optional}
+
+
 def _history(folder: Path) -> Any:
     return [vars(one) for one in read_history(folder / "history.jsonl")]
 
@@ -668,5 +686,12 @@ READERS = (
     ),
     Reader("asf amc", (_asf_seed,), ("a.asf", "a.amc"), _amc, _amc_expected),
     Reader("history.jsonl", (_history_seed,), ("history.jsonl",), _history, _history_expected),
+    Reader(
+        "calibration record",
+        (toml_seed(CALIBRATION_RECORD, "a.json"),),
+        ("a.json",),
+        _calibration_record,
+        _calibration_record_expected,
+    ),
     Reader("record.json", (_record_seed,), ("a.json",), _record, _record_expected),
 )

@@ -191,6 +191,13 @@ def test_a_field_gives_the_rig_that_made_its_images(lab, field_rig):
     page = out.with_suffix(".html").read_text()
     assert "cam3" in page
     assert "<html" in page
+    record = json.loads(out.with_suffix(".calibration.json").read_text())
+    assert [one["name"] for one in record["cameras"]] == list(found.names)
+    assert f"{record['image_points']} image points, {record['left_out']} left out" in told
+    assert f"{record['cameras'][0]['name']}: sigma_x {record['cameras'][0]['sigma_px'][0]:.3f} px" in told
+    assert [f"{one['code']}: {one['message']}" in told for one in record["findings"]] == [True] * len(
+        record["findings"]
+    )
 
 
 def test_the_comparison_names_the_camera_that_was_turned_by_a_pixel(lab, field_rig, tmp_path):

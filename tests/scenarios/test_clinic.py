@@ -2,17 +2,22 @@
 
 import hashlib
 import json
+import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from mosca.data.tracks import Tracks
+from mosca.formats.tracks.tracks_file import write_tracks
 from scenarios.cli.main import cli
 from scenarios.run.scenario import run_scenario
 from scenarios.spec.scenario import load_scenario
 from scenarios.types import RunOptions
 
-LIBRARY = Path(__file__).parents[2] / "scenarios/library/clinic"
+ROOT = Path(__file__).parents[2]
+LIBRARY = ROOT / "scenarios/library/clinic"
 CASES = sorted(path.stem for path in LIBRARY.glob("*.toml"))
 
 
@@ -58,6 +63,60 @@ def test_a_take_without_rig_is_told_in_a_line(take, tmp_path):
     (alone / "recording.mcap").symlink_to(take / "recording.mcap")
     found = CliRunner().invoke(cli, ["clinic", str(alone)])
     assert "give the rig that the take was measured with" in str(found.exception)
+
+
+RECORD = """{"target": "Board", "image_points": 900, "left_out": 0, "sigma0": 1.5, "scaled_by": "the board",
+ "shake_px": null, "weak": [], "cameras": [], "findings": [
+ {"code": "rig-moved", "severity": "warn", "message": "cam3 stands elsewhere", "camera": "cam3"},
+ {"code": "little-depth", "severity": "warn", "message": "2 % of depth"},
+ {"code": "unit-weight", "severity": "warn", "message": "sigma0 1.5"}]}"""
+
+
+def test_a_calibrations_warnings_are_evidence(take, tmp_path):
+    """Beside the rig file: of the cause that the take shows, of one that it does not, and of none."""
+    shutil.copy(take / "rig.toml", tmp_path / "rig.toml")
+    (tmp_path / "rig.calibration.json").write_text(RECORD)
+    given = ["clinic", str(take), "--rig", str(tmp_path / "rig.toml")]
+    found = json.loads(CliRunner().invoke(cli, [*given, "--json"]).output)
+    codes = [one["code"] for one in found["causes"]]
+    assert codes[0] == "camera-moved"
+    assert codes[-1] == "weak-calibration"
+    assert found["causes"][0]["evidence"][-1] == "calibration, warning rig-moved: cam3 stands elsewhere"
+    assert any("Board, 900 image points, sigma0 1.50" in line for line in found["looked_at"])
+    assert "calibration, warning unit-weight: sigma0 1.5" in found["looked_at"]
+    (tmp_path / "broken.json").write_text("[1]")
+    told = CliRunner().invoke(cli, [*given, "--calibration", str(tmp_path / "broken.json")])
+    assert "broken.json: no record of a calibration; 'mosca calibrate' writes one" in str(told.exception)
+
+
+def test_a_runs_record_tells_a_late_camera(tmp_path):
+    """A run's folder whose record states that cam2 exposes 3 ms late, with 200 frames a second in its tracks."""
+    source = json.loads(sorted((ROOT / "reports/baselines").glob("**/*.json"))[0].read_text())
+    health = {
+        "residual_px": 0.1,
+        "extra_px": 0.02,
+        "connected": 0.99,
+        "missing": 0.0,
+        "late_s": 0.0,
+        "late_sigma_s": 1e-5,
+    }
+    source["cameras"] = {"cam1": health, "cam2": health | {"late_s": 0.003}, "cam3": health | {"late_s": None}}
+    (tmp_path / "record.json").write_text(json.dumps(source))
+    write_tracks(still_tracks(), tmp_path / "tracks.npz", 200.0)
+    found = CliRunner().invoke(cli, ["clinic", str(tmp_path), "--json"])
+    assert found.exit_code == 1
+    (cause,) = json.loads(found.output)["causes"]
+    assert (cause["code"], cause["camera"]) == ("sync-lost", "cam2")
+    assert "exposes 3.00 ms later" in cause["evidence"][0]
+
+
+def still_tracks():
+    """Return a marker that stands still for 30 frames of 5 ms."""
+    n = 30
+    return Tracks(
+        np.arange(n), np.arange(n) * 5_000_000, np.zeros(n, int), np.full(n, "a"), np.zeros((n, 3)),
+        np.tile(1e-8 * np.eye(3), (n, 1, 1)), np.full(n, 3), np.full(n, 0.1), np.full(n, "measured"),
+    )  # fmt: skip
 
 
 @pytest.mark.slow
