@@ -104,11 +104,17 @@ def diagnose_frames(source: FrameSource, rig: Rig, known: KnownLengths | None = 
     if not len(observed):
         return ClinicReport(tuple(in_order(found)), tuple(told), ("no rays meet: nothing can be said of the rig",))
     residuals = residuals_of(observed, rig, rate_hz)
+    if not len(residuals.rest):
+        short = (
+            f"no point is followed over enough of the {len(seen)} frame sets to have a speed; give a longer take",
+        )
+        found += stamp_causes(stamps, None, 1.0 / rate_hz, ALPHA)
+        return ClinicReport(tuple(in_order(found)), tuple(told), short)
     told.append(f"rays meet to {residuals.unit_weight:.2f} times the stated noise")
     lost = lost_cameras(seen, rig, observed)
     geometry = geometry_causes(residuals, rig, 1.0 / rate_hz, ALPHA)
-    found += stamp_causes(stamps, residuals if len(residuals.rest) else None, 1.0 / rate_hz, ALPHA)
-    found += row_causes(stamps, residuals, rig, MOVED_PX) if len(residuals.rest) else []
+    found += stamp_causes(stamps, residuals, 1.0 / rate_hz, ALPHA)
+    found += row_causes(stamps, residuals, rig, MOVED_PX)
     found += lost + [one for one in geometry if one.code not in [other.code for other in lost]]
     if not lost:
         found += reflection_causes(seen, rig, observed, ALPHA)

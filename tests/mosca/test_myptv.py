@@ -19,6 +19,7 @@ from mosca.api import reconstruct
 from mosca.calibration.single_camera.adjust import CameraAdjustment
 from mosca.calibration.single_camera.from_points import calibrate_from_points
 from mosca.camera.projection import project, rays
+from mosca.clinic.diagnose import diagnose_frames
 from mosca.data.detections import Detections
 from mosca.data.files.rig_file import read_rig
 from mosca.data.files.target_file import PointsTarget, read_target_file
@@ -106,6 +107,16 @@ def direct_linear(xy: np.ndarray, points: np.ndarray) -> np.ndarray:
     below = x @ p[8:] + 1
     predicted = np.column_stack([(x @ p[:3] + p[3]) / below, (x @ p[4:7] + p[7]) / below])
     return np.linalg.norm(predicted - u, axis=1) * xy.std()
+
+
+def test_the_clinic_says_that_three_frames_tell_nothing(calibrated, tmp_path):
+    for name in CAMERAS:
+        (tmp_path / name).symlink_to(EXAMPLE / f"Images_{name}")
+    rig, _ = calibrated["mosca"]
+    with open_recording(tmp_path, rig, 10.0) as source:
+        report = diagnose_frames(source, rig)
+    assert report.causes == ()
+    assert "followed over enough of the 3 frame sets" in report.not_judged[0]
 
 
 @pytest.mark.parametrize("lens", list(MEDIAN_PX))
