@@ -26,9 +26,12 @@ class ClusterEngine:
     chunk_s = 1.0
     """As Dask's own advice has it: its cost a task is some milliseconds."""
 
-    def __init__(self, address: str) -> None:
-        """Connect to the scheduler at ``address``; InputError where there is none, or where workers have threads."""
-        self._address = address
+    def __init__(self, address: str, lost: str = "runs that are done are kept: the same command goes on") -> None:
+        """Connect to the scheduler at ``address``; InputError where there is none, or where workers have threads.
+
+        ``lost``: what becomes of runs where it does not come back, in words.
+        """
+        self._address, self._lost = address, lost
         self._client = self._connected(CONNECT_S)
         self._contents: tuple[Mapping[str, bytes], Any] | None = None
         self._futures: set[Any] = set()
@@ -83,12 +86,12 @@ class ClusterEngine:
                 "leave --scheduler out"
             ) from None
         try:
-            return Client(self._address, timeout=timeout_s, set_as_default=False, name="mosca-claim")
+            return Client(self._address, timeout=timeout_s, set_as_default=False, name="mosca")
         except (OSError, ValueError) as error:
             raise InputError(
                 f"--scheduler {self._address}: no Dask scheduler answers within {timeout_s:.0f} s "
                 f"({type(error).__name__}); 'dask scheduler' starts one and 'dask worker ADDRESS --nthreads 1' "
-                "workers; runs that are done are kept: the same command goes on"
+                f"workers; {self._lost}"
             ) from None
 
     def _workers(self) -> Mapping[str, Any]:

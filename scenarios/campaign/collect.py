@@ -8,6 +8,7 @@ from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
+from typing import Protocol
 
 from mosca.errors import InputError
 from scenarios.campaign.engine import Chunk, Engine
@@ -24,7 +25,19 @@ LOST = (BrokenProcessPool, CancelledError, ConnectionError)
 DIED = "its process died three times: out of memory, or killed"
 
 
-class KeptRuns:
+class Outcomes(Protocol):
+    """Where outcomes come from and go to, besides being collected."""
+
+    def find(self, task: RunTask) -> RunOutcome | None:
+        """Return the outcome of a run where it is known already."""
+        ...
+
+    def keep(self, task: RunTask, outcome: RunOutcome) -> None:
+        """Take an outcome as its run ends, in any order."""
+        ...
+
+
+class KeptRuns(Outcomes):
     """Outcomes kept by the content of all that decides them: claims that share runs find each other's."""
 
     def __init__(self, work: Work, folder: Path | None = None) -> None:
@@ -57,7 +70,7 @@ class _Collection:
     tasks: Sequence[RunTask]
     engine: Engine
     work: Work
-    kept: KeptRuns
+    kept: Outcomes
     done: dict[int, RunOutcome]
     pending: dict[Chunk, list[int]]
     deaths: dict[int, int]
@@ -77,7 +90,7 @@ def collect(
     enough: Callable[[Sequence[RunOutcome]], int],
     *,
     work: Work = run_task,
-    kept: KeptRuns | None = None,
+    kept: Outcomes | None = None,
     told: Callable[[int], None] = lambda done: None,
     stopped: Callable[[], bool] = lambda: False,
 ) -> list[RunOutcome]:

@@ -7,7 +7,7 @@ import tempfile
 import time
 import traceback
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 
@@ -36,6 +36,8 @@ class RunOutcome:
     processor: str = ""
     seconds: float = field(default=0.0, compare=False)
     """How long it took; in no result."""
+    made: object = field(default=None, compare=False, repr=False)
+    """What the run made besides, of work that keeps it."""
 
 
 Work = Callable[[RunTask, Mapping[str, bytes]], RunOutcome]
@@ -58,10 +60,15 @@ def run_task(task: RunTask, contents: Mapping[str, bytes]) -> RunOutcome:
     except MoscaError as error:
         return RunOutcome(task.number, failed=str(error))
     except Exception as error:  # a bug is a result of this run, and no reason to lose the others
-        where = traceback.extract_tb(error.__traceback__)[-1]
-        text = " ".join(f"{type(error).__name__}: {error}".split())
-        return RunOutcome(task.number, failed=f"{text} ({Path(where.filename).name}:{where.lineno})")
+        return RunOutcome(task.number, failed=bug_line(error))
     return RunOutcome(task.number, {metric.name: metric.value for metric in record.metrics})
+
+
+def bug_line(error: Exception) -> str:
+    """Return an error that should not be, and where it is from, as a line."""
+    where = traceback.extract_tb(error.__traceback__)[-1]
+    text = " ".join(f"{type(error).__name__}: {error}".split())
+    return f"{text} ({Path(where.filename).name}:{where.lineno})"
 
 
 def run_chunk(work: Work, tasks: Sequence[RunTask], contents: Mapping[str, bytes], stamp: str) -> list[RunOutcome]:
@@ -78,9 +85,7 @@ def run_chunk(work: Work, tasks: Sequence[RunTask], contents: Mapping[str, bytes
         start = time.perf_counter()
         outcome = work(task, contents)
         seconds = time.perf_counter() - start
-        found.append(
-            RunOutcome(outcome.number, outcome.metrics, outcome.failed, str(numerics()["processor"]), seconds)
-        )
+        found.append(replace(outcome, processor=str(numerics()["processor"]), seconds=seconds))
     return found
 
 

@@ -4,6 +4,7 @@ import logging
 import os
 import sys
 from collections.abc import Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -34,6 +35,7 @@ class SuiteOptions:
     tier: str
     overrides: tuple[str, ...]
     jobs: int | None
+    scheduler: str | None
     out: Path
     junit: Path | None
     compare: Path | None
@@ -44,6 +46,8 @@ class SuiteOptions:
 
     def check(self) -> None:
         """Raise InputError for options that exclude each other."""
+        if self.jobs is not None and self.scheduler is not None:
+            raise InputError("--jobs and --scheduler exclude each other: a cluster has the workers that it has")
         if self.baselines is not None and not self.update_baselines:
             raise InputError("--baselines goes with --update-baselines; to compare with a folder give --compare")
         if self.replicates and not self.update_baselines:
@@ -67,6 +71,7 @@ class SuiteOptions:
     help="change a key in each, e.g. seed=2; then nothing is compared with the committed baselines  [repeatable]",
 )
 @click.option("--jobs", type=click.IntRange(1, 256), help="scenarios at a time  [default: all cores]")
+@click.option("--scheduler", metavar="ADDRESS", help="run them on this Dask cluster, e.g. tcp://10.0.0.5:8786")
 @click.option("--out", type=OUT_FOLDER, default=Path("runs/suite"), show_default=True, help="folder of run folders")
 @click.option("--junit", type=OutFile(makes_folders=True), help="write JUnit XML here")
 @click.option("--compare", type=FILE, help="folder of baselines to compare with  [default: the committed ones]")
@@ -140,8 +145,10 @@ def suite(**given: Any) -> None:
 
 def _outcomes(entries: Sequence[Any], options: SuiteOptions) -> list[Any]:
     """Run the scenarios, with the progress on the terminal."""
+    from scenarios.campaign.cluster import ClusterEngine
     from scenarios.run.one_writer import one_writer
     from scenarios.suite import suite as work
+    from scenarios.suite.on_cluster import run_suite_on
 
     with Progress("suite") as shown:
         count = 0
@@ -154,4 +161,7 @@ def _outcomes(entries: Sequence[Any], options: SuiteOptions) -> list[Any]:
             shown(count, len(entries))
 
         with one_writer(options.out):
+            if options.scheduler is not None:
+                with closing(ClusterEngine(options.scheduler, "run folders that are done stay")) as engine:
+                    return run_suite_on(engine, entries, options.out, report)
             return work.run_suite(entries, options.out, options.jobs or os.cpu_count() or 1, report)

@@ -23,6 +23,7 @@ from reports.record import RunRecord, read_record, write_record
 from scenarios.run.interrupt import first_ctrl_c, was_interrupted
 from scenarios.run.worker_processes import begin_worker, ctrl_c_held_back, spawned_pool
 from scenarios.spec.catalog import Entry
+from scenarios.spec.scenario import Scenario, load_scenario
 
 BASELINES = Path(__file__).resolve().parents[2] / "reports" / "baselines"
 STOPPED = "stopped by hand"
@@ -57,7 +58,7 @@ def run_suite(entries: Sequence[Entry], out: Path, jobs: int, told: Callable[[Ou
     Outcomes are in the order of the entries. The longest start first, so that all cores end at about the same time.
     Ctrl-C ends those that run; these and those that did not begin have the error ``STOPPED``.
     """
-    order = sorted(entries, key=_weight, reverse=True)
+    order = longest_first(entries)
     done: dict[str, Outcome] = {}
     asked = threading.Event()
     jobs = min(jobs, max(1, len(order)))
@@ -198,33 +199,44 @@ def complaints(outcome: Outcome) -> list[str]:
     return lines
 
 
-def _run_one(path: str, name: str, out: str, overrides: tuple[str, ...] = ()) -> Outcome:
-    """Run one scenario in a worker process."""
+def longest_first(entries: Sequence[Entry]) -> list[Entry]:
+    """Return the scenarios that render most first, so that all workers end at about the same time."""
+    return sorted(entries, key=_weight, reverse=True)
+
+
+def made(load: Callable[[], Scenario], name: str, folder: Path, out: Path) -> Outcome:
+    """Run one scenario into the run folder ``out``; ``folder``: of the files that it names."""
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     from reports.suite.thumbnail import thumbnail
     from scenarios.run.folder import check_out, write_run
     from scenarios.run.one_writer import one_writer
     from scenarios.run.scenario import run_scenario
-    from scenarios.spec.scenario import load_scenario
 
     start = time.perf_counter()
     record, picture = None, ""
-    before = signal.signal(signal.SIGTERM, _end_scenario)
     try:
-        check_out(Path(out))
-        with one_writer(Path(out)):
-            result = run_scenario(load_scenario(Path(path), overrides), name, Path(path).parent)
+        check_out(out)
+        with one_writer(out):
+            result = run_scenario(load(), name, folder)
             record, picture = result.record, thumbnail(result.evidence)
-            write_run(result, Path(out))
+            write_run(result, out)
     except MoscaError as error:
         return Outcome(name, record, str(error), time.perf_counter() - start, picture=picture)
+    return Outcome(name, record, "", time.perf_counter() - start, picture=picture)
+
+
+def _run_one(path: str, name: str, out: str, overrides: tuple[str, ...] = ()) -> Outcome:
+    """Run one scenario in a worker process."""
+    before = signal.signal(signal.SIGTERM, _end_scenario)
+    start = time.perf_counter()
+    try:
+        return made(lambda: load_scenario(Path(path), overrides), name, Path(path).parent, Path(out))
     except (KeyboardInterrupt, SystemError) as error:
         if not was_interrupted(error):
             raise
         return Outcome(name, None, STOPPED, time.perf_counter() - start)
     finally:
         signal.signal(signal.SIGTERM, before)
-    return Outcome(name, record, "", time.perf_counter() - start, picture=picture)
 
 
 def _compared(outcome: Outcome, baselines: Path) -> Outcome:
