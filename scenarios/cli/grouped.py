@@ -18,6 +18,18 @@ LONGEST = 120
 class GroupedCommands(click.Group):
     """A group of commands whose help lists them by section; one without a section comes last."""
 
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Return the command that is meant; of an unknown one say in which group it is."""
+        try:
+            return super().resolve_command(ctx, args)
+        except click.UsageError as error:
+            groups = [name for name, one in self.commands.items() if args[0] in getattr(one, "commands", ())]
+            if groups:
+                error.message += f" Did you mean '{groups[0]} {args[0]}'?"
+            raise
+
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write a list of commands for each section."""
         listed = {name for names in SECTIONS.values() for name in names}

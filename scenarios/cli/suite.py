@@ -94,6 +94,8 @@ class SuiteOptions:
 def suite(**given: Any) -> None:
     """Run all scenarios of a tier (or those in PATH ...) on all cores, and compare with the baselines.
 
+    PATH is a scenario file, a folder of them, or a folder of the built-in ones, as subjects.
+
     OUT/suite.html is their page: expected and found, the nearest limit, the history over commits.
 
     \b
@@ -106,7 +108,11 @@ def suite(**given: Any) -> None:
     entries = catalog.entries(options.paths, options.tier, options.overrides)
     if not entries:
         where = ", ".join(map(str, options.paths)) or "the project"
-        raise InputError(f"no scenario of tier '{options.tier}' in {where}")
+        other = len(catalog.entries(options.paths, "full", options.overrides)) if options.tier != "full" else 0
+        advice = (
+            f"--tier full runs the {other} that are there" if other else "'mosca list' shows those of the project"
+        )
+        raise InputError(f"no scenario of tier '{options.tier}' in {where}; {advice}")
     from reports.compare import summary_table
     from scenarios.suite import suite as work
     from scenarios.suite.pages import known_history, write_suite

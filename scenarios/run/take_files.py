@@ -23,7 +23,9 @@ class TakeFiles:
 
 
 def take_files(path: Path) -> TakeFiles:
-    """Return the files of a take. InputError for a folder without tracks."""
+    """Return the files of a take. InputError where there is nothing, or a folder without tracks."""
+    if not path.exists():
+        raise InputError(f"{path}: no such file or folder; a file of tracks or a run folder is wanted")
     if not path.is_dir():
         return TakeFiles(path)
     found = [path / name for name in TRACKS_FILES if (path / name).is_file()]

@@ -34,6 +34,11 @@ def find(name: str) -> Path:
     short = [p for p in there.values() if p.stem == name]
     if name in there or len(short) == 1:
         return there.get(name) or short[0]
+    if path.is_dir():
+        raise InputError(
+            f"{path}: is a folder; a scenario is a .toml file, or a name that 'mosca list' shows; of images: "
+            f"recording:{path} with --rig RIG.toml"
+        )
     near = difflib.get_close_matches(name, [*there, *(p.stem for p in there.values())], n=1)
     hint = f"did you mean '{near[0]}'?" if near else "'mosca list' shows what there is"
     raise InputError(f"{name}: no such scenario or file; {hint}")
@@ -55,12 +60,14 @@ def scenario_name(path: Path) -> str:
 def entries(paths: tuple[Path, ...], tier: str | None = None, overrides: tuple[str, ...] = ()) -> list[Entry]:
     """Return the scenarios of files and folders (all built-in ones where none is named), of one tier or of all.
 
+    A folder that is not there may be one of the built-in scenarios: "subjects".
     ``overrides``: as of ``load_scenario``, in each of them.
     """
     files: list[Path] = []
     for path in paths:
-        if path.is_dir():
-            files += sorted(path.rglob("*.toml"))
+        folder = path if path.exists() or path.is_absolute() else LIBRARY / path
+        if folder.is_dir():
+            files += sorted(folder.rglob("*.toml"))
         else:
             files.append(path)
     chosen = files if paths else built_in()

@@ -15,6 +15,7 @@ from tiny_scenario import write_tiny
 
 from scenarios.cli.grouped import SECTIONS
 from scenarios.cli.main import cli
+from scenarios.spec.catalog import built_in, entries, scenario_name
 
 
 def scenario(tmp_path, top="", cameras="", limits="position_rms = 0.01"):
@@ -182,3 +183,11 @@ def test_a_shell_completes_names_of_scenarios(typed, offered):
     assert offered in [item.value for item in completion.get_completions(["run"], typed)]
     assert "--seed" in [item.value for item in completion.get_completions(["run", "x"], "--s")]
     assert "calibrate" in [item.value for item in completion.get_completions([], "cal")]
+
+
+def test_a_folder_of_the_project_is_named_as_it_is_listed(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    found = [one.name for one in entries((Path("subjects"),), "full")]
+    assert found == sorted(name for name in map(scenario_name, built_in()) if name.startswith("subjects/"))
+    (tmp_path / "subjects").mkdir()
+    assert entries((Path("subjects"),), "full") == []  # one's own comes first
