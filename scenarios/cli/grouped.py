@@ -26,9 +26,10 @@ class GroupedCommands(click.Group):
             return super().resolve_command(ctx, args)
         except click.UsageError as error:
             groups = [name for name, one in self.commands.items() if args[0] in getattr(one, "commands", ())]
-            if groups:
-                error.message += f" Did you mean '{groups[0]} {args[0]}'?"
-            raise
+            if not groups:
+                raise
+            text = f"{error.message} Did you mean '{groups[0]} {args[0]}'?"
+            raise click.UsageError(text, ctx) from None
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write a list of commands for each section."""
