@@ -239,6 +239,14 @@ GLOSSARY = {
     ),
     "length_rms": Term("Typical error of lengths that were certified beforehand.", f"measured - certified, {_RMS}"),
     "length_max": Term("Largest error of a certified length.", "maximum of |measured - certified|"),
+    "length_error_share": Term(
+        "Largest error of a test length on the measuring lines of an acceptance test, over what is permitted of it.",
+        "maximum of |mean measured - calibrated| / min(A + K L, B)",
+    ),
+    "cluster_error_share": Term(
+        "Largest figure of two clusters on a bar in an acceptance test, over its limit.",
+        "maximum over rms, 99.7th percentile and largest error of distance and angle, and missing frames",
+    ),
     "rigidity_rms": Term(
         "How far markers of a rigid body lie from their places in it.", f"after the best fit of the body, {_RMS}"
     ),

@@ -119,6 +119,8 @@ METRICS = {
     "camera_angle_rms": MetricKind("rad", "at_most", "angle", "root_mean"),
     "length_rms": MetricKind("m", "at_most", "length", "root_mean"),
     "length_max": MetricKind("m", "at_most", "length"),
+    "length_error_share": MetricKind("1", "at_most", "ratio"),
+    "cluster_error_share": MetricKind("1", "at_most", "ratio"),
     "rigidity_rms": MetricKind("m", "at_most", "length", "root_mean"),
     "static_noise": MetricKind("m", "at_most", "length", "root_mean"),
     "latency_p99": MetricKind("s", "at_most", "time", speed=True),

@@ -75,6 +75,8 @@ LAW: dict[str, tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]] = {
     "reports.playback.keeper": (("reports", "mosca.data", "mosca.errors"), (), ("numpy", "cv2")),
     "reports.viewer": (("reports", "mosca.data", "mosca.errors"), (), ("numpy", "rerun", "cv2")),
     "reports.fidelity_page": (("reports", "mosca.data", "mosca.errors"), (), ("cv2",)),
+    # a certificate as PDF: the library that writes it is known here alone
+    "reports.certificate.pdf": (("reports", "mosca.data", "mosca.errors"), (), ("matplotlib", "fpdf")),
     "witness": (("witness",), (), ("numpy", "scipy", "cv2", "mujoco")),
     "witness.mitsuba": (("witness",), (), ("numpy", "scipy", "cv2", "mitsuba", "drjit")),
     "witness.gl": (("witness",), (), ("numpy", "scipy", "mujoco", "pyrender", "trimesh")),

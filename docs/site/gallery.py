@@ -16,6 +16,7 @@ from reports.units import figure, shown
 LIBRARY = "scenarios/library"
 PICTURES = "runs/site_pictures"
 FOLDERS = {
+    "acceptance": "Acceptance tests by certified bars, and faults that must not pass them.",
     "calibration": "Calibrations of the whole rig from rendered images of a target, then a measurement with it.",
     "calibration_faults": "Calibrations with a planted fault: each must be refused, or warned of.",
     "clinic": "Faults that users report: `mosca clinic` must name the right cause first.",

@@ -5,6 +5,7 @@ from typing import Any
 
 from markdown_text import cell
 
+from mosca.acceptance.artefact import acceptance_schema
 from mosca.data.files.rig_file import rig_schema
 from mosca.data.files.target_file import target_schema
 from mosca.formats.bodies.model_file import model_schema
@@ -17,7 +18,7 @@ METRICS = ("limits", "breaks")
 
 
 def pages() -> dict[str, str]:
-    """Return the pages of scenario, claim, rig, target and marker-model files (uri -> Markdown)."""
+    """Return the pages of scenario, claim, acceptance, rig, target and marker-model files (uri -> Markdown)."""
     return {
         "reference/scenario.md": _page(
             "Scenario files",
@@ -31,6 +32,12 @@ def pages() -> dict[str, str]:
             "What is claimed of many runs of a scenario, and what varies from run to run ([Claims](../claims.md)). "
             "Schema: `mosca schema claim`.",
             claim_schema(),
+        ),
+        "reference/acceptance.md": _page(
+            "Acceptance files",
+            "Artefacts with their certificates, how they were shown, and what is permitted "
+            "([Acceptance tests](../acceptance.md)). Schema: `mosca schema acceptance`.",
+            acceptance_schema(),
         ),
         "reference/rig.md": _page(
             "Rig files",

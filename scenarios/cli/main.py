@@ -17,8 +17,10 @@ import click
 
 from mosca import __version__
 from mosca.errors import InputError, MoscaError
+from scenarios.cli import accept as cli_accept
 from scenarios.cli import budget as cli_budget
 from scenarios.cli import capture as cli_capture
+from scenarios.cli import certificate as cli_certificate
 from scenarios.cli import claim as cli_claim
 from scenarios.cli import clinic as cli_clinic
 from scenarios.cli import demo as cli_demo
@@ -219,6 +221,8 @@ def view(run: Path, web: bool) -> None:
 cli.add_command(cli_suite.suite)
 cli.add_command(cli_budget.budget)
 cli.add_command(cli_claim.claim)
+cli.add_command(cli_accept.accept)
+cli.add_command(cli_certificate.certificate)
 cli.add_command(cli_tracks.reconstruct)
 cli.add_command(cli_tracks.labels)
 cli.add_command(cli_tracks.bodies)
@@ -275,9 +279,9 @@ twin.add_command(cli_lab.twin_serve)
 
 
 @cli.command()
-@click.argument("kind", type=click.Choice(["scenario", "claim", "rig", "target", "marker-model"]))
+@click.argument("kind", type=click.Choice(["scenario", "claim", "acceptance", "rig", "target", "marker-model"]))
 def schema(kind: str) -> None:
-    """Print the JSON schema of scenario, claim, rig, target or marker-model files, for editors.
+    """Print the JSON schema of scenario, claim, acceptance, rig, target or marker-model files.
 
     \b
     Example:  mosca schema scenario > scenario.schema.json
@@ -288,6 +292,8 @@ def schema(kind: str) -> None:
         from scenarios.spec.scenario import scenario_schema as made
     elif kind == "claim":
         from scenarios.spec.claim import claim_schema as made
+    elif kind == "acceptance":
+        from mosca.acceptance.artefact import acceptance_schema as made
     elif kind == "target":
         from mosca.data.files.target_file import target_schema as made
     elif kind == "marker-model":

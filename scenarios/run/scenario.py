@@ -36,6 +36,7 @@ from scenarios.build.worn_rig import worn_cameras, worn_rig, worn_settings
 from scenarios.flight.loop import RenderedPoses, check_flight_source, pilot_of
 from scenarios.flight.pilot import Pilot
 from scenarios.flight.predicted import Flown
+from scenarios.run.acceptance import acceptance_scores
 from scenarios.run.applications import applications
 from scenarios.run.calibration_take import calibration_take
 from scenarios.run.clinic import clinic_report, verdict
@@ -180,7 +181,7 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
             )  # fmt: skip
             worth = scored(spec, name, measured, truth, opened.twin, built.scene)
             collected = worth.collected
-            scores = _all_scores(spec, worth, poses, timings, own) | done.model_scores
+            scores = _all_scores(spec, folder, worth, poses, timings, own) | done.model_scores
             scores |= {} if flight is None else flight_scores(flight.path, flight.delay)
             if oriented is not None:
                 scores, worth = scores | oriented.scores, oriented.added_to(worth)
@@ -341,24 +342,28 @@ def _tracked(
 
 def _all_scores(
     spec: Scenario,
+    folder: Path,
     worth: Scored,
     poses: BodyPoses | None,
     timings: Mapping[str, float],
     own: SessionCalibration | None,
 ) -> dict[str, Score]:
-    """Return the scores with and without truth, and the session's; notes on lengths go into the assembly's."""
+    """Return the scores with and without truth, of acceptance test and session; notes go into the assembly's."""
     collected = worth.collected
     seconds = {**timings, **collected.seconds}
     without_truth, notes = self_checks(spec, collected.tracks, poses, seconds, collected.assembly.sets)
     for k, line in enumerate(notes):
         collected.assembly.notes[f"length {k + 1}"] = line
+    accepted, notes = acceptance_scores(spec, folder, collected.tracks)
+    for k, line in enumerate(notes):
+        collected.assembly.notes[f"acceptance {k + 1}"] = line
     if collected.frames:
         complete = {"frames_complete": frames_complete(collected.frames)}
     else:
         expected = expected_sets(collected.assembly, spec.capture.pulses, collected.account)
         complete = {"sets_complete": sets_complete(collected.assembly, expected)}
     # with a truth, ray residuals are of the points that exist, not of ghosts: the later mapping wins
-    return {**complete, **without_truth, **worth.scores, **({} if own is None else own.scores())}
+    return {**complete, **without_truth, **accepted, **worth.scores, **({} if own is None else own.scores())}
 
 
 def _with_bodies(collected: Collected, bodies: tuple[RigidBody, ...]) -> tuple[Collected, BodyPoses]:

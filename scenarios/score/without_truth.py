@@ -23,8 +23,8 @@ from scenarios.spec.scenario import LengthSpec, Scenario
 from scenarios.types import Score
 
 NEED_NO_TRUTH = (
-    "sets_complete", "frames_complete", "reprojection_rms", "length_rms", "length_max", "rigidity_rms",
-    "static_noise", "latency_p99", "frame_rate",
+    "sets_complete", "frames_complete", "reprojection_rms", "length_rms", "length_max",
+    "length_error_share", "cluster_error_share", "rigidity_rms", "static_noise", "latency_p99", "frame_rate",
 )  # fmt: skip
 FEWEST = 10
 """Frames in which two markers must be seen together before their distance is taken for a known length."""

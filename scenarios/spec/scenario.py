@@ -23,6 +23,7 @@ from mosca.data.files.toml import (
 )
 from mosca.errors import InputError
 from reports.metrics import METRICS
+from scenarios.spec.acceptance import AcceptanceSpec, check_acceptance
 from scenarios.spec.calibration import CalibrationSpec
 from scenarios.spec.cameras import (
     Cameras,
@@ -172,6 +173,7 @@ class Scenario(Table):
     camera: tuple[CameraSpec, ...] = Field((), description="what is different with one camera, by its name")
     zone: tuple[ZoneSpec, ...] = Field((), description="volumes with cameras of their own, two or more; [[zone]]")
     calibration: CalibrationSpec | None = None
+    acceptance: AcceptanceSpec | None = Field(None, description="the acceptance test of what the scene shows")
     clinic: ClinicSpec | None = Field(
         None, description="what the clinic is told, and the cause that it must name first"
     )
@@ -242,6 +244,7 @@ class Scenario(Table):
             )
         if "rigidity_rms" in self.limits and not self.pipeline.bodies:
             raise ValueError("limits.rigidity_rms needs rigid bodies; set pipeline.bodies = true")
+        check_acceptance(self.acceptance, self.limits)
         _check_skeleton(self)
         _check_vibration(self)
         check_identification(self.identification, self.scene, self.limits, self.pipeline.bodies, self.fault)

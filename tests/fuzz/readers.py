@@ -1,8 +1,10 @@
 """All readers of files that users give, by their names."""
 
-from fuzz import joints, recordings, rig_formats, tables, toml_files
+from fuzz import acceptance, joints, recordings, rig_formats, tables, toml_files
 from fuzz.reader import Reader
 
 READERS: dict[str, Reader] = {
-    one.name: one for module in (toml_files, rig_formats, tables, joints, recordings) for one in module.READERS
+    one.name: one
+    for module in (toml_files, acceptance, rig_formats, tables, joints, recordings)
+    for one in module.READERS
 }

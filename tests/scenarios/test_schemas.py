@@ -2,6 +2,7 @@
 
 import pytest
 
+from mosca.acceptance.artefact import acceptance_schema
 from mosca.data.files.rig_file import rig_schema
 from mosca.data.files.target_file import target_schema
 from mosca.data.files.toml import Table, described
@@ -10,7 +11,9 @@ from scenarios.spec.claim import claim_schema
 from scenarios.spec.scenario import scenario_schema
 
 
-@pytest.mark.parametrize("made", [scenario_schema, claim_schema, rig_schema, target_schema, model_schema])
+@pytest.mark.parametrize(
+    "made", [scenario_schema, claim_schema, acceptance_schema, rig_schema, target_schema, model_schema]
+)
 def test_every_key_is_described(made):
     schema = made()
     tables = {"": schema, **schema.get("$defs", {})}

@@ -6,6 +6,10 @@ from typing import Any
 KINDS = {
     "scenario": ("a scenario", "a scenario goes to mosca run and has [scene] and [limits]"),
     "claim": ("a claim file", "a claim file goes to mosca claim and has 'scenario' and [[claim]]"),
+    "acceptance": (
+        "an acceptance file",
+        "an acceptance file goes to mosca accept --artefact and has [volume], [[bar]] and [[line]], or [clusters]",
+    ),
     "rig": ("a rig file", "a rig file goes to --rig and has a [[camera]] table a camera"),
     "target": ("a target file", "a target file goes to mosca calibrate --target and has a key 'kind'"),
     "bodies": ("a bodies file", 'a bodies file goes to mosca bodies find and has kind = "bodies"'),
@@ -35,6 +39,7 @@ def file_kind(document: Mapping[str, Any]) -> str:
         return kind if kind in ("bodies", "marker-model", "marker-template", "surface-model") else "target"
     for name, marks in (
         ("claim", {"claim", "vary"}),
+        ("acceptance", {"bar", "length_error", "clusters"}),
         ("lamps", {"bit_s", "lamp"}),
         ("program", {"program", "target", "event"}),
         ("edits", {"edit"}),

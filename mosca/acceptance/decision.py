@@ -1,0 +1,50 @@
+"""Conforming, not conforming or undecided: decision rules with a guard band.
+
+JCGM 106:2012, *The role of measurement uncertainty in conformity assessment*: the conformance probability of a
+normally distributed quantity, and guarded acceptance and rejection with a guard band as wide as the expanded
+uncertainty U = 2 u (there section 8.3). Between the two nothing is decided.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Literal
+
+from scipy.stats import norm
+
+Decision = Literal["conforming", "not conforming", "undecided"]
+COVERAGE = 2.0
+"""Coverage factor k of an expanded uncertainty."""
+
+
+@dataclass(frozen=True)
+class Decided:
+    """What is known of an error beside its limit."""
+
+    decision: Decision
+    probability: float
+    """That the error keeps its limit."""
+    expanded: float
+    """Expanded uncertainty U = 2 u of the error, in its unit."""
+
+
+def decided(error: float, limit: float, sigma: float) -> Decided:
+    """Return whether ``|error| <= limit``, where ``sigma`` is the standard uncertainty of the error; one unit."""
+    if sigma > 0:
+        probability = float(norm.cdf((limit - error) / sigma) - norm.cdf((-limit - error) / sigma))
+    else:
+        probability = float(abs(error) <= limit)
+    expanded = COVERAGE * sigma
+    decision: Decision = "undecided"
+    if abs(error) <= limit - expanded:
+        decision = "conforming"
+    elif abs(error) > limit + expanded:
+        decision = "not conforming"
+    return Decided(decision, probability, expanded)
+
+
+def overall(decisions: Iterable[Decision]) -> Decision:
+    """Return "not conforming" where one is, "conforming" where all are and there is one, else "undecided"."""
+    found = set(decisions)
+    if "not conforming" in found:
+        return "not conforming"
+    return "conforming" if found == {"conforming"} else "undecided"

@@ -1,0 +1,1 @@
+"""The certificate that is handed to a customer: a page and a PDF."""

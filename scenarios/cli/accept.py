@@ -1,0 +1,68 @@
+"""The verb for acceptance tests: accept."""
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import click
+
+from scenarios.cli.claim import EXITS
+from scenarios.cli.options import FILE, OUT_FOLDER, POSITIVE, SET, print_table, table
+from scenarios.cli.progress import Progress
+
+
+@click.command()
+@click.argument("what")
+@click.option("--artefact", type=FILE, help="acceptance file: artefacts, certificates, measuring lines, limits")
+@click.option("--rig", type=FILE, help="rig file of a recording  [default: rig.toml in it]")
+@click.option("--fps", type=POSITIVE, help="frame rate of a recording that does not tell its own [Hz]")
+@click.option("--source", help="of a scenario: twin | recording:DIR | hardware:RIG.toml  [default: twin]")
+@click.option("--seed", type=int, help="another seed than the scenario's")
+@SET
+@click.option("--arrivals", type=FILE, help="when results were available: .csv  [default: arrivals.csv in WHAT]")
+@click.option("--workers", type=click.IntRange(1, 64), help="rendering threads  [default: all cores]")
+@click.option("--out", type=OUT_FOLDER, help="folder for acceptance.json and .html  [default: runs/acceptance/WHAT]")
+def accept(out: Path | None, **given: Any) -> None:
+    """Test by certified artefacts, in the manner of VDI/VDE 2634-1, ASTM E3064 and ASTM E3124.
+
+    WHAT is a scenario with [acceptance], a run folder, a file of tracks (.npz, .csv, .c3d, .trc), or a recording,
+    which is reconstructed first. Each error stands beside its expanded uncertainty and its limit.
+
+    Exit codes: 0 conforming, 1 not conforming, 3 undecided, 2 an input error.
+
+    \b
+    Example:  mosca accept acceptance/ball_bar --out runs/acceptance/try
+              mosca accept lab/take.c3d --artefact bar.acceptance
+    """
+    from scenarios.acceptance.document import acceptance_document
+    from scenarios.acceptance.folder import PAGE, check_out, write_acceptance
+    from scenarios.acceptance.take import AcceptOptions, take_of
+    from scenarios.run.one_writer import one_writer
+
+    options = AcceptOptions(**{**given, "overrides": tuple(given.pop("overrides"))})
+    target = out or Path("runs") / "acceptance" / Path(options.what).stem
+    check_out(target)
+    with one_writer(target):
+        with Progress(Path(options.what).name) as shown:
+            take = take_of(options, target, shown)
+        document = acceptance_document(take, target)
+        # before anything is written: no full disk loses the figures
+        _print(document)
+        click.echo(f"{take.name}: {document['verdict']}")
+        sys.stdout.flush()
+        write_acceptance(document, target)
+    click.echo(f"{target / PAGE}")
+    sys.exit(EXITS[document["verdict"]])
+
+
+def _print(document: Any) -> None:
+    """Print the worst length of each line and the figures of the clusters, each beside its limit."""
+    from reports.acceptance.words import figure_rows, note_lines
+
+    shown = table("figure", "found", "U (k = 2)", "limit", "")
+    shown.columns[-1].justify = "left"
+    for row in figure_rows(document, worst_only=True):
+        shown.add_row(row.what, row.found, row.expanded, row.limit, row.decision)
+    print_table(shown)
+    for line in note_lines(document):
+        click.echo(line)
