@@ -35,6 +35,8 @@ LAW: dict[str, tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]] = {
     ),
     # a second opinion on a linear model comes from the control library
     "mosca.machines.identification": (("mosca",), ("mosca.data.truth",), ("numpy", "scipy", "control")),
+    # the search for places of cameras: CMA-ES
+    "mosca.planning.search": (("mosca",), ("mosca.data.truth",), ("numpy", "scipy", "cma")),
     # bags are written by the library that knows ROS 2's encoding
     "mosca.formats.ros2.bag": (("mosca",), ("mosca.data.truth",), ("numpy", "mcap_ros2")),
     # a printable sheet is a drawing: PDF and SVG come from the plot library

@@ -10,6 +10,7 @@ from mosca.data.files.rig_file import rig_schema
 from mosca.data.files.target_file import target_schema
 from mosca.formats.bodies.model_file import model_schema
 from scenarios.spec.claim import claim_schema
+from scenarios.spec.plan import plan_schema
 from scenarios.spec.scenario import scenario_schema
 
 Schema = dict[str, Any]
@@ -18,7 +19,7 @@ METRICS = ("limits", "breaks")
 
 
 def pages() -> dict[str, str]:
-    """Return the pages of scenario, claim, acceptance, rig, target and marker-model files (uri -> Markdown)."""
+    """Return the pages of all files that have a schema (uri -> Markdown)."""
     return {
         "reference/scenario.md": _page(
             "Scenario files",
@@ -38,6 +39,12 @@ def pages() -> dict[str, str]:
             "Artefacts with their certificates, how they were shown, and what is permitted "
             "([Acceptance tests](../acceptance.md)). Schema: `mosca schema acceptance`.",
             acceptance_schema(),
+        ),
+        "reference/plan.md": _page(
+            "Plan files",
+            "A volume, a room and cameras on sale, for which places are looked for ([Planner](../planner.md)). "
+            "Schema: `mosca schema plan`.",
+            plan_schema(),
         ),
         "reference/rig.md": _page(
             "Rig files",

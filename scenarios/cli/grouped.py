@@ -3,19 +3,8 @@
 import click
 
 SECTIONS: dict[str, tuple[str, ...]] = {
-    "Scenarios": (
-        "run",
-        "list",
-        "new",
-        "demo",
-        "suite",
-        "claim",
-        "budget",
-        "accept",
-        "certificate",
-        "report",
-        "view",
-    ),
+    "Scenarios": ("run", "list", "new", "demo", "suite", "report", "view"),
+    "Claims": ("claim", "budget", "plan", "accept", "certificate"),
     "Calibration": ("target", "calibrate", "rig", "clinic"),
     "Trajectories": ("reconstruct", "live", "labels", "bodies", "edit", "zones", "tracks"),
     "People and machines": ("skeleton", "motion", "identify", "vibration", "self-orient", "flight"),

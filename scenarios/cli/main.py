@@ -30,6 +30,7 @@ from scenarios.cli import identify as cli_identify
 from scenarios.cli import lab as cli_lab
 from scenarios.cli import live as cli_live
 from scenarios.cli import motion as cli_motion
+from scenarios.cli import plan as cli_plan
 from scenarios.cli import replay as cli_replay
 from scenarios.cli import rig as cli_rig
 from scenarios.cli import self_orient as cli_self_orient
@@ -223,6 +224,7 @@ cli.add_command(cli_budget.budget)
 cli.add_command(cli_claim.claim)
 cli.add_command(cli_accept.accept)
 cli.add_command(cli_certificate.certificate)
+cli.add_command(cli_plan.plan)
 cli.add_command(cli_tracks.reconstruct)
 cli.add_command(cli_tracks.labels)
 cli.add_command(cli_tracks.bodies)
@@ -278,29 +280,31 @@ def twin_fidelity(quick: bool, out: Path | None) -> None:
 twin.add_command(cli_lab.twin_serve)
 
 
+SCHEMAS = {
+    "scenario": "scenarios.spec.scenario:scenario_schema",
+    "claim": "scenarios.spec.claim:claim_schema",
+    "plan": "scenarios.spec.plan:plan_schema",
+    "acceptance": "mosca.acceptance.artefact:acceptance_schema",
+    "rig": "mosca.data.files.rig_file:rig_schema",
+    "target": "mosca.data.files.target_file:target_schema",
+    "marker-model": "mosca.formats.bodies.model_file:model_schema",
+}
+"""Kind of file -> module and function that describe it."""
+
+
 @cli.command()
-@click.argument("kind", type=click.Choice(["scenario", "claim", "acceptance", "rig", "target", "marker-model"]))
+@click.argument("kind", type=click.Choice([*SCHEMAS]))
 def schema(kind: str) -> None:
-    """Print the JSON schema of scenario, claim, acceptance, rig, target or marker-model files.
+    """Print the JSON schema of scenario, claim, plan, acceptance, rig, target or marker-model files.
 
     \b
     Example:  mosca schema scenario > scenario.schema.json
     """
     import json
+    from importlib import import_module
 
-    if kind == "scenario":
-        from scenarios.spec.scenario import scenario_schema as made
-    elif kind == "claim":
-        from scenarios.spec.claim import claim_schema as made
-    elif kind == "acceptance":
-        from mosca.acceptance.artefact import acceptance_schema as made
-    elif kind == "target":
-        from mosca.data.files.target_file import target_schema as made
-    elif kind == "marker-model":
-        from mosca.formats.bodies.model_file import model_schema as made
-    else:
-        from mosca.data.files.rig_file import rig_schema as made
-    click.echo(json.dumps(made(), indent=2))
+    module, function = SCHEMAS[kind].split(":")
+    click.echo(json.dumps(getattr(import_module(module), function)(), indent=2))
 
 
 def main() -> None:

@@ -27,6 +27,7 @@ from mosca.labelling.surface.model import FACE, read_surface_model
 from scenarios.campaign.campaign import CLAIMS
 from scenarios.commands.lamp_file import read_lamps
 from scenarios.spec.claim import load_claim
+from scenarios.spec.plan import load_plan
 from scenarios.spec.scenario import load_scenario
 from twin.scenes.user_markers import read_marker_table
 
@@ -477,6 +478,10 @@ def _claim(name: str) -> Callable[[Path], None]:
     return toml_seed((CLAIMS / f"{name}.toml").read_text(encoding="utf-8"))
 
 
+def _plan(folder: Path) -> None:
+    toml_seed((ROOT / "docs/examples/plan_room.toml").read_text(encoding="utf-8"))(folder)
+
+
 def _template(folder: Path) -> Any:
     read = read_template(folder / "a.toml")
     middle = [k for k, name in enumerate(read.names) if read.other_side[k] == k and name]
@@ -531,6 +536,7 @@ READERS = (
     Reader("surface model", (toml_seed(FACE.read_text(encoding="utf-8")),), FILES, _surface, _surface_expected),
     Reader("scenario", tuple(map(_scenario, ("spaces/space_1m", "delivery/bursts"))), FILES, *_models(load_scenario)),
     Reader("claim", tuple(map(_claim, ("space_1m", "quick_cloud"))), FILES, *_models(load_claim)),
+    Reader("plan", (_plan,), FILES, *_models(load_plan)),
     Reader("program", (toml_seed(PROGRAM),), FILES, *_models(read_program)),
     Reader("stream faults", (toml_seed(FAULTS),), FILES, *_models(read_faults)),
     Reader("lamps", (toml_seed(LAMPS),), FILES, _lamps, _lamps_expected),

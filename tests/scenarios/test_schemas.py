@@ -8,11 +8,12 @@ from mosca.data.files.target_file import target_schema
 from mosca.data.files.toml import Table, described
 from mosca.formats.bodies.model_file import model_schema
 from scenarios.spec.claim import claim_schema
+from scenarios.spec.plan import plan_schema
 from scenarios.spec.scenario import scenario_schema
 
 
 @pytest.mark.parametrize(
-    "made", [scenario_schema, claim_schema, acceptance_schema, rig_schema, target_schema, model_schema]
+    "made", [scenario_schema, claim_schema, plan_schema, acceptance_schema, rig_schema, target_schema, model_schema]
 )
 def test_every_key_is_described(made):
     schema = made()

@@ -24,6 +24,10 @@ KINDS = {
     ),
     "lamps": ("a lamp file", "a lamp file goes to --worn and has bit_s, known and [[lamp]]"),
     "program": ("a program", "a program goes to capture --program and has [[target]], [[event]] and [[program]]"),
+    "plan": (
+        "a plan file",
+        "a plan file goes to mosca plan and has [volume], [budget] and [[camera]] to choose from",
+    ),
     "edits": ("a file of edits", "a file of edits goes to mosca edit and has [[edit]] tables"),
     "settings": ("a settings file", "a settings file goes to --settings and has [detection], [match] or [track]"),
 }
@@ -40,6 +44,7 @@ def file_kind(document: Mapping[str, Any]) -> str:
     for name, marks in (
         ("claim", {"claim", "vary"}),
         ("acceptance", {"bar", "length_error", "clusters"}),
+        ("plan", {"budget", "rail", "room"}),
         ("lamps", {"bit_s", "lamp"}),
         ("program", {"program", "target", "event"}),
         ("edits", {"edit"}),
