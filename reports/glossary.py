@@ -279,6 +279,16 @@ COLUMNS = {
 """Columns of the metrics' table -> entry."""
 
 
+BENCHMARK_COLUMNS = {
+    "ospa": Term(
+        "One figure for accuracy, misses and ghosts of a benchmark's entrant: a miss or a ghost weighs as much as an "
+        "error of 10 mm.",
+        "root of (sum of min(d, c)^2 over pairs + c^2 (k - pairs)) / sum of k over all frames, k: the larger of the "
+        "numbers of points and of visible markers, c = 10 mm (Schuhmacher, Vo and Vo 2008, order 2)",
+    )
+}
+"""Of the leaderboard of a benchmark, besides metrics of runs."""
+
 SUITE_COLUMNS = {
     "Must": Term(
         "What the scenario's file expects: a claim must pass, a control's planted fault must break its limits, a "

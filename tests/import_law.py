@@ -90,6 +90,15 @@ LAW: dict[str, tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]] = {
         (),
         ("numpy", "scipy", "llvmlite", "pydantic", "tomli_w", "click", "rich", "junitparser", "pytest", "SALib"),
     ),
+    # adapters run in an entrant's environment: what they import is that entrant, and nothing of this project
+    "scenarios.benchmark.entrants": ((), (), ("numpy", "contract")),
+    "scenarios.benchmark.entrants.opencv_dlt": ((), (), ("numpy", "contract", "cv2")),
+    "scenarios.benchmark.entrants.trackpy_dlt": ((), (), ("numpy", "contract", "opencv_dlt", "cv2", "trackpy")),
+    "scenarios.benchmark.entrants.aniposelib_dlt": ((), (), ("numpy", "contract", "cv2", "aniposelib")),
+    "scenarios.benchmark.entrants.pose2sim_dlt": ((), (), ("numpy", "contract", "cv2", "Pose2Sim")),
+    "scenarios.benchmark.entrants.openptv_full": ((), (), ("numpy", "contract", "optv", "PIL")),
+    # ours sees what its users see
+    "scenarios.benchmark.entrants.mosca_default": (("mosca",), ("mosca.data.truth",), ("numpy", "contract")),
     # verdicts are computed from numbers alone
     "scenarios.campaign.statistics": (("scenarios.campaign.statistics", "mosca.data.arrays"), (), ("numpy", "scipy")),
     # what runs tasks on other computers is known here alone

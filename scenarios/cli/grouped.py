@@ -4,7 +4,7 @@ import click
 
 SECTIONS: dict[str, tuple[str, ...]] = {
     "Scenarios": ("run", "list", "new", "demo", "suite", "report", "view"),
-    "Claims": ("claim", "budget", "plan", "accept", "certificate"),
+    "Claims": ("claim", "budget", "plan", "accept", "certificate", "benchmark"),
     "Calibration": ("target", "calibrate", "rig", "clinic"),
     "Trajectories": ("reconstruct", "live", "labels", "bodies", "edit", "zones", "tracks"),
     "People and machines": ("skeleton", "motion", "identify", "vibration", "self-orient", "flight"),

@@ -18,6 +18,7 @@ import click
 from mosca import __version__
 from mosca.errors import InputError, MoscaError
 from scenarios.cli import accept as cli_accept
+from scenarios.cli import benchmark as cli_benchmark
 from scenarios.cli import budget as cli_budget
 from scenarios.cli import capture as cli_capture
 from scenarios.cli import certificate as cli_certificate
@@ -225,6 +226,7 @@ cli.add_command(cli_claim.claim)
 cli.add_command(cli_accept.accept)
 cli.add_command(cli_certificate.certificate)
 cli.add_command(cli_plan.plan)
+cli.add_command(cli_benchmark.benchmark)
 cli.add_command(cli_tracks.reconstruct)
 cli.add_command(cli_tracks.labels)
 cli.add_command(cli_tracks.bodies)
