@@ -29,6 +29,7 @@ from scenarios.cli import edit as cli_edit
 from scenarios.cli import flight as cli_flight
 from scenarios.cli import identify as cli_identify
 from scenarios.cli import lab as cli_lab
+from scenarios.cli import lab_twin as cli_lab_twin
 from scenarios.cli import live as cli_live
 from scenarios.cli import motion as cli_motion
 from scenarios.cli import plan as cli_plan
@@ -91,8 +92,10 @@ def cli(verbose: int, quiet: bool) -> None:
     "[default: beside them]",
 )
 @click.option("--workers", type=click.IntRange(1, 64), help="rendering threads  [default: all cores]")
+@click.option("--lab", type=FILE, help="lab file of mosca twin fit: its cameras instead of the scenario's")
 def run(
     scenario: str,
+    *,
     source: str,
     seed: int | None,
     overrides: tuple[str, ...],
@@ -102,6 +105,7 @@ def run(
     record: Path | None,
     truth: Path | None,
     workers: int | None,
+    lab: Path | None,
 ) -> None:
     """Run one scenario from scene to score and write its run folder.
 
@@ -111,15 +115,16 @@ def run(
     \b
     Example:  mosca run actor --set capture.duration_s=2 --out runs/try
     """
+    from scenarios.lab_twin.apply import load_with_lab
     from scenarios.spec.catalog import find, scenario_name
-    from scenarios.spec.scenario import changed_keys, load_scenario
+    from scenarios.spec.scenario import changed_keys
 
     if images is not None and not rrd:
         raise InputError("--images goes with --rrd: it is the Rerun recording that holds them; add --rrd")
     path = find(scenario)
     if seed is not None:
         overrides = (*overrides, f"seed={seed}")
-    spec = load_scenario(path, overrides)
+    spec = load_with_lab(path, lab, overrides)
     name = scenario_name(path)
     target = out or Path("runs") / name
     from reports.compare import summary_table
@@ -138,7 +143,7 @@ def run(
                 shown, progress.stage,
             )  # fmt: skip
             result = run_scenario(spec, name, path.parent, options)
-        if overrides:
+        if overrides or lab is not None:
             result = replace(result, record=with_changed(result.record, changed_keys(path, spec)))
         # before anything is written: no full disk and no failing page loses the figures
         _print_metrics(result.record)
@@ -252,7 +257,7 @@ cli.add_command(cli_station.station)
 
 @cli.group()
 def twin() -> None:
-    """Inspect the virtual cameras themselves."""
+    """Inspect the virtual cameras themselves, serve them, or fit them to your own."""
 
 
 @twin.command("fidelity")
@@ -280,6 +285,8 @@ def twin_fidelity(quick: bool, out: Path | None) -> None:
 
 
 twin.add_command(cli_lab.twin_serve)
+twin.add_command(cli_lab_twin.fit)
+twin.add_command(cli_lab_twin.predict)
 
 
 SCHEMAS = {

@@ -26,6 +26,7 @@ from mosca.labelling.automatic.template import STANDARD, read_template
 from mosca.labelling.surface.model import FACE, read_surface_model
 from scenarios.campaign.campaign import CLAIMS
 from scenarios.commands.lamp_file import read_lamps
+from scenarios.lab_twin.lab_file import read_lab
 from scenarios.spec.claim import load_claim
 from scenarios.spec.plan import load_plan
 from scenarios.spec.scenario import load_scenario
@@ -146,6 +147,26 @@ def _hardware(folder: Path) -> dict[str, Any]:
             del table[key]
     return as_given(values, {key: there[key] for key in ("camera", "hardware") if key in there})
 
+
+LAB = """
+recordings = ["dark:lab/dark"]
+[[camera]]
+name = "cam1"
+errors = { read_noise_e = 7.5, bits = 12 }
+mount = { vibration_hz = [8.0, 20.0], vibration_px = 0.05 }
+[[estimate]]
+camera = "cam1"
+key = "errors.read_noise_e"
+value = 7.5
+sigma = 0.25
+low = 7.0
+high = 8.0
+evidence = "16 dark images"
+[[not_told]]
+camera = "cam1"
+key = "errors.psf_sigma_px"
+reason = "needs targets at rest"
+"""
 
 TARGETS = {
     "field": 'kind = "field"\ndot_radius_m = 0.008\nsigma_m = 2e-5\n[[target]]\nnumber = 17\n'
@@ -537,6 +558,7 @@ READERS = (
     Reader("scenario", tuple(map(_scenario, ("spaces/space_1m", "delivery/bursts"))), FILES, *_models(load_scenario)),
     Reader("claim", tuple(map(_claim, ("space_1m", "quick_cloud"))), FILES, *_models(load_claim)),
     Reader("plan", (_plan,), FILES, *_models(load_plan)),
+    Reader("lab", (toml_seed(LAB),), FILES, *_models(read_lab)),
     Reader("program", (toml_seed(PROGRAM),), FILES, *_models(read_program)),
     Reader("stream faults", (toml_seed(FAULTS),), FILES, *_models(read_faults)),
     Reader("lamps", (toml_seed(LAMPS),), FILES, _lamps, _lamps_expected),

@@ -29,6 +29,7 @@ KINDS = {
         "a plan file goes to mosca plan and has [volume], [budget] and [[camera]] to choose from",
     ),
     "edits": ("a file of edits", "a file of edits goes to mosca edit and has [[edit]] tables"),
+    "lab": ("a lab file", "a lab file goes to mosca run --lab and has [[camera]], [[estimate]] and [[not_told]]"),
     "settings": ("a settings file", "a settings file goes to --settings and has [detection], [match] or [track]"),
 }
 """What a file is, and where it goes and how it is known."""
@@ -48,6 +49,7 @@ def file_kind(document: Mapping[str, Any]) -> str:
         ("lamps", {"bit_s", "lamp"}),
         ("program", {"program", "target", "event"}),
         ("edits", {"edit"}),
+        ("lab", {"estimate", "not_told"}),
         ("rig", {"camera"} if _has_rig_cameras(document) else set()),
         ("settings", {"detection", "match", "track", "background", "volume", "assembly"}),
     ):

@@ -1,0 +1,108 @@
+"""A scenario with a lab's cameras in the place of its own."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mosca.data.arrays import Array
+from mosca.data.files.toml import Table, check, read_toml
+from mosca.errors import InputError
+from scenarios.lab_twin.lab_file import SIGNED, LabTwin, as_written, is_scenario_key, put, read_lab
+from scenarios.spec.cameras import CameraSpec
+from scenarios.spec.scenario import Scenario, apply_overrides
+
+LEAST_SHARE = 0.05
+"""Of its value, below which no draw of a key lies that must be above 0."""
+
+
+def load_with_lab(path: Path, lab_path: Path | None, overrides: tuple[str, ...] = ()) -> Scenario:
+    """Read a scenario file with a lab's cameras in place of its own; ``overrides`` come last.
+
+    InputError names file, key, value and what is allowed; also where lab and scenario have not the same cameras.
+    """
+    lab = None if lab_path is None else read_lab(lab_path)
+    document = read_toml(path)
+    if lab is not None:
+        put_cameras(document, lab)
+    apply_overrides(document, overrides)
+    spec = check(Scenario, document, path if lab_path is None else f"{path} with {lab_path}")
+    if lab is not None and lab.cameras is None and spec.cameras.rig is None:
+        _check_ring(spec, lab, str(lab_path))
+    return spec
+
+
+def put_cameras(document: dict[str, Any], lab: LabTwin) -> None:
+    """Put a lab's cameras into a scenario's document: its rig, and each key of its cameras."""
+    if lab.cameras is not None:
+        document["cameras"] = {"rig": lab.cameras.rig}
+    there = document.setdefault("camera", [])
+    for camera in lab.camera:
+        given = written_keys(camera)
+        own = next((one for one in there if one.get("name") == camera.name), None)
+        if own is None:
+            there.append(given)
+            continue
+        for key, value in given.items():
+            own[key] = {**own.get(key, {}), **value} if isinstance(value, dict) else value
+
+
+def written_keys(table: CameraSpec) -> dict[str, Any]:
+    """Return the keys that a camera's table states, as a document."""
+    return {
+        name: value.model_dump(exclude_unset=True) if isinstance(value, Table) else value
+        for name, value in table
+        if name in table.model_fields_set
+    }
+
+
+def _check_ring(spec: Scenario, lab: LabTwin, where: str) -> None:
+    """Raise InputError where a ring has other cameras than the lab: it has no rig file of its own."""
+    ring = [f"cam{k + 1}" for k in range(spec.cameras.count)]
+    own = [one.name for one in lab.camera]
+    if set(own) != set(ring):
+        raise InputError(
+            f"{where}: cameras {', '.join(own)}; the scenario's ring has {', '.join(ring)}: fit with --rig, or give "
+            "the scenario cameras.rig"
+        )
+
+
+def drawn(lab: LabTwin, random: np.random.Generator) -> LabTwin:
+    """Return a lab whose keys are drawn about their values, each with its own standard deviation."""
+    cameras: dict[str, dict[str, Any]] = {one.name: written_keys(one) for one in lab.camera}
+    for one in lab.estimate:
+        step = float(random.standard_normal()) * one.sigma
+        if one.sigma == 0.0 or not is_scenario_key(one.key):
+            continue
+        value = _stated(cameras[one.camera], one.key)
+        if value is not None:
+            put(cameras[one.camera], one.key, as_written(one.key, bounded(one.key, value, value + step)))
+    return check(LabTwin, {**_rest(lab), "camera": list(cameras.values())}, "a draw of the lab's parameters")
+
+
+def bounded(key: str, value: float, drawn_value: float) -> float:
+    """Return a draw of a key within what is possible: about 0, half a normal law; about more, more than 0."""
+    if key.startswith(SIGNED):
+        return drawn_value
+    if value == 0.0:
+        return abs(drawn_value) if key != "timing.row_time_s" else 0.0
+    return max(drawn_value, LEAST_SHARE * value)
+
+
+def _stated(camera: Mapping[str, Any], key: str) -> float | None:
+    """Return what a camera's table states for ``table.key`` or one number of a pair; None where it does not."""
+    table, name = key.split(".")
+    index = None
+    if name.endswith("]"):
+        name, place = name[:-1].split("[")
+        index = int(place)
+    found: Any = camera.get(table, {}).get(name)
+    if found is None:
+        return None
+    pair: Array = np.atleast_1d(found)
+    return float(pair[index or 0])
+
+
+def _rest(lab: LabTwin) -> dict[str, Any]:
+    return lab.model_dump(exclude={"camera"}, exclude_none=True)

@@ -1,0 +1,175 @@
+"""``lab.toml``: cameras as a scenario describes them, with the uncertainty of each parameter and what is not known.
+
+``[[camera]]`` and ``[cameras]`` are a scenario's own tables; ``mosca run SCENARIO --lab lab.toml`` puts them in the
+place of the scenario's. ``[[estimate]]`` says how certain each key is and from what it was estimated,
+``[[not_told]]`` which keys the recordings did not tell: the scenario's own values stay.
+"""
+
+import math
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, ClassVar
+
+import tomli_w
+from pydantic import Field
+from scipy.stats import norm
+
+from mosca.data.files.toml import NotNegative, Table, check, read_toml
+from mosca.data.files.whole_file import write_text
+from mosca.errors import InputError
+from mosca.lab_twin.estimates import NotTold, ParameterEstimate, Told
+from scenarios.spec.cameras import CameraSpec
+
+REACH = float(norm.ppf(0.975))
+"""Half a 95 % interval over the standard deviation."""
+DIGITS = 6
+TABLES = ("errors", "optics", "timing", "mount", "sensor", "delivery")
+SIGNED = ("timing.delay", "timing.skew", "mount.drift")
+"""Beginnings of keys whose values may lie below zero."""
+_PLACE = re.compile(
+    "|".join(
+        rf"{table}\.{name}(\[[01]\])?"
+        for table in TABLES
+        for name in CameraSpec.model_fields[table].annotation.model_fields  # type: ignore[union-attr]
+    )
+)
+"""A key of a scenario, or one number of a pair."""
+WHOLE = ("delivery.burst_frames", "errors.bits")
+"""Keys of whole numbers."""
+
+
+class LabRig(Table):
+    """The rig of the lab."""
+
+    rig: str = Field(description="rig file with which the lab is calibrated")
+
+
+class EstimateSpec(Table):
+    """How certain one key of one camera is."""
+
+    camera: str = Field(description="the camera's name")
+    key: str = Field(description="table and key of [[camera]], e.g. errors.read_noise_e; others are for people alone")
+    value: float = Field(description="what was estimated, in the key's unit")
+    sigma: NotNegative = Field(description="its standard deviation")
+    low: float = Field(description="lower end of the 95 % interval")
+    high: float = Field(description="upper end of the 95 % interval")
+    evidence: str = Field(description="from what it was estimated")
+
+
+class NotToldSpec(Table):
+    """A key of one camera that the recordings did not tell."""
+
+    camera: str = Field(description="the camera's name")
+    key: str = Field(description="table and key of [[camera]]")
+    reason: str = Field(description="what lacks")
+
+
+class LabTwin(Table):
+    """Cameras of a lab as fitted to its recordings."""
+
+    FILE_KIND: ClassVar[str] = "lab"
+
+    recordings: tuple[str, ...] = Field((), description="what it was fitted to, KIND:FOLDER each")
+    cameras: LabRig | None = None
+    camera: tuple[CameraSpec, ...] = Field(min_length=1, description="the cameras, as in a scenario; [[camera]]")
+    estimate: tuple[EstimateSpec, ...] = Field((), description="how certain each key is; [[estimate]]")
+    not_told: tuple[NotToldSpec, ...] = Field((), description="what the recordings did not tell; [[not_told]]")
+
+
+def read_lab(path: Path) -> LabTwin:
+    """Return the cameras in a lab file; its rig's path is made relative to nothing.
+
+    InputError names file, key, value and what is allowed, also where an estimate is of a camera or a key that there
+    is not.
+    """
+    lab = check(LabTwin, read_toml(path), path)
+    names = [one.name for one in lab.camera]
+    if len(set(names)) < len(names):
+        raise InputError(f"{path}: [[camera]] {', '.join(names)} given; each name once is wanted")
+    for k, one in enumerate(lab.estimate):
+        if one.camera not in names:
+            raise InputError(
+                f"{path}: key 'estimate[{k}].camera': '{one.camera}' given; one of {', '.join(names)} is wanted"
+            )
+        if one.low > one.high:
+            raise InputError(f"{path}: key 'estimate[{k}].low': {one.low:g} given, above high = {one.high:g}")
+        if is_scenario_key(one.key) and not _PLACE.fullmatch(one.key):
+            raise InputError(f"{path}: key 'estimate[{k}].key': '{one.key}' given, which no scenario has")
+    if lab.cameras is None:
+        return lab
+    rig = LabRig(rig=str((path.parent / lab.cameras.rig).resolve()))
+    return lab.model_copy(update={"cameras": rig})
+
+
+def lab_document(told: Sequence[Told], recordings: Sequence[str], rig: str | None) -> dict[str, Any]:
+    """Return the document of a lab file from what was told and what was not.
+
+    ``rig``: path of the rig file, relative to the lab file; None for none.
+    """
+    names = list(dict.fromkeys(one.camera for one in told))
+    cameras: dict[str, dict[str, Any]] = {name: {"name": name} for name in names}
+    found = [one for one in told if isinstance(one, ParameterEstimate)]
+    for one in found:
+        if is_scenario_key(one.key):
+            put(cameras[one.camera], one.key, as_written(one.key, one.value))
+    return {
+        "recordings": list(recordings),
+        **({} if rig is None else {"cameras": {"rig": rig}}),
+        "camera": list(cameras.values()),
+        "estimate": [_row(one) for one in found],
+        "not_told": [
+            {"camera": one.camera, "key": one.key, "reason": one.reason} for one in told if isinstance(one, NotTold)
+        ],
+    }
+
+
+def write_lab(path: Path, document: dict[str, Any]) -> None:
+    """Write a lab file, whole or not at all."""
+    check(LabTwin, document, path)
+    head = "# Cameras fitted by 'mosca twin fit'; use: mosca run SCENARIO --lab THIS_FILE, mosca twin predict\n\n"
+    write_text(path, head + tomli_w.dumps(document))
+
+
+def put(camera: dict[str, Any], key: str, value: float | int) -> None:
+    """Set ``table.key``, or ``table.key[0]`` of a pair, of a camera's table."""
+    table, name = key.split(".")
+    inside = camera.setdefault(table, {})
+    if not name.endswith("]"):
+        inside[name] = value
+        return
+    name, index = name[:-1].split("[")
+    pair = list(inside.get(name, (0.0, 0.0)))
+    pair[int(index)] = value
+    inside[name] = pair
+
+
+def is_scenario_key(key: str) -> bool:
+    """Return whether an estimate's key is one of a scenario's, not for people alone."""
+    table, dot, name = key.partition(".")
+    return bool(dot) and table in TABLES and bool(name)
+
+
+def as_written(key: str, value: float) -> float | int:
+    """Return a value as a scenario has it: rounded, whole where it must be."""
+    return round(value) if key in WHOLE else _rounded(value)
+
+
+def interval(one: ParameterEstimate) -> tuple[float, float]:
+    """Return the 95 % interval of an estimate, within what is possible."""
+    low, high = one.value - REACH * one.sigma, one.value + REACH * one.sigma
+    return (low if one.key.startswith(SIGNED) else max(low, 0.0)), high
+
+
+def _row(one: ParameterEstimate) -> dict[str, Any]:
+    low, high = interval(one)
+    value = float(as_written(one.key, one.value))
+    numbers = {"value": value, "sigma": one.sigma, "low": min(low, value), "high": max(high, value)}
+    kept = {name: _rounded(number) for name, number in numbers.items()}
+    return {"camera": one.camera, "key": one.key, **kept, "evidence": one.evidence}
+
+
+def _rounded(value: float) -> float:
+    if value == 0.0 or not math.isfinite(value):
+        return value
+    return round(value, DIGITS - 1 - math.floor(math.log10(abs(value))))

@@ -1,0 +1,149 @@
+"""Targets at rest: what a static recording tells of a camera's blur, the targets' brightness, and its shaking."""
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from mosca.data.frames import CameraInfo
+from mosca.data.rig import Rig
+from mosca.detection.detect import detect
+from mosca.detection.settings import DetectionSettings
+from mosca.lab_twin.estimates import SPREAD, NotTold, ParameterEstimate, Told, weighted_mean
+from mosca.lab_twin.pixel_statistics import PixelStatistics
+from mosca.lab_twin.shake import shake_estimates
+from mosca.lab_twin.target_images import (
+    FEWEST_TARGETS,
+    FittedTarget,
+    TargetDisplacements,
+    corner_blur,
+    fit_targets,
+    sharper,
+)
+from scenarios.lab_twin.recordings import CameraImages, LabRecording, Progress, opened
+
+KEYS = ("errors.psf_sigma_px", "errors.marker_signal", "errors.background_e", "errors.body_px", "mount.vibration_px")
+CORNER = "corner_blur_px"
+"""For people: a scenario has one blur for the whole image, unless a lens is focused by optics.focus_m."""
+NEEDS = f"needs a recording of {FEWEST_TARGETS} targets at rest or more, apart from each other: static:FOLDER"
+ROUNDS = 2
+"""Of displacements: the shake, once known, is taken out of the mean image's blur."""
+
+
+def still_estimates(
+    one: LabRecording,
+    sums: Mapping[str, CameraImages],
+    rig: Rig | None,
+    fps: float | None,
+    progress: Progress | None = None,
+) -> dict[str, list[Told]]:
+    """Return what a recording of targets at rest tells of each camera; brightness in grey values, see ``in_well``."""
+    targets = {name: _targets(name, images.pixels) for name, images in sums.items()}
+    seen = {name: found for name, found in targets.items() if len(found) >= FEWEST_TARGETS}
+    told: dict[str, list[Told]] = {
+        name: [NotTold(name, key, NEEDS) for key in KEYS] for name in sums if name not in seen
+    }
+    shake = dict.fromkeys(seen, 0.0)
+    moved: dict[str, TargetDisplacements] = {}
+    for _ in range(ROUNDS):
+        moved = _displacements(one, seen, shake, rig, fps, progress)
+        for name, displaced in moved.items():
+            common, noise = displaced.common()
+            shake[name] = math.sqrt(max(float(common.var(axis=0).mean()) - noise**2, 0.0))
+    for name, found in seen.items():
+        images = sums[name]
+        common, noise = moved[name].common()
+        numbers = np.array(moved[name].numbers)
+        whole = np.full((numbers.max() - numbers.min() + 1, 2), np.nan)
+        whole[numbers - numbers.min()] = common
+        told[name] = _optics(name, found, shake[name], (images.info.height, images.info.width))
+        told[name] += shake_estimates(name, whole, noise, _rate_hz(images.info, fps))
+    return told
+
+
+def _targets(name: str, sums: PixelStatistics) -> list[FittedTarget]:
+    kind = np.uint8 if sums.bits <= 8 else np.uint16
+    rounded = np.floor(sums.mean + 0.5).astype(kind)
+    return fit_targets(sums, detect(rounded, name, DetectionSettings(), sums.bits, None))
+
+
+def _displacements(
+    one: LabRecording,
+    targets: Mapping[str, list[FittedTarget]],
+    shake: Mapping[str, float],
+    rig: Rig | None,
+    fps: float | None,
+    progress: Progress | None,
+) -> dict[str, TargetDisplacements]:
+    moved = {name: TargetDisplacements(found, shake[name]) for name, found in targets.items()}
+    done: dict[str, set[int]] = {name: set() for name in moved}
+    with opened(one, rig, fps) as source:
+        total = getattr(source, "n_frames", None)
+        for k, frame in enumerate(source):
+            if frame.camera in moved and frame.image is not None and frame.index not in done[frame.camera]:
+                moved[frame.camera].add(frame.image, frame.index)
+                done[frame.camera].add(frame.index)
+            if progress is not None:
+                progress(k + 1, total)
+    return moved
+
+
+def _rate_hz(info: CameraInfo, fps: float | None) -> float | None:
+    rate = fps or info.frame_rate_hz
+    return rate if rate > 1.0 else None
+
+
+def _optics(name: str, targets: list[FittedTarget], shake_px: float, shape: tuple[int, int]) -> list[Told]:
+    """Return blur and brightness of the targets; brightness and background in grey values, for ``in_well``."""
+    blur = np.array([sharper(one, shake_px) for one in targets])
+    level = np.array([one.fit.level for one in targets])
+    ground = np.array([one.fit.background for one in targets])
+    misfit = float(np.median([one.fit.misfit for one in targets]))
+    what = f"{len(targets)} targets at rest, misfit {100 * misfit:.1f} %"
+    corner = corner_blur(targets, shake_px, shape)
+    at_corner: Told = NotTold(name, CORNER, "needs six targets at rest or more, some far from the image's middle")
+    if corner is not None:
+        at_corner = ParameterEstimate(name, CORNER, *corner, f"{len(targets)} targets, by distance from the middle")
+    return [
+        at_corner,
+        _of_targets(name, "errors.psf_sigma_px", blur, what),
+        _of_targets(name, "level_dn", level, what),
+        _of_targets(name, "background_dn", ground, what),
+    ]
+
+
+def _of_targets(name: str, key: str, values: np.ndarray, what: str) -> ParameterEstimate:
+    """Return the mean of targets, outliers left out, with the standard deviation of that mean by their scatter."""
+    middle = np.median(values)
+    spread = SPREAD * np.median(np.abs(values - middle))
+    good = values[np.abs(values - middle) <= 4.0 * spread + 1e-12]
+    sigma = max(float(good.std(ddof=1)), 1e-9) if len(good) > 1 else max(abs(float(good[0])), 1e-9)
+    mean, own = weighted_mean(good, np.full(len(good), sigma))
+    return ParameterEstimate(name, key, mean, own, what)
+
+
+def in_well(told: list[Told], bits: int) -> list[Told]:
+    """Return estimates with brightness and background in a scenario's units, by black level and full well.
+
+    A marker's signal is its grey values over those of the full well; the background is in electrons. Both are not
+    told where the sensor is not.
+    """
+    known = {one.key: one for one in told if isinstance(one, ParameterEstimate)}
+    level, ground = known.pop("level_dn", None), known.pop("background_dn", None)
+    rest: list[Told] = [one for one in told if one.key not in ("level_dn", "background_dn")]
+    if level is None or ground is None:
+        return rest
+    black, well = known.get("sensor.black_dn"), known.get("errors.full_well_e")
+    name, scale = level.camera, 2.0 ** (bits - 8)
+    if black is None:
+        why = "needs a dark recording: dark:FOLDER"
+        return [*rest, NotTold(name, "errors.marker_signal", why), NotTold(name, "errors.background_e", why)]
+    top = 2.0**bits - 1.0 - scale * black.value
+    share, sigma = level.value / top, math.hypot(level.sigma, level.value / top * scale * black.sigma) / top
+    rest.append(ParameterEstimate(name, "errors.marker_signal", share, sigma, level.evidence))
+    if well is None:
+        return [*rest, NotTold(name, "errors.background_e", "needs a lit recording: lit:FOLDER")]
+    per_dn = well.value / top
+    light = (ground.value - scale * black.value) * per_dn
+    own = math.hypot(per_dn * math.hypot(ground.sigma, scale * black.sigma), light * well.sigma / well.value)
+    return [*rest, ParameterEstimate(name, "errors.background_e", max(light, 0.0), own, ground.evidence)]
