@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from mosca.acceptance.artefact import AcceptanceFile
+from mosca.accuracy.acceptance.artefact import AcceptanceFile
 from mosca.data.tracks import Tracks
 
 AT = np.array([0.0, 0.15, 0.4, 0.7, 0.95, 1.2])

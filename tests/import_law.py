@@ -36,7 +36,7 @@ LAW: dict[str, tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]] = {
     # a second opinion on a linear model comes from the control library
     "mosca.machines.identification": (("mosca",), ("mosca.data.truth",), ("numpy", "scipy", "control")),
     # the search for places of cameras: CMA-ES
-    "mosca.planning.search": (("mosca",), ("mosca.data.truth",), ("numpy", "scipy", "cma")),
+    "mosca.accuracy.planning.search": (("mosca",), ("mosca.data.truth",), ("numpy", "scipy", "cma")),
     # bags are written by the library that knows ROS 2's encoding
     "mosca.formats.ros2.bag": (("mosca",), ("mosca.data.truth",), ("numpy", "mcap_ros2")),
     # a printable sheet is a drawing: PDF and SVG come from the plot library
@@ -91,18 +91,26 @@ LAW: dict[str, tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]] = {
         ("numpy", "scipy", "llvmlite", "pydantic", "tomli_w", "click", "rich", "junitparser", "pytest", "SALib"),
     ),
     # adapters run in an entrant's environment: what they import is that entrant, and nothing of this project
-    "scenarios.benchmark.entrants": ((), (), ("numpy", "contract")),
-    "scenarios.benchmark.entrants.opencv_dlt": ((), (), ("numpy", "contract", "cv2")),
-    "scenarios.benchmark.entrants.trackpy_dlt": ((), (), ("numpy", "contract", "opencv_dlt", "cv2", "trackpy")),
-    "scenarios.benchmark.entrants.aniposelib_dlt": ((), (), ("numpy", "contract", "cv2", "aniposelib")),
-    "scenarios.benchmark.entrants.pose2sim_dlt": ((), (), ("numpy", "contract", "cv2", "Pose2Sim")),
-    "scenarios.benchmark.entrants.openptv_full": ((), (), ("numpy", "contract", "optv", "PIL")),
+    "scenarios.studies.benchmark.entrants": ((), (), ("numpy", "contract")),
+    "scenarios.studies.benchmark.entrants.opencv_dlt": ((), (), ("numpy", "contract", "cv2")),
+    "scenarios.studies.benchmark.entrants.trackpy_dlt": (
+        (),
+        (),
+        ("numpy", "contract", "opencv_dlt", "cv2", "trackpy"),
+    ),
+    "scenarios.studies.benchmark.entrants.aniposelib_dlt": ((), (), ("numpy", "contract", "cv2", "aniposelib")),
+    "scenarios.studies.benchmark.entrants.pose2sim_dlt": ((), (), ("numpy", "contract", "cv2", "Pose2Sim")),
+    "scenarios.studies.benchmark.entrants.openptv_full": ((), (), ("numpy", "contract", "optv", "PIL")),
     # ours sees what its users see
-    "scenarios.benchmark.entrants.mosca_default": (("mosca",), ("mosca.data.truth",), ("numpy", "contract")),
+    "scenarios.studies.benchmark.entrants.mosca_default": (("mosca",), ("mosca.data.truth",), ("numpy", "contract")),
     # verdicts are computed from numbers alone
-    "scenarios.campaign.statistics": (("scenarios.campaign.statistics", "mosca.data.arrays"), (), ("numpy", "scipy")),
+    "scenarios.studies.campaign.statistics": (
+        ("scenarios.studies.campaign.statistics", "mosca.data.arrays"),
+        (),
+        ("numpy", "scipy"),
+    ),
     # what runs tasks on other computers is known here alone
-    "scenarios.campaign.cluster": (ROOMS, (), ("distributed",)),
+    "scenarios.studies.campaign.cluster": (ROOMS, (), ("distributed",)),
     # its errors name the key that was given: only pydantic's core makes them
     "scenarios.spec.limits": (("reports.metrics",), (), ("pydantic", "pydantic_core")),
 }

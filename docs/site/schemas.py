@@ -5,7 +5,7 @@ from typing import Any
 
 from markdown_text import cell
 
-from mosca.acceptance.artefact import acceptance_schema
+from mosca.accuracy.acceptance.artefact import acceptance_schema
 from mosca.data.files.rig_file import rig_schema
 from mosca.data.files.target_file import target_schema
 from mosca.formats.bodies.model_file import model_schema

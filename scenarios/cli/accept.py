@@ -34,10 +34,10 @@ def accept(out: Path | None, **given: Any) -> None:
     Example:  mosca accept acceptance/ball_bar --out runs/acceptance/try
               mosca accept lab/take.c3d --artefact bar.acceptance
     """
-    from scenarios.acceptance.document import acceptance_document
-    from scenarios.acceptance.folder import PAGE, check_out, write_acceptance
-    from scenarios.acceptance.take import AcceptOptions, take_of
     from scenarios.run.one_writer import one_writer
+    from scenarios.studies.acceptance.document import acceptance_document
+    from scenarios.studies.acceptance.folder import PAGE, check_out, write_acceptance
+    from scenarios.studies.acceptance.take import AcceptOptions, take_of
 
     options = AcceptOptions(**{**given, "overrides": tuple(given.pop("overrides"))})
     target = out or Path("runs") / "acceptance" / Path(options.what).stem

@@ -78,10 +78,10 @@ def benchmark(**given: Any) -> None:
     """
     options = BenchmarkOptions(**given)
     options.check()
-    from scenarios.benchmark import seeds
-    from scenarios.benchmark.benchmark import LIMIT_S, BenchmarkJob, default_cache
-    from scenarios.benchmark.entrant import read_entrants
-    from scenarios.benchmark.make import set_files
+    from scenarios.studies.benchmark import seeds
+    from scenarios.studies.benchmark.benchmark import LIMIT_S, BenchmarkJob, default_cache
+    from scenarios.studies.benchmark.entrant import read_entrants
+    from scenarios.studies.benchmark.make import set_files
 
     sets = set_files(options.sets, options.quick)
     entrants = read_entrants(options.entrants)
@@ -110,7 +110,7 @@ def benchmark(**given: Any) -> None:
 def _tune(sets: Any, entrants: Any, job: Any) -> None:
     from dataclasses import replace
 
-    from scenarios.benchmark.tuning import tune
+    from scenarios.studies.benchmark.tuning import tune
 
     tune(sets, entrants, replace(job, data=job.data / "tuning", work=job.work / "tuning"), click.echo)
 
@@ -118,7 +118,7 @@ def _tune(sets: Any, entrants: Any, job: Any) -> None:
 def _export(sets: Any, passphrase: Any, folder: Path, workers: int) -> None:
     """Write the data sets; those that cannot be made here are told."""
     from mosca.data.files.whole_file import check_folder
-    from scenarios.benchmark.make import make_set, missing, write_readme
+    from scenarios.studies.benchmark.make import make_set, missing, write_readme
 
     check_folder(folder)
     if folder.exists() and any(folder.iterdir()):
@@ -138,9 +138,9 @@ def _export(sets: Any, passphrase: Any, folder: Path, workers: int) -> None:
 def _run(sets: Any, entrants: Any, passphrase: Any, job: Any, out: Path) -> None:
     from mosca.data.files.whole_file import check_folder
     from reports.benchmark.page import write_leaderboard
-    from scenarios.benchmark.benchmark import run_benchmark
-    from scenarios.benchmark.result import document_of, overall, write_result
     from scenarios.run.one_writer import one_writer
+    from scenarios.studies.benchmark.benchmark import run_benchmark
+    from scenarios.studies.benchmark.result import document_of, overall, write_result
 
     check_folder(out)
     with one_writer(out):

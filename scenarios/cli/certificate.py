@@ -46,9 +46,9 @@ def certificate(
         _check(checked)
     from reports.certificate.pdf import check_pdf
     from reports.certificate.words import conclusion
-    from scenarios.certificate.document import CertificateOptions, certificate_document
-    from scenarios.certificate.folder import check_out, write_certificate
-    from scenarios.certificate.results import read_result
+    from scenarios.studies.certificate.document import CertificateOptions, certificate_document
+    from scenarios.studies.certificate.folder import check_out, write_certificate
+    from scenarios.studies.certificate.results import read_result
 
     check_out(out)
     if pdf:
@@ -62,8 +62,8 @@ def certificate(
 
 
 def _check(path: Path) -> None:
-    from scenarios.certificate.document import check_certificate, states_told, whole
-    from scenarios.certificate.folder import RESULT
+    from scenarios.studies.certificate.document import check_certificate, states_told, whole
+    from scenarios.studies.certificate.folder import RESULT
 
     states = check_certificate(path / RESULT if path.is_dir() else path)
     echo_lines(states_told(states) or [f"{len(states)} files are as they were"])

@@ -34,9 +34,9 @@ def claim(claim: Path, jobs: int | None, scheduler: str | None, out: Path | None
     Example:  mosca claim quick_cloud --out runs/claims/try
     """
     from mosca.errors import InputError
-    from scenarios.campaign.campaign import find_claim
-    from scenarios.campaign.result import check_out, write_result
     from scenarios.run.one_writer import one_writer
+    from scenarios.studies.campaign.campaign import find_claim
+    from scenarios.studies.campaign.result import check_out, write_result
 
     path = find_claim(str(claim))
     target = out or Path("runs") / "claims" / path.stem
@@ -57,10 +57,10 @@ def claim(claim: Path, jobs: int | None, scheduler: str | None, out: Path | None
 
 def _result(path: Path, jobs: int | None, scheduler: str | None) -> Any:
     """Make the runs, with the progress on the terminal."""
-    from scenarios.campaign.campaign import run_claim
-    from scenarios.campaign.cluster import ClusterEngine
-    from scenarios.campaign.engine import LocalEngine
     from scenarios.run.interrupt import first_ctrl_c
+    from scenarios.studies.campaign.campaign import run_claim
+    from scenarios.studies.campaign.cluster import ClusterEngine
+    from scenarios.studies.campaign.engine import LocalEngine
 
     asked = threading.Event()
     with Progress(path.stem) as shown, first_ctrl_c(asked.set):

@@ -12,7 +12,7 @@ from scenarios.cli.options import EXIT_PASSED, FILE, OUT_FILE, OUT_FOLDER, POSIT
 from scenarios.cli.progress import Progress
 
 if TYPE_CHECKING:
-    from mosca.lab_twin.estimates import Told
+    from mosca.accuracy.lab_twin.estimates import Told
 
 
 @click.command("fit")
@@ -87,7 +87,7 @@ def predict(
 
 def told_table(told: Sequence["Told"]) -> Any:
     """Return a table of the estimates: parameter, camera, value, 95 % interval, evidence."""
-    from mosca.lab_twin.estimates import ParameterEstimate
+    from mosca.accuracy.lab_twin.estimates import ParameterEstimate
     from scenarios.lab_twin.lab_file import interval
 
     shown = table("parameter", "camera", "estimate", "95 %", "evidence", numbers=False)
@@ -101,7 +101,7 @@ def told_table(told: Sequence["Told"]) -> Any:
 
 def lacking_lines(told: Sequence["Told"]) -> list[str]:
     """Return a line for each reason for which parameters are not told, with the cameras and keys that it is of."""
-    from mosca.lab_twin.estimates import NotTold
+    from mosca.accuracy.lab_twin.estimates import NotTold
 
     lacking: dict[str, tuple[dict[str, None], dict[str, None]]] = {}
     for one in told:

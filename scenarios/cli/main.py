@@ -293,7 +293,7 @@ SCHEMAS = {
     "scenario": "scenarios.spec.scenario:scenario_schema",
     "claim": "scenarios.spec.claim:claim_schema",
     "plan": "scenarios.spec.plan:plan_schema",
-    "acceptance": "mosca.acceptance.artefact:acceptance_schema",
+    "acceptance": "mosca.accuracy.acceptance.artefact:acceptance_schema",
     "rig": "mosca.data.files.rig_file:rig_schema",
     "target": "mosca.data.files.target_file:target_schema",
     "marker-model": "mosca.formats.bodies.model_file:model_schema",

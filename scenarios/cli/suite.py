@@ -151,8 +151,8 @@ def suite(**given: Any) -> None:
 
 def _outcomes(entries: Sequence[Any], options: SuiteOptions) -> list[Any]:
     """Run the scenarios, with the progress on the terminal."""
-    from scenarios.campaign.cluster import ClusterEngine
     from scenarios.run.one_writer import one_writer
+    from scenarios.studies.campaign.cluster import ClusterEngine
     from scenarios.suite import suite as work
     from scenarios.suite.on_cluster import run_suite_on
 

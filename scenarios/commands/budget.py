@@ -8,10 +8,10 @@ from mosca.data.files.whole_file import check_folder, write_text
 from reports.budget import ErrorBudget, write_budget
 from reports.budget_plot import error_budget_picture
 from reports.plot_style import svg_file
-from scenarios.budget.budget import BudgetSettings, error_budget
 from scenarios.run.kept_budgets import keep_budget
 from scenarios.spec.catalog import find, scenario_name
 from scenarios.spec.scenario import load_scenario
+from scenarios.studies.budget.budget import BudgetSettings, error_budget
 
 JSON_FILE, PICTURE_FILE = "budget.json", "budget.svg"
 

@@ -9,12 +9,12 @@ from typing import Any
 from mosca.data.files.whole_file import check_folder, whole_folder, write_text
 from mosca.errors import InputError
 from reports.plan.page import write_plan_page
-from scenarios.plan.map import predicted_map
-from scenarios.plan.plan import PlanSettings, make_plan, result_document
-from scenarios.plan.scenario import write_scenario
-from scenarios.plan.verify import verify
 from scenarios.run.folder import write_run
 from scenarios.spec.plan import load_plan
+from scenarios.studies.plan.map import predicted_map
+from scenarios.studies.plan.plan import PlanSettings, make_plan, result_document
+from scenarios.studies.plan.scenario import write_scenario
+from scenarios.studies.plan.verify import verify
 
 RESULT_FILE, PAGE_FILE, RUN_FOLDER = "result.json", "plan.html", "run"
 

@@ -1,16 +1,16 @@
-"""Fits the cameras of a lab to its recordings: reads them and hands them to the estimators of ``mosca.lab_twin``."""
+"""Fits the cameras of a lab to its recordings, by the estimators of ``mosca.accuracy.lab_twin``."""
 
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from mosca.accuracy.lab_twin.estimates import NotTold, ParameterEstimate, Told
+from mosca.accuracy.lab_twin.frame_losses import loss_estimates
+from mosca.accuracy.lab_twin.photon_transfer import sensor_estimates
 from mosca.data.files.rig_file import read_rig
 from mosca.data.rig import Rig
 from mosca.errors import InputError
-from mosca.lab_twin.estimates import NotTold, ParameterEstimate, Told
-from mosca.lab_twin.frame_losses import loss_estimates
-from mosca.lab_twin.photon_transfer import sensor_estimates
 from scenarios.lab_twin.lab_file import lab_document, write_lab
 from scenarios.lab_twin.moving import timing_of
 from scenarios.lab_twin.recordings import CameraImages, LabRecording, Progress, image_sums, parse_recording

@@ -9,19 +9,19 @@ import math
 import re
 from collections.abc import Sequence
 from pathlib import Path
+from statistics import NormalDist
 from typing import Any, ClassVar
 
 import tomli_w
 from pydantic import Field
-from scipy.stats import norm
 
+from mosca.accuracy.lab_twin.estimates import NotTold, ParameterEstimate, Told
 from mosca.data.files.toml import NotNegative, Table, check, read_toml
 from mosca.data.files.whole_file import write_text
 from mosca.errors import InputError
-from mosca.lab_twin.estimates import NotTold, ParameterEstimate, Told
 from scenarios.spec.cameras import CameraSpec
 
-REACH = float(norm.ppf(0.975))
+REACH = NormalDist().inv_cdf(0.975)
 """Half a 95 % interval over the standard deviation."""
 DIGITS = 6
 TABLES = ("errors", "optics", "timing", "mount", "sensor", "delivery")

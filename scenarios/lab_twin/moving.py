@@ -1,9 +1,9 @@
 """Moving targets: what a recording with calibrated cameras tells of the cameras' timing."""
 
+from mosca.accuracy.lab_twin.estimates import Told
+from mosca.accuracy.lab_twin.moving_targets import observe
+from mosca.accuracy.lab_twin.timing import timing_estimates
 from mosca.data.rig import Rig
-from mosca.lab_twin.estimates import Told
-from mosca.lab_twin.moving_targets import observe
-from mosca.lab_twin.timing import timing_estimates
 from mosca.pipeline import run
 from scenarios.lab_twin.recordings import LabRecording, opened
 

@@ -5,11 +5,11 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from mosca.accuracy.lab_twin.frame_losses import FrameArrivals, arrived
+from mosca.accuracy.lab_twin.pixel_statistics import PixelStatistics
 from mosca.data.frames import CameraInfo, FrameSource
 from mosca.data.rig import Rig
 from mosca.errors import InputError
-from mosca.lab_twin.frame_losses import FrameArrivals, arrived
-from mosca.lab_twin.pixel_statistics import PixelStatistics
 from mosca.recording import open_recording
 
 KINDS = {

@@ -5,14 +5,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from mosca.data.frames import CameraInfo
-from mosca.data.rig import Rig
-from mosca.detection.detect import detect
-from mosca.detection.settings import DetectionSettings
-from mosca.lab_twin.estimates import SPREAD, NotTold, ParameterEstimate, Told, weighted_mean
-from mosca.lab_twin.pixel_statistics import PixelStatistics
-from mosca.lab_twin.shake import shake_estimates
-from mosca.lab_twin.target_images import (
+from mosca.accuracy.lab_twin.estimates import SPREAD, NotTold, ParameterEstimate, Told, weighted_mean
+from mosca.accuracy.lab_twin.pixel_statistics import PixelStatistics
+from mosca.accuracy.lab_twin.shake import shake_estimates
+from mosca.accuracy.lab_twin.target_images import (
     FEWEST_TARGETS,
     FittedTarget,
     TargetDisplacements,
@@ -20,6 +16,10 @@ from mosca.lab_twin.target_images import (
     fit_targets,
     sharper,
 )
+from mosca.data.frames import CameraInfo
+from mosca.data.rig import Rig
+from mosca.detection.detect import detect
+from mosca.detection.settings import DetectionSettings
 from scenarios.lab_twin.recordings import CameraImages, LabRecording, Progress, opened
 
 KEYS = ("errors.psf_sigma_px", "errors.marker_signal", "errors.background_e", "errors.body_px", "mount.vibration_px")

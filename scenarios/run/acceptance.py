@@ -3,8 +3,8 @@
 import math
 from pathlib import Path
 
-from mosca.acceptance.artefact import read_acceptance
-from mosca.acceptance.evaluate import accept_tracks
+from mosca.accuracy.acceptance.artefact import read_acceptance
+from mosca.accuracy.acceptance.evaluate import accept_tracks
 from mosca.data.tracks import Tracks
 from mosca.errors import InputError
 from scenarios.build.scene import beside

@@ -1,8 +1,8 @@
 """What an error budget switches off: for each source of error keys of a scenario and the values that mean "off".
 
 To add a source, add a ``Switch`` to ``SWITCHES``: nothing else names them. What no key can take away is in
-``BUILT``: it is taken from the built cameras and scene (``scenarios.budget.quiet``). A source of error without a
-switch stays in the remainder of the budget.
+``BUILT``: it is taken from the built cameras and scene (``scenarios.studies.budget.quiet``). A source of error
+without a switch stays in the remainder of the budget.
 """
 
 from collections.abc import Collection, Iterable, Mapping
@@ -37,7 +37,7 @@ class Switch:
     keys: Mapping[str, Any]
     acts_on: Literal["take", "lens", "rig"] = "take"
     built: bool = False
-    """Taken away from what is built (``scenarios.budget.quiet``) under this name."""
+    """Taken away from what is built (``scenarios.studies.budget.quiet``) under this name."""
 
 
 SWITCHES = (

@@ -12,16 +12,16 @@ from pathlib import Path
 from mosca.data.files.toml import check, read_toml
 from mosca.data.files.whole_file import whole_folder
 from mosca.errors import InputError
-from scenarios.campaign.collect import Outcomes, collect
-from scenarios.campaign.engine import Engine
-from scenarios.campaign.files import gathered, laid_out
-from scenarios.campaign.tasks import RunTask
-from scenarios.campaign.worker import RunOutcome, bug_line
 from scenarios.run.folder import check_out
 from scenarios.run.interrupt import first_ctrl_c
 from scenarios.run.one_writer import one_writer
 from scenarios.spec.catalog import Entry
 from scenarios.spec.scenario import Scenario, apply_overrides
+from scenarios.studies.campaign.collect import Outcomes, collect
+from scenarios.studies.campaign.engine import Engine
+from scenarios.studies.campaign.files import gathered, laid_out
+from scenarios.studies.campaign.tasks import RunTask
+from scenarios.studies.campaign.worker import RunOutcome, bug_line
 from scenarios.suite.suite import STOPPED, Outcome, longest_first, made
 
 

@@ -24,9 +24,9 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import cma
 import numpy as np
 
-from mosca.planning.image_noise import PixelNoiseModel, information_table
-from mosca.planning.obstacles import Obstacle, obstacle_rows
-from mosca.planning.views import (
+from mosca.accuracy.planning.image_noise import PixelNoiseModel, information_table
+from mosca.accuracy.planning.obstacles import Obstacle, obstacle_rows
+from mosca.accuracy.planning.views import (
     BLUR,
     COLUMNS,
     EXTRA,
@@ -167,7 +167,7 @@ class Ours:
         self.obstacles = obstacle_rows(bodies)
 
     def rows(self, cameras: list[tuple[Any, ...]]) -> np.ndarray:
-        """Return rows of its cameras for ``mosca.planning.views``: its fixed tilt, WIDE_PX on the wide side."""
+        """Return rows of its cameras for ``mosca.accuracy.planning.views``: fixed tilt, WIDE_PX wide."""
         from core import room, scoring
 
         rows = np.zeros((len(cameras), COLUMNS))

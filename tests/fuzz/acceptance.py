@@ -11,13 +11,13 @@ from acceptance_takes import bar_file, seven_lines
 from fuzz.reader import Reader
 from fuzz.toml_files import as_given, document, toml_seed
 
-from mosca.acceptance.artefact import read_acceptance
-from mosca.acceptance.latency import read_arrivals
-from scenarios.acceptance.document import acceptance_document
-from scenarios.acceptance.record import read_acceptance_result
-from scenarios.acceptance.take import Take
-from scenarios.certificate.document import CertificateOptions, certificate_document, check_certificate
-from scenarios.certificate.results import read_result
+from mosca.accuracy.acceptance.artefact import read_acceptance
+from mosca.accuracy.acceptance.latency import read_arrivals
+from scenarios.studies.acceptance.document import acceptance_document
+from scenarios.studies.acceptance.record import read_acceptance_result
+from scenarios.studies.acceptance.take import Take
+from scenarios.studies.certificate.document import CertificateOptions, certificate_document, check_certificate
+from scenarios.studies.certificate.results import read_result
 
 ROOT = Path(__file__).resolve().parents[2]
 LIBRARY = ROOT / "scenarios" / "library" / "acceptance"

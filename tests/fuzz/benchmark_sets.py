@@ -11,8 +11,8 @@ from rigs import ring
 
 from mosca.data.rig import OpenCVLens
 from mosca.data.truth import Truth
-from scenarios.benchmark.folder import MadeSet, read_about, read_set_truth, write_set
-from scenarios.benchmark.scoring import match_detections, read_found
+from scenarios.studies.benchmark.folder import MadeSet, read_about, read_set_truth, write_set
+from scenarios.studies.benchmark.scoring import match_detections, read_found
 
 LENS = OpenCVLens(900.5, 901.25, 320.0, 250.0, k1=-0.1, k2=0.02, p1=1e-3)
 CAMERAS = ("left", "right")

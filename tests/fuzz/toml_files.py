@@ -24,12 +24,12 @@ from mosca.formats.bodies.body_file import read_bodies, write_bodies
 from mosca.formats.bodies.model_file import read_model
 from mosca.labelling.automatic.template import STANDARD, read_template
 from mosca.labelling.surface.model import FACE, read_surface_model
-from scenarios.campaign.campaign import CLAIMS
 from scenarios.commands.lamp_file import read_lamps
 from scenarios.lab_twin.lab_file import read_lab
 from scenarios.spec.claim import load_claim
 from scenarios.spec.plan import load_plan
 from scenarios.spec.scenario import load_scenario
+from scenarios.studies.campaign.campaign import CLAIMS
 from twin.scenes.user_markers import read_marker_table
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -6,13 +6,13 @@ import pytest
 from needs import needs_aravis
 from test_any_source import served
 
-from mosca.acceptance.artefact import read_acceptance
-from mosca.acceptance.evaluate import accept_tracks
-from scenarios.acceptance.take import AcceptOptions, take_of
+from mosca.accuracy.acceptance.artefact import read_acceptance
+from mosca.accuracy.acceptance.evaluate import accept_tracks
 from scenarios.run.folder import write_run
 from scenarios.run.scenario import run_scenario
 from scenarios.spec.catalog import find
 from scenarios.spec.scenario import load_scenario
+from scenarios.studies.acceptance.take import AcceptOptions, take_of
 from scenarios.types import RunOptions
 
 SCENARIO = "acceptance/ball_bar"

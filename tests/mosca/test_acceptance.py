@@ -16,11 +16,11 @@ from acceptance_takes import (
 from scipy.integrate import quad
 from scipy.stats import binom
 
-from mosca.acceptance.artefact import read_acceptance
-from mosca.acceptance.decision import decided, overall
-from mosca.acceptance.evaluate import accept_tracks
-from mosca.acceptance.latency import ResultArrivals, latency_result, read_arrivals
-from mosca.acceptance.series import sigma_of_mean
+from mosca.accuracy.acceptance.artefact import read_acceptance
+from mosca.accuracy.acceptance.decision import decided, overall
+from mosca.accuracy.acceptance.evaluate import accept_tracks
+from mosca.accuracy.acceptance.latency import ResultArrivals, latency_result, read_arrivals
+from mosca.accuracy.acceptance.series import sigma_of_mean
 from mosca.errors import InputError
 
 
@@ -239,7 +239,7 @@ def test_clusters_that_are_not_300_mm_apart_decide_nothing():
 
 
 def test_the_percentile_is_the_right_order_statistic():
-    from mosca.acceptance.clusters import _statistic
+    from mosca.accuracy.acceptance.clusters import _statistic
 
     values = np.random.default_rng(2).permutation(np.arange(1.0, 1001.0))
     assert _statistic("p997", values, np.zeros(1000), 0.0)[0] == 997.0

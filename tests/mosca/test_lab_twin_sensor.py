@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from mosca.lab_twin.estimates import NotTold, ParameterEstimate, root, weighted_mean
-from mosca.lab_twin.frame_losses import arrived, loss_estimates
-from mosca.lab_twin.photon_transfer import normal_from_rounded, sensor_estimates
-from mosca.lab_twin.pixel_statistics import PixelStatistics
+from mosca.accuracy.lab_twin.estimates import NotTold, ParameterEstimate, root, weighted_mean
+from mosca.accuracy.lab_twin.frame_losses import arrived, loss_estimates
+from mosca.accuracy.lab_twin.photon_transfer import normal_from_rounded, sensor_estimates
+from mosca.accuracy.lab_twin.pixel_statistics import PixelStatistics
 
 SHAPE = (120, 160)
 

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
+from mosca.accuracy.lab_twin.disc_model import DiscModel
+from mosca.accuracy.lab_twin.estimates import NotTold
+from mosca.accuracy.lab_twin.pixel_statistics import PixelStatistics
+from mosca.accuracy.lab_twin.shake import shake_estimates, spectrum
+from mosca.accuracy.lab_twin.target_images import TargetDisplacements, corner_blur, fit_targets, sharper
 from mosca.detection.detect import detect
 from mosca.detection.settings import DetectionSettings
-from mosca.lab_twin.disc_model import DiscModel
-from mosca.lab_twin.estimates import NotTold
-from mosca.lab_twin.pixel_statistics import PixelStatistics
-from mosca.lab_twin.shake import shake_estimates, spectrum
-from mosca.lab_twin.target_images import TargetDisplacements, corner_blur, fit_targets, sharper
 
 FINE = 8
 

@@ -5,10 +5,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from mosca.accuracy.lab_twin.estimates import NotTold
+from mosca.accuracy.lab_twin.moving_targets import frame_sums, observe
+from mosca.accuracy.lab_twin.timing import KEYS, fit_mixed_model, timing_estimates
 from mosca.data.rig import Camera, OpenCVLens, Pose, Rig
-from mosca.lab_twin.estimates import NotTold
-from mosca.lab_twin.moving_targets import frame_sums, observe
-from mosca.lab_twin.timing import KEYS, fit_mixed_model, timing_estimates
 
 F, SIZE = 700.0, (640, 480)
 NOISE_PX = 0.01

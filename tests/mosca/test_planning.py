@@ -10,16 +10,16 @@ from scipy.ndimage import gaussian_filter
 from scipy.optimize import least_squares
 from scipy.stats import mstats
 
+from mosca.accuracy.planning.field_calibration import FREE, OWN, FieldSession, common_covariance, parameter_covariance
+from mosca.accuracy.planning.image_noise import PixelNoiseModel, centre_sigma_px, information_table
+from mosca.accuracy.planning.layout import CameraOption, Layout, MountingPlace, angles_towards, planned_rig
+from mosca.accuracy.planning.objective import Objective, predict
+from mosca.accuracy.planning.obstacles import Obstacle, obstacle_rows, sight_clearance
+from mosca.accuracy.planning.search import WIDE, PlacementTask, first_layout, refine, search
+from mosca.accuracy.planning.views import DEGREES, EXTRA, MarkerRoom, Softness, view_table
 from mosca.camera.projection import project
 from mosca.data.rig import Pose, Rig
 from mosca.errors import InputError
-from mosca.planning.field_calibration import FREE, OWN, FieldSession, common_covariance, parameter_covariance
-from mosca.planning.image_noise import PixelNoiseModel, centre_sigma_px, information_table
-from mosca.planning.layout import CameraOption, Layout, MountingPlace, angles_towards, planned_rig
-from mosca.planning.objective import Objective, predict
-from mosca.planning.obstacles import Obstacle, obstacle_rows, sight_clearance
-from mosca.planning.search import WIDE, PlacementTask, first_layout, refine, search
-from mosca.planning.views import DEGREES, EXTRA, MarkerRoom, Softness, view_table
 
 NOISE = PixelNoiseModel(12_000.0, 200.0, 10.0, 20_000 / 255)
 TABLE = information_table(NOISE)

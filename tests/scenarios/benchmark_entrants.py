@@ -3,7 +3,7 @@
 import sys
 from pathlib import Path
 
-from scenarios.benchmark.entrant import Entrant
+from scenarios.studies.benchmark.entrant import Entrant
 
 BODIES = {
     # beside the data set lies the truth, which an honest entrant leaves alone

@@ -5,7 +5,7 @@ import os
 import time
 from pathlib import Path
 
-from scenarios.campaign.worker import RunOutcome
+from scenarios.studies.campaign.worker import RunOutcome
 
 
 def value_of(task):

@@ -12,10 +12,10 @@ from command_line import mosca, refusal
 
 from reports.acceptance.page import write_acceptance_page
 from reports.acceptance.words import figure_rows
-from scenarios.acceptance.document import inputs, sha256_of
-from scenarios.acceptance.record import InputFile, read_acceptance_result
-from scenarios.certificate.document import input_states
-from scenarios.certificate.results import read_result
+from scenarios.studies.acceptance.document import inputs, sha256_of
+from scenarios.studies.acceptance.record import InputFile, read_acceptance_result
+from scenarios.studies.certificate.document import input_states
+from scenarios.studies.certificate.results import read_result
 
 BUDGET = {
     "kind": "mosca error budget", "scenario": "a/b", "metric": "position_rms", "unit": "mm^2", "by": "source",

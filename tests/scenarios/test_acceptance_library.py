@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from mosca.acceptance.artefact import read_acceptance
+from mosca.accuracy.acceptance.artefact import read_acceptance
 from mosca.errors import InputError
 from scenarios.run.acceptance import acceptance_scores
 from scenarios.spec.catalog import find

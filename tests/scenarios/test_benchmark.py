@@ -15,16 +15,16 @@ from mosca.data.rig import Camera, OpenCVLens, Rig
 from mosca.data.truth import Truth
 from mosca.errors import InputError
 from reports.benchmark.page import write_leaderboard
-from scenarios.benchmark import seeds
-from scenarios.benchmark.benchmark import Benchmarked, BenchmarkJob, OnSet
-from scenarios.benchmark.entrant import Entrant, EnvironmentFailed, python_of, read_entrants, settings_for
-from scenarios.benchmark.execute import execute
-from scenarios.benchmark.folder import MadeSet, read_about, read_set_truth, write_set
-from scenarios.benchmark.make import make_set, set_files
-from scenarios.benchmark.result import document_of, mean_interval, overall, write_result
-from scenarios.benchmark.scoring import FoundPoints, match_detections, read_found, score_found
 from scenarios.build.camera_ring import looking_at
 from scenarios.cli.main import cli
+from scenarios.studies.benchmark import seeds
+from scenarios.studies.benchmark.benchmark import Benchmarked, BenchmarkJob, OnSet
+from scenarios.studies.benchmark.entrant import Entrant, EnvironmentFailed, python_of, read_entrants, settings_for
+from scenarios.studies.benchmark.execute import execute
+from scenarios.studies.benchmark.folder import MadeSet, read_about, read_set_truth, write_set
+from scenarios.studies.benchmark.make import make_set, set_files
+from scenarios.studies.benchmark.result import document_of, mean_interval, overall, write_result
+from scenarios.studies.benchmark.scoring import FoundPoints, match_detections, read_found, score_found
 from scenarios.types import Score
 
 FRAMES, MARKERS = 12, 5

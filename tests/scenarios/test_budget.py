@@ -14,13 +14,13 @@ from reports.budget_plot import error_budget_picture
 from reports.content import budget_content
 from reports.margins import budget_wanted
 from reports.page import write_page
-from scenarios.budget.budget import BudgetSettings, error_budget
-from scenarios.budget.evaluate import detected_take, evaluate, mixed
 from scenarios.cli.budget import budget as verb
 from scenarios.run.kept_budgets import keep_budget, kept_budget
 from scenarios.run.scenario import run_scenario
 from scenarios.spec.scenario import load_scenario
 from scenarios.spec.switches import SWITCHES, cameras_sources, sources_of, switched_off
+from scenarios.studies.budget.budget import BudgetSettings, error_budget
+from scenarios.studies.budget.evaluate import detected_take, evaluate, mixed
 from tests.scenarios.tiny_scenario import write_tiny
 
 PLANTED = 'count = 2\nazimuth_deg = [0.0, 90.0]\n[[camera]]\nname = "cam2"\nerrors.body_px = 0.15'

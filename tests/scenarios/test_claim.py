@@ -11,15 +11,15 @@ from command_line import mosca, refusal
 from tiny_scenario import write_tiny
 
 from mosca.errors import InputError
-from scenarios.campaign.campaign import CLAIMS, find_claim, overall, run_claim
-from scenarios.campaign.collect import DIED, KeptRuns
-from scenarios.campaign.engine import LocalEngine
-from scenarios.campaign.files import gathered, laid_out
-from scenarios.campaign.result import write_result
-from scenarios.campaign.statistics.questions import Judgement
-from scenarios.campaign.tasks import run_tasks
 from scenarios.spec.claim import load_claim
 from scenarios.spec.scenario import load_scenario
+from scenarios.studies.campaign.campaign import CLAIMS, find_claim, overall, run_claim
+from scenarios.studies.campaign.collect import DIED, KeptRuns
+from scenarios.studies.campaign.engine import LocalEngine
+from scenarios.studies.campaign.files import gathered, laid_out
+from scenarios.studies.campaign.result import write_result
+from scenarios.studies.campaign.statistics.questions import Judgement
+from scenarios.studies.campaign.tasks import run_tasks
 
 CLAIM = """
 title = "tiny"

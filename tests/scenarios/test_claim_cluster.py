@@ -13,14 +13,14 @@ from claim_work import slow_work, work
 from test_claim import write_claim
 
 from mosca.errors import InputError
-from scenarios.campaign.campaign import run_claim
-from scenarios.campaign.collect import KeptRuns
-from scenarios.campaign.engine import LocalEngine
-from scenarios.campaign.result import write_result
+from scenarios.studies.campaign.campaign import run_claim
+from scenarios.studies.campaign.collect import KeptRuns
+from scenarios.studies.campaign.engine import LocalEngine
+from scenarios.studies.campaign.result import write_result
 
 pytest.importorskip("distributed", reason="distributed is not installed (pip install 'mosca-testbench[cluster]')")
-from scenarios.campaign import cluster as cluster_module
-from scenarios.campaign.cluster import ClusterEngine
+from scenarios.studies.campaign import cluster as cluster_module
+from scenarios.studies.campaign.cluster import ClusterEngine
 
 TESTS = Path(__file__).parent
 START_S = 60

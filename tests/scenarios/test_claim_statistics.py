@@ -7,10 +7,10 @@ import pytest
 from scipy import stats
 from virtual_rigs import rms_of_runs
 
-from scenarios.campaign.statistics import means, shares
-from scenarios.campaign.statistics.boundaries import Looks, default_looks, normal_boundaries, upper_tail
-from scenarios.campaign.statistics.judge import judge
-from scenarios.campaign.statistics.questions import Question
+from scenarios.studies.campaign.statistics import means, shares
+from scenarios.studies.campaign.statistics.boundaries import Looks, default_looks, normal_boundaries, upper_tail
+from scenarios.studies.campaign.statistics.judge import judge
+from scenarios.studies.campaign.statistics.questions import Question
 
 LOOKS = Looks(default_looks(200), 0.05)
 RMS = Question("rms", 1.0)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from command_line import mosca, refusal
 
-from mosca.lab_twin.estimates import NotTold, ParameterEstimate
+from mosca.accuracy.lab_twin.estimates import NotTold, ParameterEstimate
 from scenarios.lab_twin.apply import bounded, drawn, load_with_lab
 from scenarios.lab_twin.lab_file import lab_document, read_lab, write_lab
 from scenarios.lab_twin.predict import predicted

@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 from command_line import mosca, refusal
 
+from mosca.accuracy.planning.layout import Layout, angles_towards
 from mosca.data.files.rig_file import read_rig
-from mosca.planning.layout import Layout, angles_towards
-from scenarios.plan import plan as plans
-from scenarios.plan.plan import Plan, PlanSettings, make_plan, task_of
-from scenarios.plan.room import inside_polygon, is_convex, mounts_of, obstacles_of, points_in
-from scenarios.plan.scenario import write_scenario
-from scenarios.plan.verify import verify
 from scenarios.spec.plan import PlanFile, load_plan
 from scenarios.spec.scenario import load_scenario
+from scenarios.studies.plan import plan as plans
+from scenarios.studies.plan.plan import Plan, PlanSettings, make_plan, task_of
+from scenarios.studies.plan.room import inside_polygon, is_convex, mounts_of, obstacles_of, points_in
+from scenarios.studies.plan.scenario import write_scenario
+from scenarios.studies.plan.verify import verify
 
 PLAN = """
 title = "small"
@@ -208,7 +208,7 @@ def test_the_example_of_the_documentation_is_read():
 
 
 def test_a_row_of_the_study_says_what_was_found():
-    from scenarios.plan.verify import Verified
+    from scenarios.studies.plan.verify import Verified
     from tests.studies.planner_rooms import drawn_room, row
 
     found = Verified(1e-4, 2e-4, 1.9e-4, 2.1e-4, 3e-4, 3e-4, 0.0, 0.0, 1.0)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from mosca.acceptance.artefact import acceptance_schema
+from mosca.accuracy.acceptance.artefact import acceptance_schema
 from mosca.data.files.rig_file import rig_schema
 from mosca.data.files.target_file import target_schema
 from mosca.data.files.toml import Table, described

@@ -5,9 +5,9 @@ from itertools import permutations
 import numpy as np
 import pytest
 
-from scenarios.budget.evaluate import Squares
-from scenarios.budget.intervals import BLOCKS, by_seed_and_block, interval95
-from scenarios.budget.shapley import Orders, exact_values
+from scenarios.studies.budget.evaluate import Squares
+from scenarios.studies.budget.intervals import BLOCKS, by_seed_and_block, interval95
+from scenarios.studies.budget.shapley import Orders, exact_values
 
 
 def game(players, value):

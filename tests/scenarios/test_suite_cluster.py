@@ -12,10 +12,10 @@ from test_claim_cluster import Cluster
 from tiny_scenario import write_tiny
 
 from reports.record import read_record
-from scenarios.campaign.engine import LocalEngine
-from scenarios.campaign.worker import code_stamp, run_chunk
 from scenarios.cli.main import cli
 from scenarios.spec.catalog import entries
+from scenarios.studies.campaign.engine import LocalEngine
+from scenarios.studies.campaign.worker import code_stamp, run_chunk
 from scenarios.suite import on_cluster
 from scenarios.suite.on_cluster import run_suite_on
 from scenarios.suite.suite import _run_one

@@ -16,11 +16,11 @@ from pathlib import Path
 import numpy as np
 from scipy import stats
 
-from scenarios.campaign.statistics import boundaries
-from scenarios.campaign.statistics.boundaries import Looks, default_looks
-from scenarios.campaign.statistics.judge import judge
-from scenarios.campaign.statistics.means import Moments
-from scenarios.campaign.statistics.questions import Question
+from scenarios.studies.campaign.statistics import boundaries
+from scenarios.studies.campaign.statistics.boundaries import Looks, default_looks
+from scenarios.studies.campaign.statistics.judge import judge
+from scenarios.studies.campaign.statistics.means import Moments
+from scenarios.studies.campaign.statistics.questions import Question
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scenarios"))
 from virtual_rigs import DISTRIBUTIONS, rms_of_runs

@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from scenarios.plan.plan import PlanSettings, make_plan
-from scenarios.plan.scenario import write_scenario
-from scenarios.plan.verify import Verified, verify
 from scenarios.spec.plan import PlanFile
+from scenarios.studies.plan.plan import PlanSettings, make_plan
+from scenarios.studies.plan.scenario import write_scenario
+from scenarios.studies.plan.verify import Verified, verify
 
 EVALUATIONS = 600
 WITHIN = 0.1

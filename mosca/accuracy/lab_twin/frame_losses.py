@@ -1,0 +1,75 @@
+"""Frames that did not arrive: how many, and whether they are lost one by one or in bursts.
+
+A lost frame is one whose number is missing between the first and the last number that any camera sent. Lost one by
+one, a loss follows a loss as often as it follows a frame that came; in bursts of b frames a run of losses ends after
+b on average. Which of the two it is follows from the number of losses that follow a loss (binomial test).
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import binom
+
+from mosca.accuracy.lab_twin.estimates import ParameterEstimate, Told
+from mosca.data.arrays import Array
+
+BY_CHANCE = 1e-3
+"""Chance at which losses one by one follow each other so often that they are taken for bursts."""
+
+
+@dataclass(frozen=True, eq=False)
+class FrameArrivals:
+    """What became of one camera's frames in one recording."""
+
+    lost: Array
+    """(n,) bool, of each frame number of the recording."""
+    corrupt: int
+    """Frames that came damaged."""
+
+
+def loss_estimates(camera: str, recordings: Sequence[FrameArrivals]) -> list[Told]:
+    """Return the shares of a camera's frames that are lost and damaged, from all its recordings."""
+    frames = sum(len(one.lost) for one in recordings)
+    lost = sum(int(one.lost.sum()) for one in recordings)
+    after = np.concatenate([one.lost[1:][one.lost[:-1]] for one in recordings] or [np.zeros(0, bool)])
+    corrupt = sum(one.corrupt for one in recordings)
+    share = lost / frames
+    told: list[Told] = []
+    followed, cases = int(after.sum()), len(after)
+    if lost and cases and binom.sf(followed - 1, cases, share) < BY_CHANCE:
+        length = max(round(1.0 / max(1.0 - followed / cases, 1.0 / cases)), 2)
+        runs = max(lost / length, 1.0)
+        sigma = share / math.sqrt(runs)
+        why = f"{lost} of {frames} frames lost, in runs of {length} on average"
+        told.append(ParameterEstimate(camera, "delivery.burst_share", share, sigma, why))
+        told.append(ParameterEstimate(camera, "delivery.burst_frames", float(length), 0.0, why))
+        told.append(ParameterEstimate(camera, "delivery.dropped_share", 0.0, 0.0, why))
+    else:
+        why = f"{lost} of {frames} frames lost"
+        told.append(_share(camera, "delivery.dropped_share", lost, frames, why))
+    told.append(
+        _share(camera, "delivery.corrupt_share", corrupt, frames - lost, f"{corrupt} of {frames - lost} damaged")
+    )
+    return told
+
+
+def arrived(numbers: Mapping[str, set[int]], damaged: Mapping[str, set[int]]) -> dict[str, FrameArrivals]:
+    """Return what became of each camera's frames, from the numbers of those that came whole, and damaged."""
+    every = set().union(*numbers.values(), *damaged.values())
+    if not every:
+        return {}
+    span = range(min(every), max(every) + 1)
+    return {
+        name: FrameArrivals(np.array([n not in came and n not in damaged[name] for n in span]), len(damaged[name]))
+        for name, came in numbers.items()
+    }
+
+
+def _share(camera: str, key: str, count: int, n: int, evidence: str) -> ParameterEstimate:
+    """Return a share; its standard deviation is that of Jeffreys' posterior, which is above 0 for a count of 0."""
+    n = max(n, 1)
+    a, b = count + 0.5, n - count + 0.5
+    sigma = math.sqrt(a * b / ((a + b) ** 2 * (a + b + 1.0)))
+    return ParameterEstimate(camera, key, count / n, sigma, evidence)

@@ -1,0 +1,175 @@
+"""Targets at rest: the blur of the lens, the targets' brightness, and how the image moves from frame to frame.
+
+The mean of many images has little noise: an ellipse is fitted to each target that stands alone in it. The frames then
+differ from that mean by small displacements, which follow linearly (Lucas and Kanade, 1981): the difference regressed
+on the model's slopes, brightness and background. What all targets of a camera do together is the camera's own shake;
+what each does alone is noise.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mosca.accuracy.lab_twin.disc_model import DiscModel, EllipseFit
+from mosca.accuracy.lab_twin.estimates import root
+from mosca.accuracy.lab_twin.pixel_statistics import PixelStatistics
+from mosca.data.arrays import Array
+from mosca.data.detections import SATURATED, Detections
+
+MOST_TARGETS = 24
+"""That are fitted in a camera: evenly over its image."""
+FEWEST_TARGETS = 3
+ROOM_PX = 5
+"""Between a target's rim and the window's."""
+FEWEST_OF_FIELD = 6
+"""Targets from which the blur's change over the field is told."""
+LEAST_FIELD = 0.5
+"""Share of the image's half diagonal that the outermost of them must reach: farther out is extrapolation."""
+UNEVEN = 0.005
+"""Share of the light to which the model of an evenly lit disc is trusted: few pixels do not outweigh all."""
+MOST_MISFIT = 0.08
+"""Rms of the residuals over the brightness, beyond which something else than a disc is in the window."""
+LEAST_RADIUS_PX = 1.0
+"""Of a target from which brightness and blur can be told apart."""
+
+
+@dataclass(frozen=True, eq=False)
+class FittedTarget:
+    """A target at rest in one camera's mean image."""
+
+    fit: EllipseFit
+    row: int
+    """First row of its window."""
+    column: int
+    """First column of its window."""
+    size: int
+    """Side of the window [px]."""
+    sigma: Array
+    """(size, size) temporal standard deviation of the pixels [DN]."""
+
+    @property
+    def xy_px(self) -> tuple[float, float]:
+        """Where it is in the image."""
+        return self.column + self.fit.x_px, self.row + self.fit.y_px
+
+    def window(self, image: Array) -> Array:
+        """Return its part of an image (H, W)."""
+        part: Array = image[self.row : self.row + self.size, self.column : self.column + self.size]
+        return part
+
+
+def fit_targets(sums: PixelStatistics, found: Detections) -> list[FittedTarget]:
+    """Fit the targets that stand alone in the mean of a camera's images.
+
+    Parameters
+    ----------
+    sums
+        Of the camera's images of targets at rest.
+    found
+        Targets in the rounded mean image.
+    """
+    mean, variance = sums.mean, np.maximum(sums.variance, 1.0 / 12.0)
+    top = 2**sums.bits - 1
+    fitted = []
+    for k in _chosen(found, mean.shape):
+        x, y = found.xy_px[k]
+        radius = max(0.5 * float(found.diameter_px[k]), 0.5)
+        half = math.ceil(radius) + ROOM_PX
+        row, column, size = round(y) - half, round(x) - half, 2 * half + 1
+        inside = row >= 0 and column >= 0 and row + size <= mean.shape[0] and column + size <= mean.shape[1]
+        away = np.delete(np.hypot(*(found.xy_px - found.xy_px[k]).T) - 0.5 * found.diameter_px, k)
+        if not inside or found.flags[k] & SATURATED or away.min(initial=np.inf) < 1.5 * half:
+            continue
+        part = np.s_[row : row + size, column : column + size]
+        if mean[part].max() + 4.0 * math.sqrt(variance[part].max()) > top:
+            continue
+        light = np.maximum(mean[part] - np.median(mean[part][[0, -1]]), 0.0)
+        sigma = np.sqrt(variance[part] / sums.images + (UNEVEN * light) ** 2)
+        fit = DiscModel(size).fit(mean[part], sigma, (x - column, y - row, radius))
+        if fit is not None and fit.misfit < MOST_MISFIT and fit.radius_px > LEAST_RADIUS_PX:
+            fitted.append(FittedTarget(fit, row, column, size, np.sqrt(variance[part])))
+    return fitted
+
+
+def corner_blur(
+    targets: Sequence[FittedTarget], shake_px: float, shape: tuple[int, int]
+) -> tuple[float, float] | None:
+    """Return the blur at the corner of an image (H, W) and its standard deviation [px]; None where none is told.
+
+    The blur's square is taken to grow with the square of the distance from the middle, as field curvature makes it to
+    first order; straight line by least squares.
+    """
+    half = 0.5 * math.hypot(*shape)
+    far = np.array([math.hypot(t.xy_px[0] - shape[1] / 2, t.xy_px[1] - shape[0] / 2) / half for t in targets])
+    square = np.array([sharper(one, shake_px) ** 2 for one in targets])
+    if len(targets) < FEWEST_OF_FIELD or far.max() < LEAST_FIELD:
+        return None
+    line, covariance = np.polyfit(far**2, square, 1, cov=True)
+    return root(float(line.sum()), math.sqrt(float(covariance.sum())))
+
+
+def _chosen(found: Detections, shape: tuple[int, ...]) -> list[int]:
+    """Return up to MOST_TARGETS of the detections, those that lie farthest from each other first."""
+    if len(found) <= MOST_TARGETS:
+        return list(range(len(found)))
+    xy = found.xy_px
+    chosen = [int(np.argmin(np.hypot(xy[:, 0] - shape[1] / 2, xy[:, 1] - shape[0] / 2)))]
+    nearest = np.full(len(xy), np.inf)
+    while len(chosen) < MOST_TARGETS:
+        nearest = np.minimum(nearest, np.hypot(*(xy - xy[chosen[-1]]).T))
+        chosen.append(int(np.argmax(nearest)))
+    return chosen
+
+
+class TargetDisplacements:
+    """TargetDisplacements of a camera's targets, frame by frame; ``add`` takes each image."""
+
+    def __init__(self, targets: Sequence[FittedTarget], shake_px: float = 0.0) -> None:
+        """``shake_px``: rms motion that blurs the mean image, an axis; the frames themselves are sharper."""
+        self._targets = targets
+        self._solve = []
+        self._sigma = np.empty((len(targets), 2))
+        models: dict[int, DiscModel] = {}
+        for k, one in enumerate(targets):
+            model = models.setdefault(one.size, DiscModel(one.size))
+            blur = math.sqrt(max(one.fit.blur_px**2 - shake_px**2, 0.04))
+            disc, by_x, by_y = model.with_slopes(one.fit, blur)
+            columns = np.stack([one.fit.level * by_x, one.fit.level * by_y, disc, np.ones_like(disc)], axis=-1)
+            weight = 1.0 / one.sigma.ravel()
+            design = columns.reshape(-1, 4) * weight[:, None]
+            inverse = np.linalg.pinv(design)
+            self._solve.append(inverse[:2] * weight)
+            self._sigma[k] = np.sqrt((inverse[:2] ** 2).sum(axis=1))
+        self._rows: list[Array] = []
+        self.numbers: list[int] = []
+
+    def add(self, image: Array, number: int) -> None:
+        """Take an image (H, W) and its frame's number."""
+        row = np.empty((len(self._targets), 2))
+        for k, (one, solve) in enumerate(zip(self._targets, self._solve, strict=True)):
+            row[k] = solve @ one.window(image).astype(float).ravel()
+        self._rows.append(row)
+        self.numbers.append(number)
+
+    def common(self) -> tuple[Array, float]:
+        """Return the motion that all targets share (n, 2), about its mean [px], and the rms of its noise an axis.
+
+        The noise follows from how the targets differ from each other.
+        """
+        moved = np.array(self._rows)
+        moved -= moved.mean(axis=0)
+        weight = 1.0 / self._sigma**2
+        total = weight.sum(axis=0)
+        shared = (moved * weight).sum(axis=1) / total
+        own = moved - shared[:, None]
+        t = len(self._targets)
+        # ratio of the scatter about the common motion to what the pixels' noise makes of it
+        excess = float(np.mean((own**2 * weight).sum(axis=(1)) / (t - 1)))
+        return shared, math.sqrt(excess * float(np.mean(1.0 / total)))
+
+
+def sharper(target: FittedTarget, shake_px: float) -> float:
+    """Return the blur [px] of a target's single images, without the shake that blurs their mean."""
+    return math.sqrt(max(target.fit.blur_px**2 - shake_px**2, 0.0))

@@ -1,0 +1,1 @@
+"""Studies of many runs: claims, error budgets, acceptance tests, plans of rigs, benchmarks, certificates."""

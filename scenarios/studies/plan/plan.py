@@ -1,0 +1,267 @@
+"""The plan: the best layout for each number of cameras, and what is predicted of the best."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from mosca.accuracy.planning.field_calibration import common_covariance, parameter_covariance
+from mosca.accuracy.planning.layout import CameraOption, Layout, MountingPlace, direction, planned_rig
+from mosca.accuracy.planning.objective import Objective
+from mosca.accuracy.planning.search import WIDE, PlacementTask, first_layout, search
+from mosca.accuracy.planning.views import MarkerRoom, Softness, view_table
+from mosca.camera.projection import project_with_jacobians
+from mosca.data.arrays import Array
+from mosca.data.rig import Rig
+from mosca.errors import InputError
+from scenarios.spec.plan import PlanFile
+from scenarios.studies.plan.room import (
+    bounding_box,
+    keep_out_of,
+    mounts_of,
+    options_of,
+    points_in,
+    room_of,
+    session_of,
+)
+
+SEARCH_POINTS, REPORT_POINTS = 160, 1000
+"""Points of the volume at which the search predicts, and others, for the figures that are reported."""
+CURVE_SHARE = 0.35
+"""Of the evaluations, for each number of cameras below the largest."""
+
+
+@dataclass(frozen=True)
+class PlanSettings:
+    """How the search is made."""
+
+    evaluations: int = 8000
+    curve: bool = True
+    """Also plan with fewer cameras."""
+
+
+@dataclass(frozen=True, eq=False)
+class VolumePrediction:
+    """What is predicted of markers in the volume."""
+
+    points: Array
+    """(n, 3) [m]"""
+    sigma_m: Array
+    """(n, k) standard deviation of a measured point, sqrt of the trace [m], calibration included; infinite unseen."""
+    calibration_m: Array
+    """(n, k) the calibration's share."""
+    covariance: Array
+    """(n, k, 3, 3) [m^2], NaN unseen."""
+    cameras: Array
+    """(n, k) that see each."""
+
+    def quantile_m(self, share: float) -> float:
+        """Return the standard deviation that ``share`` of the markers do not exceed [m]; infinite where fewer are
+        seen.
+        """
+        return float(np.quantile(self.sigma_m, share, method="higher"))
+
+    def unseen(self, least: int) -> float:
+        """Return the share of markers that fewer than ``least`` cameras see."""
+        return float(np.mean(self.cameras < least))
+
+
+@dataclass(frozen=True, eq=False)
+class Planned:
+    """A planned rig, and what is predicted of it."""
+
+    layout: Layout
+    rig: Rig
+    price: float
+    predicted: VolumePrediction
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """Plans for numbers of cameras, ascending; the last one but those that are no better is ``best``."""
+
+    spec: PlanFile
+    options: tuple[CameraOption, ...]
+    mounts: tuple[MountingPlace, ...]
+    planned: Mapping[int, Planned]
+    start: Planned
+    """Cameras evenly spaced along the mounts, as many as ``best`` has, aimed at the volume's centre."""
+
+    @property
+    def best(self) -> Planned:
+        """The plan with the least predicted quantile."""
+        share = self.spec.goal.quantile
+        return min(self.planned.values(), key=lambda one: (one.predicted.quantile_m(share), one.predicted.unseen(2)))
+
+
+def make_plan(
+    spec: PlanFile, settings: PlanSettings, told: Callable[[int, int], None] = lambda done, most: None
+) -> Plan:
+    """Return the plan of ``spec``. InputError where no layout keeps the budget, or hardly any place is seen.
+
+    ``told``: called with evaluations done and wanted.
+    """
+    most = spec.budget.cameras
+    cheapest = min(one.price for one in spec.camera)
+    if spec.budget.money is not None and cheapest > 0:
+        most = min(most, int(spec.budget.money // cheapest))
+    least = max(2, spec.goal.seen_by)
+    counts = [*range(least, most)] if settings.curve else []
+    wanted = int(settings.evaluations * (CURVE_SHARE * len(counts) + 1))
+    mounts = mounts_of(spec)
+    calibration_px = _calibration_px(spec, mounts, most)
+    task = task_of(spec, points_in(spec, SEARCH_POINTS, spec.seed), calibration_px)
+    planned: dict[int, Planned] = {}
+    done = 0
+    for count in (*counts, most):
+        evaluations = settings.evaluations if count == most else int(CURVE_SHARE * settings.evaluations)
+        layout = search(
+            task, count, evaluations=evaluations, seed=spec.seed + 1, told=_from(told, done, wanted)
+        )  # fmt: skip
+        done += evaluations
+        if task.allowed(layout):
+            planned[count] = _planned(spec, task, layout)
+    if not planned:
+        raise InputError(
+            f"budget.cameras = {most}: no layout keeps goal.spacing_m, the room and the money; allow more room, more "
+            "money or fewer cameras"
+        )
+    count = len(Plan(spec, task.options, mounts, planned, next(iter(planned.values()))).best.layout)
+    start = _planned(spec, task, first_layout(task, count))
+    return Plan(spec, task.options, mounts, planned, start)
+
+
+def _from(told: Callable[[int, int], None], before: int, wanted: int) -> Callable[[int, int], None]:
+    """Return what tells of a search that began after ``before`` of all ``wanted`` evaluations."""
+    return lambda done, _: told(min(before + done, wanted), wanted)
+
+
+def task_of(spec: PlanFile, points: Array, calibration_px: float) -> PlacementTask:
+    """Return the search over ``points`` (n, 3); ``calibration_px``: what the calibration adds to an image point."""
+    room = room_of(spec, points)
+    objective = Objective(room, spec.goal.quantile, spec.goal.seen_by, float(bounding_box(spec)[1].max()), WIDE)
+    return PlacementTask(
+        objective, mounts_of(spec), options_of(spec, calibration_px), spec.budget.money, spec.goal.spacing_m,
+        keep_out_of(spec),
+    )  # fmt: skip
+
+
+def predicted_of(spec: PlanFile, rig: Rig, rows: Array, room: MarkerRoom) -> VolumePrediction:
+    """Return what is predicted of the markers of ``room`` with ``rig`` and its rows (c, COLUMNS)."""
+    seen, variance = view_table(
+        rows, room.points, room.normals, room.obstacles, room.center, room.diameter_m, room.tables, Softness().row
+    )
+    places = rows[:, :3]
+    known = parameter_covariance(rig, session_of(spec, places, spec.seed))
+    n, kinds = seen.shape[1:]
+    covariance = np.full((n, kinds, 3, 3), np.nan)
+    common = np.full((n, kinds), np.inf)
+    sigma = np.full((n, kinds), np.inf)
+    count = (seen > 0.5).sum(axis=0)
+    for k in range(kinds):
+        good = count[:, k] >= max(2, spec.goal.seen_by)
+        weights = np.where(seen[:, good, k] > 0.5, 1.0 / np.maximum(variance[:, good], 1e-12), 0.0)
+        of_noise = np.linalg.inv(_information(rig, room.points[good], weights))
+        of_rig = common_covariance(rig, known, room.points[good], weights)
+        covariance[good, k] = of_noise + of_rig
+        sigma[good, k] = np.sqrt(np.trace(covariance[good, k], axis1=1, axis2=2))
+        common[good, k] = np.sqrt(np.trace(of_rig, axis1=1, axis2=2))
+    return VolumePrediction(room.points, sigma, common, covariance, count)
+
+
+def result_document(plan: Plan) -> dict[str, Any]:
+    """Return the result file's content: the curve, the cameras and the figures, lengths in metres."""
+    spec, best = plan.spec, plan.best
+    share = spec.goal.quantile
+    center, size = bounding_box(spec)
+    return {
+        "title": spec.title,
+        "quantile": share,
+        "seen_by": spec.goal.seen_by,
+        "predicted": figures_of(best.predicted, share),
+        "evenly_spaced": figures_of(plan.start.predicted, share),
+        "price": best.price,
+        "volume": {
+            "center_m": center.tolist(),
+            "size_m": size.tolist(),
+            "corners_m": None if spec.volume.corners_m is None else [list(one) for one in spec.volume.corners_m],
+        },
+        "cameras": camera_rows(plan, best),
+        "curve": [
+            {"cameras": count, "price": one.price, **figures_of(one.predicted, share)}
+            for count, one in plan.planned.items()
+        ],
+        "conditions": spec.model_dump(mode="json"),
+    }
+
+
+def figures_of(predicted: VolumePrediction, share: float) -> dict[str, float | None]:
+    """Return the figures of a prediction; None for what is infinite."""
+    finite = predicted.sigma_m[np.isfinite(predicted.sigma_m)]
+    quantile = predicted.quantile_m(share)
+    common = predicted.calibration_m[np.isfinite(predicted.calibration_m)]
+    return {
+        "sigma_quantile_m": quantile if np.isfinite(quantile) else None,
+        "sigma_rms_m": float(np.sqrt(np.mean(finite**2))) if len(finite) else None,
+        "calibration_rms_m": float(np.sqrt(np.mean(common**2))) if len(common) else None,
+        "unseen_share": predicted.unseen(2),
+    }
+
+
+def camera_rows(plan: Plan, one: Planned) -> list[dict[str, Any]]:
+    """Return a row a camera of a planned rig."""
+    places, ahead = one.layout.places(plan.mounts), direction(one.layout.angles)
+    return [
+        {
+            "name": camera.name,
+            "model": (option := plan.options[one.layout.option[k]]).model,
+            "focal_mm": option.focal_mm,
+            "price": option.price,
+            "position_m": places[k].tolist(),
+            "direction": ahead[k].tolist(),
+            "pan_deg": float(np.degrees(one.layout.angles[k, 0]) % 360),
+            "tilt_deg": float(np.degrees(one.layout.angles[k, 1])),
+            "size_px": [option.width, option.height],
+            "pitch_mm": option.pitch_mm,
+        }
+        for k, camera in enumerate(one.rig.cameras)
+    ]
+
+
+def _planned(spec: PlanFile, task: PlacementTask, layout: Layout) -> Planned:
+    options = options_of(spec)
+    rig = planned_rig(layout, task.mounts, options)
+    rows = layout.rows(task.mounts, replace(task, options=options).option_rows)
+    room = room_of(spec, points_in(spec, REPORT_POINTS, spec.seed + 1000))
+    return Planned(layout, rig, layout.price(options), predicted_of(spec, rig, rows, room))
+
+
+def _calibration_px(spec: PlanFile, mounts: tuple[MountingPlace, ...], count: int) -> float:
+    """Return what the calibration adds to an image point, rms an axis [px], of cameras evenly spaced.
+
+    The search takes it as noise of the image points: how it depends on the layout is predicted for the result alone.
+    """
+    task = task_of(spec, points_in(spec, SEARCH_POINTS, spec.seed), 0.0)
+    layout = first_layout(task, count)
+    found = _planned(spec, task, layout).predicted
+    seen = np.isfinite(found.sigma_m) & (found.calibration_m < found.sigma_m)
+    if not seen.any():
+        return 0.0
+    share = np.median(found.calibration_m[seen] ** 2 / (found.sigma_m[seen] ** 2 - found.calibration_m[seen] ** 2))
+    rows = layout.rows(mounts, task.option_rows)
+    room = task.objective.room
+    _, variance = view_table(
+        rows, room.points, room.normals, room.obstacles, room.center, room.diameter_m, room.tables, Softness().row
+    )
+    return float(np.sqrt(share * np.median(variance[variance > 0])))
+
+
+def _information(rig: Rig, points: Array, weights: Array) -> Array:
+    """Return sum J'J / sigma^2 (n, 3, 3) [1/m^2] of points (n, 3) with the weights (c, n) of the cameras."""
+    total = np.zeros((len(points), 3, 3))
+    for camera, weight in zip(rig.cameras, weights, strict=True):
+        rows = np.flatnonzero(weight > 0)
+        by_point = project_with_jacobians(camera, points[rows]).by_point
+        total[rows] += np.swapaxes(by_point, 1, 2) @ by_point * weight[rows, None, None]
+    return total
