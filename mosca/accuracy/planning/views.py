@@ -9,9 +9,9 @@ information of X, with
 
 (``mosca.accuracy.planning.image_noise``; b is the diameter of the thin lens's blur circle, focused on the volume's
 centre; its standard deviation an axis is a quarter of it). The weight w is 1 where the camera sees the point and 0
-elsewhere, or smooth, for optimisers: a product of logistic functions of the distance from the image's border, of the clearance
-of the sight line from obstacles, and of the cosine between a marker's normal and the sight line: a marker on a convex
-body is seen from the half space before its tangent plane.
+elsewhere, or smooth, for optimisers: a product of logistic functions of the distance from the image's border, of the
+clearance of the sight line from obstacles, and of the cosine between a marker's normal and the sight line: a marker
+on a convex body is seen from the half space before its tangent plane.
 """
 
 from dataclasses import dataclass
