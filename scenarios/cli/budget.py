@@ -47,8 +47,8 @@ def budget(
     Example:  mosca budget actor --sources occlusion,noise,calibration --seeds 2 --seconds 1
     """
     from reports.budget import HEADINGS, budget_rows, budget_words
-    from scenarios.commands.budget import PICTURE_FILE, BudgetOptions
     from scenarios.studies.budget.budget import BudgetSettings
+    from scenarios.studies.budget.command import PICTURE_FILE, BudgetOptions
 
     chosen = tuple(dict.fromkeys(filter(None, sources.split(",")))) if sources is not None else ()
     settings = BudgetSettings(metric, by, chosen, seeds, seconds, orders, workers)

@@ -31,7 +31,7 @@ def plan(volume: Path, verify: bool, evaluations: int, curve: bool, workers: int
     \b
     Example:  mosca plan docs/examples/plan_room.toml --evaluations 1000 --no-curve --out runs/plans/try
     """
-    from scenarios.commands.plan import PAGE_FILE, PlanOptions
+    from scenarios.studies.plan.command import PAGE_FILE, PlanOptions
 
     target = out or Path("runs") / "plans" / volume.stem
     options = PlanOptions(volume, target, evaluations, curve, verify, workers or os.cpu_count() or 1)
