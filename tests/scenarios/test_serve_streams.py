@@ -228,7 +228,7 @@ def test_faults_act_on_pulses_as_they_were_ordered(tmp_path):
             "--multicast 239.1.1.1: is of streams; give --stream natnet",
         ),
         ("tiny.toml --stream natnet --port 1", "--port 1: is of streams; give --stream foxglove"),
-        ("tiny.toml --stream natnet --tracks none", "none: suffix '' given; .npz"),
+        ("tiny.toml --stream natnet --tracks none", "none: no such file or folder; a file of tracks"),
     ],
 )
 def test_wrong_inputs(tmp_path, words, told):
