@@ -10,6 +10,7 @@ import pytest
 from command_line import mosca, refusal
 
 from mosca.accuracy.planning.layout import Layout, angles_towards
+from mosca.accuracy.planning.search import first_layout
 from mosca.data.files.rig_file import read_rig
 from scenarios.spec.plan import PlanFile, load_plan
 from scenarios.spec.scenario import load_scenario
@@ -86,6 +87,23 @@ def test_rig_scenario_result_and_page_are_written(made):
     for word in ("Cameras from above", "How many cameras", "seen by fewer than two"):
         assert word in page
     assert "90 % of the markers" in told
+
+
+def test_no_plan_is_worse_than_even_spacing(tmp_path, monkeypatch):
+    """A search that finds bad layouts: cameras side by side."""
+    needs_cma()
+    spec = load_plan(written(tmp_path))
+
+    def bad(task, count, **settings):
+        first = first_layout(task, count)
+        return first.moved(np.full((count, 2), 0.5) + 0.1 * np.arange(count)[:, None], first.angles)
+
+    monkeypatch.setattr("scenarios.studies.plan.plan.search", bad)
+    plan = make_plan(spec, PlanSettings(100))
+    for count, one in plan.planned.items():
+        even = first_layout(task_of(spec, points_in(spec, 160, spec.seed), 0.0), count)
+        np.testing.assert_array_equal(one.layout.share, even.share)
+    assert plan.best.predicted.quantile_m(0.9) == plan.start.predicted.quantile_m(0.9)
 
 
 def test_the_scenario_has_the_planned_cameras_and_a_calibration(made):

@@ -26,8 +26,10 @@ from scenarios.studies.plan.room import (
     session_of,
 )
 
-SEARCH_POINTS, REPORT_POINTS = 160, 1000
-"""Points of the volume at which the search predicts, and others, for the figures that are reported."""
+SEARCH_POINTS, CURVE_POINTS, REPORT_POINTS = 320, 160, 1000
+"""Points of the volume at which the search predicts for the most cameras and for fewer, and others, for the figures
+that are reported. In a room with a subject and 8 cameras 160 gave 0.116 mm at the others, 320 0.107, 500 0.109.
+"""
 CURVE_SHARE = 0.35
 """Of the evaluations, for each number of cameras below the largest."""
 
@@ -91,8 +93,7 @@ class Plan:
     @property
     def best(self) -> Planned:
         """The plan with the least predicted quantile."""
-        share = self.spec.goal.quantile
-        return min(self.planned.values(), key=lambda one: (one.predicted.quantile_m(share), one.predicted.unseen(2)))
+        return min(self.planned.values(), key=lambda one: _rank(one, self.spec))
 
 
 def make_plan(
@@ -111,25 +112,35 @@ def make_plan(
     wanted = int(settings.evaluations * (CURVE_SHARE * len(counts) + 1))
     mounts = mounts_of(spec)
     calibration_px = _calibration_px(spec, mounts, most)
-    task = task_of(spec, points_in(spec, SEARCH_POINTS, spec.seed), calibration_px)
+    tasks = [task_of(spec, points_in(spec, n, spec.seed), calibration_px) for n in (CURVE_POINTS, SEARCH_POINTS)]
     planned: dict[int, Planned] = {}
+    starts: dict[int, Planned] = {}
     done = 0
     for count in (*counts, most):
         evaluations = settings.evaluations if count == most else int(CURVE_SHARE * settings.evaluations)
+        task = tasks[count == most]
         layout = search(
             task, count, evaluations=evaluations, seed=spec.seed + 1, told=_from(told, done, wanted)
         )  # fmt: skip
         done += evaluations
-        if task.allowed(layout):
-            planned[count] = _planned(spec, task, layout)
+        starts[count] = _planned(spec, task, start := first_layout(task, count))
+        found = [_planned(spec, task, layout)] if task.allowed(layout) else []
+        # the search sees few points, and the calibration as a fixed noise: what it gained may be none elsewhere
+        found += [starts[count]] if task.allowed(start) else []
+        if found:
+            planned[count] = min(found, key=lambda one: _rank(one, spec))
     if not planned:
         raise InputError(
             f"budget.cameras = {most}: no layout keeps goal.spacing_m, the room and the money; allow more room, more "
             "money or fewer cameras"
         )
-    count = len(Plan(spec, task.options, mounts, planned, next(iter(planned.values()))).best.layout)
-    start = _planned(spec, task, first_layout(task, count))
-    return Plan(spec, task.options, mounts, planned, start)
+    best = min(planned, key=lambda count: _rank(planned[count], spec))
+    return Plan(spec, tasks[0].options, mounts, planned, starts[best])
+
+
+def _rank(one: Planned, spec: PlanFile) -> tuple[float, float]:
+    """Return what is to be small of a planned rig: the quantile, then the share that is not seen."""
+    return one.predicted.quantile_m(spec.goal.quantile), one.predicted.unseen(2)
 
 
 def _from(told: Callable[[int, int], None], before: int, wanted: int) -> Callable[[int, int], None]:
