@@ -128,6 +128,14 @@ class Tracks:
         e = np.empty(0)
         return cls(e, e, e, e.astype(str), np.empty((0, 3)), np.empty((0, 3, 3)), e, e, e.astype(str))
 
+    @property
+    def frame_period_s(self) -> float | None:
+        """Median time from frame to frame [s]; None where there are fewer than two."""
+        frame, first = np.unique(self.frame, return_index=True)
+        if len(frame) < 2:
+            return None
+        return float(np.median(np.diff(self.time_ns[first]) / np.diff(frame))) * 1e-9
+
     def select(self, rows: Array) -> "Tracks":
         """Return the samples that a boolean mask or an index array (m,) names."""
         return Tracks(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))

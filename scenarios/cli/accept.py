@@ -34,14 +34,16 @@ def accept(out: Path | None, **given: Any) -> None:
     Example:  mosca accept acceptance/ball_bar --out runs/acceptance/try
               mosca accept lab/take.c3d --artefact bar.acceptance
     """
+    from mosca.data.files.whole_file import check_folder, check_own_folder
     from scenarios.run.one_writer import one_writer
     from scenarios.studies.acceptance.document import acceptance_document
-    from scenarios.studies.acceptance.folder import PAGE, check_out, write_acceptance
+    from scenarios.studies.acceptance.folder import PAGE, RESULT, write_acceptance
     from scenarios.studies.acceptance.take import AcceptOptions, take_of
 
     options = AcceptOptions(**{**given, "overrides": tuple(given.pop("overrides"))})
     target = out or Path("runs") / "acceptance" / Path(options.what).stem
-    check_out(target)
+    check_own_folder(target, RESULT)
+    check_folder(target)
     with one_writer(target):
         with Progress(Path(options.what).name) as shown:
             take = take_of(options, target, shown)

@@ -44,13 +44,15 @@ def certificate(
         if results:
             raise InputError(f"--check {checked}: checks a certificate that there is; leave {results[0]} out")
         _check(checked)
+    from mosca.data.files.whole_file import check_folder, check_own_folder
     from reports.certificate.pdf import check_pdf
     from reports.certificate.words import conclusion
     from scenarios.studies.certificate.document import CertificateOptions, certificate_document
-    from scenarios.studies.certificate.folder import check_out, write_certificate
+    from scenarios.studies.certificate.folder import RESULT, write_certificate
     from scenarios.studies.certificate.results import read_result
 
-    check_out(out)
+    check_own_folder(out, RESULT)
+    check_folder(out)
     if pdf:
         check_pdf()
     options = CertificateOptions(title, customer, _day(issued))

@@ -33,16 +33,18 @@ def claim(claim: Path, jobs: int | None, scheduler: str | None, out: Path | None
     \b
     Example:  mosca claim quick_cloud --out runs/claims/try
     """
+    from mosca.data.files.whole_file import check_folder, check_own_folder
     from mosca.errors import InputError
     from scenarios.run.one_writer import one_writer
     from scenarios.studies.campaign.campaign import find_claim
-    from scenarios.studies.campaign.result import check_out, write_result
+    from scenarios.studies.campaign.result import RESULT, write_result
 
     path = find_claim(str(claim))
     target = out or Path("runs") / "claims" / path.stem
     if jobs is not None and scheduler is not None:
         raise InputError("--jobs and --scheduler exclude each other: a cluster has the workers that it has")
-    check_out(target)
+    check_own_folder(target, RESULT)
+    check_folder(target)
     with one_writer(target):
         result = _result(path, jobs, scheduler)
         # before anything is written: no full disk loses the figures

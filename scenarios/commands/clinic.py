@@ -6,8 +6,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from mosca.clinic.causes import merged
 from mosca.clinic.diagnose import (
     ALPHA,
@@ -22,7 +20,6 @@ from mosca.clinic.diagnose import (
 from mosca.clinic.history import CAUSE_OF, calibration_causes, health_causes, poorly_connected, said
 from mosca.data.calibration import Finding
 from mosca.data.files.rig_file import read_rig
-from mosca.data.tracks import Tracks
 from mosca.diagnostics.camera_health import CameraHealth
 from mosca.errors import InputError
 from mosca.formats.bodies.bodies_csv import read_bodies_csv
@@ -30,9 +27,7 @@ from mosca.formats.rigs.calibration_record import RECORD_SUFFIX, read_calibratio
 from mosca.formats.tracks.tracks_file import read_tracks
 from mosca.recording import open_recording
 from reports.record import read_record
-from scenarios.run.take_files import POSES_FILE, RIG_FILE, TRACKS_FILES
-
-RECORD_FILE = "record.json"
+from scenarios.run.take_files import POSES_FILE, RECORD_FILE, RIG_FILE, TRACKS_FILES
 
 
 @dataclass(frozen=True)
@@ -73,8 +68,8 @@ def _take_report(request: ClinicRequest, rig_file: Path | None) -> ClinicReport:
         tracks = None if tracks_file is None else read_tracks(tracks_file)
         report = diagnose_tracks(tracks, None if poses_file is None else read_bodies_csv(poses_file))
         if (path / RECORD_FILE).is_file():
-            rate_hz = None if tracks is None else rate_of(tracks)
-            return joined(report, health_report(path / RECORD_FILE, rate_hz))
+            period_s = None if tracks is None else tracks.frame_period_s
+            return joined(report, health_report(path / RECORD_FILE, period_s))
     if rig_file is None:
         if tracks_file is not None:
             return report
@@ -87,21 +82,12 @@ def _take_report(request: ClinicRequest, rig_file: Path | None) -> ClinicReport:
         return joined(report, diagnose_frames(source, rig, request.known))
 
 
-def rate_of(tracks: Tracks) -> float | None:
-    """Return the frame rate of tracks [Hz]; None where they are of one frame."""
-    frames, first = np.unique(tracks.frame, return_index=True)
-    if len(frames) < 2:
-        return None
-    return float(1e9 / np.median(np.diff(tracks.time_ns[first]) / np.diff(frames)))
-
-
-def health_report(path: Path, rate_hz: float | None) -> ClinicReport:
-    """Return what the record of a run says of its cameras."""
+def health_report(path: Path, period_s: float | None) -> ClinicReport:
+    """Return what the record of a run says of its cameras; ``period_s``: between its frames, None: not known."""
     cameras = [_health(name, values) for name, values in read_record(path).cameras.items()]
     if not cameras:
         return ClinicReport((), ())
-    period_s = float("inf") if rate_hz is None else 1.0 / rate_hz
-    found = health_causes(cameras, period_s, ALPHA)
+    found = health_causes(cameras, period_s or float("inf"), ALPHA)
     return ClinicReport(
         tuple(found), (f"{path}: health of {len(cameras)} cameras",), tuple(poorly_connected(cameras))
     )

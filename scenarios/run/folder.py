@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from mosca.data.files.rig_file import write_rig
-from mosca.data.files.whole_file import check_folder, whole_file, write_text
+from mosca.data.files.whole_file import check_folder, check_own_folder, whole_file, write_text
 from mosca.data.tracks import write_npz
 from mosca.errors import InputError
 from mosca.formats.bodies.bodies_csv import write_bodies_csv
@@ -20,18 +20,13 @@ from reports.record import write_record
 from scenarios.run.flight import flight_files
 from scenarios.run.kept_budgets import kept_budget
 from scenarios.run.scenario import RunResult
-from scenarios.run.take_files import POSES_FILE, RIG_FILE, TRACKS_FILES
+from scenarios.run.take_files import POSES_FILE, RECORD_FILE, RIG_FILE, TRACKS_FILES
 from scenarios.run.vibration import vibration_files
-
-RECORD = "record.json"
 
 
 def check_out(out: Path) -> None:
     """Raise InputError where ``out`` cannot become a run folder; ask before a long run, not after it."""
-    if out.is_file():
-        raise InputError(f"{out}: is a file; choose a folder with --out")
-    if out.exists() and not (out / "record.json").exists() and any(out.iterdir()):
-        raise InputError(f"{out}: holds other files and no record.json; choose a new folder with --out")
+    check_own_folder(out, RECORD_FILE)
     # an earlier run folder is replaced by one that is made beside it
     check_folder(out.parent)
 
@@ -56,7 +51,7 @@ def write_run(result: RunResult, out: Path, rrd: Path | None = None) -> None:
                 write(part / name)
             except Exception as error:  # kept, and raised below
                 failed[name] = error
-        if RECORD not in failed:
+        if RECORD_FILE not in failed:
             part.chmod(0o755)
             if out.exists():
                 shutil.rmtree(out)
@@ -70,7 +65,7 @@ def _files(result: RunResult, rrd: Path | None) -> dict[str, Callable[[Path], ob
     """Return name of each file of a run folder -> what writes it there; what cannot be made again comes first."""
     own = result.calibration
     files: dict[str, Callable[[Path], object] | None] = {
-        RECORD: lambda path: write_record(result.record, path),
+        RECORD_FILE: lambda path: write_record(result.record, path),
         TRACKS_FILES[0]: lambda path: _write_tracks(result, path),
         TRACKS_FILES[1]: lambda path: write_tracks_csv(result.tracks, path),
         POSES_FILE: None if (poses := result.poses) is None else lambda path: write_bodies_csv(poses, path),
@@ -102,7 +97,7 @@ def _raise_failed(failed: Mapping[str, Exception], out: Path) -> None:
         first = next(iter(failed.values()))
         cause = first.__cause__ if isinstance(first, InputError) else first
         reason = cause.strerror if isinstance(cause, OSError) else str(first)
-        there = ", ".join(sorted(p.name for p in out.iterdir())) if RECORD not in failed else "nothing"
+        there = ", ".join(sorted(p.name for p in out.iterdir())) if RECORD_FILE not in failed else "nothing"
         raise InputError(
             f"{out}: not written: {', '.join(failed)} ({reason}); written: {there}; make room, or choose another "
             "place, and run again"

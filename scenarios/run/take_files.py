@@ -8,6 +8,7 @@ from mosca.errors import InputError
 TRACKS_FILES = ("tracks.npz", "tracks.csv")
 POSES_FILE = "bodies.csv"
 RIG_FILE = "rig.toml"
+RECORD_FILE = "record.json"
 JOINTS_FILE, ANGLES_FILE = "joints.csv", "angles.csv"
 
 

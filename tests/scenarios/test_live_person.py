@@ -7,10 +7,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from heard_server import Heard
 from scipy.spatial.transform import Rotation
 from tiny_scenario import write_tiny
 
-from hardware.streams.stream_server import StreamServer
 from hardware.streams.values import HAS_MODEL, TRACKED, StreamedSkeleton
 from mosca.data.rig import Rig
 from mosca.data.tracks import Samples
@@ -85,40 +85,15 @@ def test_a_persons_labels_joints_and_bones(person, tmp_path):
     assert {"/world/points", "/world/skeleton/bones", "/world/skeleton/joints"} <= shown
 
 
-class Heard(StreamServer):
-    """A server that keeps the frames that it is sent."""
-
-    def __init__(self, model, names):
-        super().__init__()
-        self.model, self.names, self.heard = model, names, []
-
-    def deliver(self, outgoing):
-        self.heard.append(outgoing.frame)
-
-    def where(self):
-        return ""
-
-    def connected(self):
-        return 0
-
-    def start(self):
-        pass
-
-    def shut(self, why=""):
-        pass
-
-    def lines(self):
-        return []
-
-
 def test_a_person_is_streamed_with_labels_bones_and_angles(person, tmp_path, monkeypatch):
     """Bones against products of the joints' rotations by scipy, labels against those of the take."""
     path, subject, frames = person
     servers = []
 
     def opened(settings, model, names, rate_hz):
-        servers.append(Heard(model, names))
-        return servers[0]
+        server = Heard()
+        servers.append((server, model, names))
+        return server
 
     monkeypatch.setattr("scenarios.commands.live_stream.opened_streams", opened)
     source = SimpleNamespace(
@@ -135,14 +110,14 @@ def test_a_person_is_streamed_with_labels_bones_and_angles(person, tmp_path, mon
             poses, label_of = live.step(samples)
             stream.step(k, int(frames.time_ns[k]), samples, poses, label_of)
             joints.append(poses[-1].joints)
-    (server,) = servers
-    (skeleton,) = [one for one in server.model if isinstance(one, StreamedSkeleton)]
+    ((server, model, stream_names),) = servers
+    (skeleton,) = [one for one in model if isinstance(one, StreamedSkeleton)]
     names = [bone.name for bone in skeleton.bones]
     assert names == ["pelvis", "l_thigh", "l_shank", "l_foot", "r_thigh", "r_shank", "r_foot"]
-    number_of = {number: label for label, number in server.names.numbers.items()}
+    number_of = {number: label for label, number in stream_names.numbers.items()}
     truth = {label: frames.xyz[:, k] for k, label in enumerate(subject.model.labels)}
     posed = 0
-    for k, (frame, known) in enumerate(zip(server.heard, joints, strict=True)):
+    for k, (frame, known) in enumerate(zip(server.frames_heard, joints, strict=True)):
         ((_, bones),) = frame.skeletons
         for marker in frame.markers[frame.markers["params"] & HAS_MODEL > 0]:
             np.testing.assert_allclose(marker["position"], truth[number_of[marker["id"]]][k], atol=1e-6)
@@ -158,7 +133,7 @@ def test_a_person_is_streamed_with_labels_bones_and_angles(person, tmp_path, mon
         bone = bones[names.index("l_shank")]
         assert (Rotation.from_quat(bone["quaternion"]).inv() * shank).magnitude() < 1e-6
         np.testing.assert_allclose(bone["position"], known.centre[0, known.joints.index("l_knee")], atol=1e-6)
-        assert frame.angles[server.names.angles.index("l_knee_flexion")] == isb_angles(known).angles[
+        assert frame.angles[stream_names.angles.index("l_knee_flexion")] == isb_angles(known).angles[
             0, isb_angles(known).names.index("l_knee_flexion")
         ]  # fmt: skip
     assert posed > 30

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import refusal
+from heard_server import Heard
 from tiny_scenario import write_tiny
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "hardware"))
@@ -23,7 +24,6 @@ from hardware.streams.fault_line import FaultLine
 from hardware.streams.faults import ordered_faults
 from hardware.streams.lsl.outlets import LslSettings
 from hardware.streams.natnet.settings import NatNetSettings
-from hardware.streams.stream_server import StreamServer
 from mosca.data.rotations import rotation_from_quaternion
 from scenarios.build.cameras import true_rig, twin_source, virtual_cameras
 from scenarios.build.scene import build_scene
@@ -142,32 +142,6 @@ def test_true_bodies_lie_on_their_true_markers(tmp_path):
         placed = np.array(body.positions) @ turn.T + pose["position"]
         np.testing.assert_allclose(placed, truth.xyz[k, columns], atol=2e-6)
         assert one.number == k
-
-
-class Heard(StreamServer):
-    """A server that keeps what it is sent."""
-
-    def __init__(self):
-        super().__init__()
-        self.heard = []
-
-    def deliver(self, outgoing):
-        self.heard.append((outgoing.frame.number, outgoing, time.monotonic_ns()))
-
-    def where(self):
-        return ""
-
-    def connected(self):
-        return 0
-
-    def start(self):
-        pass
-
-    def shut(self, why=""):
-        pass
-
-    def lines(self):
-        return []
 
 
 def test_a_loop_begins_again_and_pulses_without_tracks_are_silent(tmp_path):

@@ -23,12 +23,11 @@ def seconds(tracks: Tracks) -> Array:
 
 def frames_expected(tracks: Tracks, time_s: tuple[float, float] | None) -> int:
     """Return how many frames a stretch has: those without any sample count too; 0 where the rate is not known."""
-    frame, first = np.unique(tracks.frame, return_index=True)
-    if len(frame) < 2:
-        return len(frame)
+    period_s = tracks.frame_period_s
+    if period_s is None:
+        return min(len(tracks), 1)
     if time_s is None:
-        return int(frame[-1] - frame[0] + 1)
-    period_s = float(np.median(np.diff(tracks.time_ns[first]) / np.diff(frame))) * 1e-9
+        return int(tracks.frame.max() - tracks.frame.min() + 1)
     # a frame at the stretch's very end belongs to it, whatever the last digits of its stamp
     return int(np.floor(time_s[1] / period_s + 1e-3) - np.ceil(time_s[0] / period_s - 1e-3)) + 1
 

@@ -213,6 +213,17 @@ def _slopes(camera, axes, center, out, slopes):
         slopes[k, 9] = (o2 + d2 * da / away) / away
 
 
+@step
+def _facing(normals, k, out, width):
+    """Return how far a marker with normal ``k`` faces the camera, 0 to 1, and its slope by the cosine.
+
+    ``out``: of ``_look``; without normals all face it.
+    """
+    if len(normals) == 0:
+        return 1.0, 0.0
+    return _logistic(normals[k, 0] * out[7] + normals[k, 1] * out[8] + normals[k, 2] * out[9], width)
+
+
 @kernel
 def gather(cameras, points, normals, obstacles, center, diameter, tables, soft):
     """Return the information (n, k, 6), upper triangles [1/m^2], and how many cameras see each marker (n, k).
@@ -229,10 +240,7 @@ def gather(cameras, points, normals, obstacles, center, diameter, tables, soft):
             if not _look(cameras[c], axes, points[p], obstacles, center, diameter, table, soft, out):
                 continue
             for k in range(kinds):
-                weight = out[0]
-                if len(normals) > 0:
-                    cosine = normals[k, 0] * out[7] + normals[k, 1] * out[8] + normals[k, 2] * out[9]
-                    weight *= _logistic(cosine, soft[2])[0]
+                weight = out[0] * _facing(normals, k, out, soft[2])[0]
                 count[p, k] += weight
                 for j in range(6):
                     total[p, k, j] += weight * out[1 + j]
@@ -256,12 +264,9 @@ def pull_back(cameras, points, normals, obstacles, center, diameter, tables, sof
                 continue
             _slopes(cameras[c], axes, center, out, slopes)
             for k in range(kinds):
-                facing, by_cosine = 1.0, 0.0
-                if len(normals) > 0:
-                    cosine = normals[k, 0] * out[7] + normals[k, 1] * out[8] + normals[k, 2] * out[9]
-                    facing, by_cosine = _logistic(cosine, soft[2])
-                    if facing <= 0.0:
-                        continue
+                facing, by_cosine = _facing(normals, k, out, soft[2])
+                if facing <= 0.0:
+                    continue
                 by_weight = by_count[p, k]
                 for j in range(6):
                     by_weight += by_information[p, k, j] * out[1 + j]
@@ -296,8 +301,5 @@ def view_table(cameras, points, normals, obstacles, center, diameter, tables, so
                 continue
             variance[c, p] = out[20] + cameras[c, EXTRA]
             for k in range(kinds):
-                seen[c, p, k] = out[0]
-                if len(normals) > 0:
-                    cosine = normals[k, 0] * out[7] + normals[k, 1] * out[8] + normals[k, 2] * out[9]
-                    seen[c, p, k] *= _logistic(cosine, soft[2])[0]
+                seen[c, p, k] = out[0] * _facing(normals, k, out, soft[2])[0]
     return seen, variance

@@ -84,6 +84,14 @@ def check_writable(path: Path) -> None:
         _try(temporary, path)
 
 
+def check_own_folder(path: Path, result: str) -> None:
+    """Raise InputError where ``path`` is a file, or a folder of other files without an earlier run's ``result``."""
+    if path.is_file():
+        raise InputError(f"{path}: is a file; choose a folder with --out")
+    if path.exists() and not (path / result).exists() and any(path.iterdir()):
+        raise InputError(f"{path}: holds other files and no {result}; choose a new folder with --out")
+
+
 def check_folder(path: Path, needs_bytes: int = 0) -> None:
     """Raise InputError where files could not be written into the folder ``path``: asked before long work.
 

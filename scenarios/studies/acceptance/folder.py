@@ -5,20 +5,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from mosca.data.files.whole_file import check_folder, write_text
-from mosca.errors import InputError
+from mosca.data.files.whole_file import write_text
 from reports.acceptance.page import write_acceptance_page
 
 RESULT, PAGE = "acceptance.json", "acceptance.html"
-
-
-def check_out(out: Path) -> None:
-    """Raise InputError where ``out`` cannot become the test's folder; ask before the work, not after it."""
-    if out.is_file():
-        raise InputError(f"{out}: is a file; choose a folder with --out")
-    if out.exists() and not (out / RESULT).exists() and any(out.iterdir()):
-        raise InputError(f"{out}: holds other files and no {RESULT}; choose a new folder with --out")
-    check_folder(out)
 
 
 def write_acceptance(document: Mapping[str, Any], out: Path) -> None:

@@ -5,21 +5,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from mosca.data.files.whole_file import check_folder, write_text
-from mosca.errors import InputError
+from mosca.data.files.whole_file import write_text
 from reports.certificate.page import write_certificate_page
 from reports.certificate.pdf import write_certificate_pdf
 
 RESULT, PAGE, PDF = "certificate.json", "certificate.html", "certificate.pdf"
-
-
-def check_out(out: Path) -> None:
-    """Raise InputError where ``out`` cannot become a certificate's folder; ask before the work, not after it."""
-    if out.is_file():
-        raise InputError(f"{out}: is a file; choose a folder with --out")
-    if out.exists() and not (out / RESULT).exists() and any(out.iterdir()):
-        raise InputError(f"{out}: holds other files and no {RESULT}; choose a new folder with --out")
-    check_folder(out)
 
 
 def write_certificate(document: Mapping[str, Any], out: Path, pdf: bool) -> list[Path]:

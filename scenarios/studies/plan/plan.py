@@ -8,7 +8,7 @@ import numpy as np
 
 from mosca.accuracy.planning.field_calibration import common_covariance, parameter_covariance
 from mosca.accuracy.planning.layout import CameraOption, Layout, MountingPlace, direction, planned_rig
-from mosca.accuracy.planning.objective import Objective
+from mosca.accuracy.planning.objective import Objective, PredictedMarkers
 from mosca.accuracy.planning.search import WIDE, PlacementTask, first_layout, search
 from mosca.accuracy.planning.views import MarkerRoom, Softness, view_table
 from mosca.camera.projection import project_with_jacobians
@@ -44,29 +44,13 @@ class PlanSettings:
 
 
 @dataclass(frozen=True, eq=False)
-class VolumePrediction:
-    """What is predicted of markers in the volume."""
+class VolumePrediction(PredictedMarkers):
+    """What is predicted of markers in the volume; standard deviation and covariance with the calibration's part."""
 
     points: Array
     """(n, 3) [m]"""
-    sigma_m: Array
-    """(n, k) standard deviation of a measured point, sqrt of the trace [m], calibration included; infinite unseen."""
     calibration_m: Array
     """(n, k) the calibration's share."""
-    covariance: Array
-    """(n, k, 3, 3) [m^2], NaN unseen."""
-    cameras: Array
-    """(n, k) that see each."""
-
-    def quantile_m(self, share: float) -> float:
-        """Return the standard deviation that ``share`` of the markers do not exceed [m]; infinite where fewer are
-        seen.
-        """
-        return float(np.quantile(self.sigma_m, share, method="higher"))
-
-    def unseen(self, least: int) -> float:
-        """Return the share of markers that fewer than ``least`` cameras see."""
-        return float(np.mean(self.cameras < least))
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,7 +162,7 @@ def predicted_of(spec: PlanFile, rig: Rig, rows: Array, room: MarkerRoom) -> Vol
         covariance[good, k] = of_noise + of_rig
         sigma[good, k] = np.sqrt(np.trace(covariance[good, k], axis1=1, axis2=2))
         common[good, k] = np.sqrt(np.trace(of_rig, axis1=1, axis2=2))
-    return VolumePrediction(room.points, sigma, common, covariance, count)
+    return VolumePrediction(sigma, covariance, count, room.points, common)
 
 
 def result_document(plan: Plan) -> dict[str, Any]:
