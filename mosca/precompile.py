@@ -7,6 +7,7 @@ one process they share the functions that do not depend on the type of the pixel
 person's pose and joints, which the pipeline does not need.
 """
 
+import os
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
@@ -172,5 +173,7 @@ def _coded(target: CodedTarget, pixel_m: float) -> Array:
 
 
 if __name__ == "__main__":
+    if hasattr(os, "nice"):
+        os.nice(5)  # who waits for this has more to compile itself
     parts = {f.__name__: f for f in (look, look_twice, points, calibration, people)}
     parts.get("".join(sys.argv[1:]), warm_up)()

@@ -13,11 +13,13 @@ from typing import Any
 import numba
 import numpy as np
 import pytest
+from numba.core.compiler import Flags
 from numba.core.dispatcher import Dispatcher
 
 import mosca
 import twin
 from mosca.numba_support.decorators import kernel, step
+from mosca.numba_support.libraries import QuickFlags
 
 
 def everything() -> dict[str, Dispatcher]:
@@ -91,3 +93,30 @@ def replaceable_functions(a_kernel: Callable[..., Any], a_step: Callable[..., An
 def test_a_kernel_s_copies_of_other_functions_are_its_own() -> None:
     assert not replaceable_functions(kernel, step)
     assert replaceable_functions(numba.njit, numba.njit)
+
+
+def test_functions_of_numba_that_kernels_only_link_serve_other_libraries_too() -> None:
+    def middle(values: np.ndarray) -> float:
+        kept = np.zeros(3, dtype=np.complex64)
+        kept[0] = np.median(values) + np.full(2, 5.0, dtype=np.float32).sum()
+        return kept[0].real
+
+    values = np.array([3.0, 1.0, 2.0, 7.0])
+    assert kernel(middle)(values) == numba.njit(middle)(values) == 12.5
+
+
+def test_quick_flags_are_equal_where_flags_of_numba_are() -> None:
+    usual = Flags()
+    usual.nrt, usual.error_model = True, "numpy"
+    quick = QuickFlags(usual)
+    said = QuickFlags(quick)
+    said.no_cfunc_wrapper = False  # its default, said
+    for same in (quick, quick.copy(), said):
+        assert isinstance(same, QuickFlags)
+        assert same == usual == same
+        assert hash(same) == hash(usual)
+    for name, value in {"nrt": False, "error_model": "python", "no_cfunc_wrapper": True}.items():
+        other = quick.copy()
+        setattr(other, name, value)
+        assert other != usual != other
+        assert other != quick
