@@ -24,6 +24,7 @@ from mosca.coded_targets.dots import AXX, AXY, AYY, CONTRAST_DN, PLATE_DN, Targe
 from mosca.coded_targets.pixel_noise import GreyValueNoise
 from mosca.data.arrays import Array, looked_at
 from mosca.detection.local_background import ROUNDING_DN2
+from mosca.numba_support.copying import copy_row, copy_rows
 from mosca.numba_support.decorators import kernel, step
 
 PLACE, SLOPES, LEVELS, BENDS, SHAPE, BLUR = 0, 2, 6, 8, 11, 14
@@ -323,7 +324,8 @@ def fit_ellipses(
         start, prior = first_guess(frame, light[n, 0], light[n, 1])
         p, squares[n] = start.copy(), math.nan
         for _ in range(STEPS_MOST):
-            normal[:], pull[:] = 0.0, prior * (start - p)
+            normal[:] = 0.0
+            copy_row(prior * (start - p), pull)
             own, pixels = add_pixels(image, frame, light[n], gain, ring_inner, full_dn, turned, p, normal, pull)
             cost = own + np.sum(prior * (start - p) ** 2)
             if cost < best:
@@ -332,17 +334,19 @@ def fit_ellipses(
                     normal[i, i] += prior[i]
                     for k in range(i):
                         normal[k, i] = normal[i, k]
-                found[n], normals[n], kept_pull[:] = p, normal, pull
+                copy_row(p, found[n])
+                copy_rows(normal, normals[n])
+                copy_row(pull, kept_pull)
                 squares[n, 0], squares[n, 1] = own, pixels
             else:
                 damping = max(damping * WILDER, DAMPING)
             if move < CLOSE_PX:
                 break
-            pull[:] = kept_pull
+            copy_row(kept_pull, pull)
             if not (best < math.inf and solved(normals[n], damping, pull)):
                 move = math.inf
                 break
-            p[:] = found[n] + pull
+            copy_row(found[n] + pull, p)
             p[BLUR] = max(p[BLUR], LEAST_BLUR_PX)
             move = math.hypot(pull[PLACE], pull[PLACE + 1])
             if not p[SHAPE] * p[SHAPE + 2] > p[SHAPE + 1] ** 2:

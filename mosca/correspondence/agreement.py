@@ -29,6 +29,7 @@ from mosca.correspondence.hypothesis import (
 )
 from mosca.correspondence.selection import TAKEN
 from mosca.data.rays import RADIUS, SIGMA
+from mosca.numba_support.copying import copy_row
 from mosca.numba_support.decorators import bare_step, step
 from mosca.numba_support.linalg3 import Symmetric3, cofactors3, determinant3
 from mosca.triangulation.triangulate import TRUST
@@ -53,7 +54,7 @@ def weigh_by_agreement(kept, state, data):
             continue
         for c in range(cameras):
             members[c], ranks[c, TRUST] = kept.members[g, c], kept.trusts[g, c]
-        values[:] = kept.values[g]
+        copy_row(kept.values[g], values)
         if judge_sizes(hypothesis, by_area)[1]:
             continue  # a circle's images are judged by their sizes, and solved with what is not known of it
         error = _settle(hypothesis, kept.trusts[g], data)
@@ -65,8 +66,8 @@ def weigh_by_agreement(kept, state, data):
             kept.values[g], kept.values[g, CHI2], members, kept.trusts[g]
         ):
             values[CHI2] = error
-            kept.values[g] = values
-            kept.trusts[g] = ranks[:, TRUST]
+            copy_row(values, kept.values[g])
+            copy_row(ranks[:, TRUST], kept.trusts[g])
 
 
 @bare_step

@@ -26,6 +26,7 @@ from mosca.correspondence.hypothesis import CHI2, COVARIANCE, DIAMETER, TWICE, j
 from mosca.correspondence.selection import TAKEN
 from mosca.data.detections import MERGED
 from mosca.data.rays import FLAGS, ROOT, SIGMA, WHITE
+from mosca.numba_support.copying import copy_row, copy_rows
 from mosca.numba_support.decorators import step
 from mosca.numba_support.linalg3 import Symmetric3, quadratic_form3
 from mosca.triangulation.triangulate import TRUST
@@ -69,7 +70,7 @@ def aim_at_centres(kept, state, data, images):
             continue
         for c in range(cameras):
             members[c], ranks[c, TRUST] = kept.members[g, c], kept.trusts[g, c]
-        values[:] = kept.values[g]
+        copy_row(kept.values[g], values)
         _whiten_as_detected(members, data, images, work[2:4])
         values[DIAMETER], flat = judge_sizes(hypothesis, data)
         if flat:
@@ -80,8 +81,8 @@ def aim_at_centres(kept, state, data, images):
         if flat:
             _widen(values, circle, pulls, images.gradient_variance)
         values[CHI2] = error
-        kept.values[g] = values
-        kept.trusts[g] = ranks[:, TRUST]
+        copy_row(values, kept.values[g])
+        copy_row(ranks[:, TRUST], kept.trusts[g])
 
 
 @step
@@ -136,7 +137,7 @@ def _whiten_as_detected(members, data, images, g):
 def _detected(k, c, rays, images):
     """Return the covariance (xx, xy, yy) of a detection, and note it as what whitens its ray."""
     s = images.covariance[k]
-    images.whitened_by[k] = s
+    copy_rows(s, images.whitened_by[k])
     xx, xy, yy = s[0, 0] + images.extra[c], s[0, 1], s[1, 1] + images.extra[c]
     rays[k, ROOT] = np.sqrt(xx)
     rays[k, ROOT + 1] = xy / rays[k, ROOT]

@@ -12,6 +12,7 @@ from mosca.camera.ray_table import LONG
 from mosca.correspondence.circle_fit import CIRCLE, LN_RADIUS, fit_circle
 from mosca.data.detections import MERGED, PARTIAL, SATURATED, UNREFINED
 from mosca.data.rays import ANGLE, AREA_RADIUS, BONUS, ELLIPTIC, FLAGS, RADIUS, SHARE_SIGMA, SIGMA
+from mosca.numba_support.copying import copy_rows
 from mosca.numba_support.decorators import inlined_step, step
 from mosca.numba_support.linalg3 import Symmetric3, cofactors3, determinant3
 from mosca.triangulation.triangulate import DEPTH, RANKS, TRUST, WHOLE, solve_rays
@@ -151,7 +152,9 @@ def with_capacity(kept, count):
     if count < kept.values.shape[0]:
         return kept
     longer = no_hypotheses(2 * count, kept.members.shape[1])
-    longer.values[:count], longer.members[:count], longer.trusts[:count] = (kept.values, kept.members, kept.trusts)
+    copy_rows(kept.values, longer.values)
+    copy_rows(kept.members, longer.members)
+    copy_rows(kept.trusts, longer.trusts)
     return longer
 
 

@@ -38,6 +38,7 @@ from mosca.detection.noise_regions import decide_in_set, set_noise
 from mosca.detection.pixel_noise import PixelNoise
 from mosca.detection.search import CUT, DARK, END_RUN, FIRST_RUN, FLOOR, GAIN, IMAGE, THRESHOLD, FoundRegions, Search
 from mosca.detection.threshold_regions import find_regions_in_set
+from mosca.numba_support.copying import copy_rows
 from mosca.numba_support.decorators import kernel, short_kernel, step
 
 REGIONS_ONLY, PAPER, BACKGROUND, REFINED = range(4)
@@ -104,7 +105,7 @@ def detect_frame_set(
     for n in range(len(table)):
         image_of_row[n] = found.regions[region_of[n], IMAGE]
         left_out[image_of_row[n], CUT] -= 1.0
-    sums.tallies[:, LEFT_OUT:] = left_out[:, :5]
+    copy_rows(left_out[:, :5], sums.tallies[:, LEFT_OUT:])
     return found, Measured(table, region_of, image_of_row), sums
 
 

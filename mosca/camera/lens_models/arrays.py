@@ -22,6 +22,7 @@ from mosca.camera.lens_models.row import (
 )
 from mosca.data.arrays import Array
 from mosca.data.rig import FisheyeLens, Lens, MoscaLens
+from mosca.numba_support.copying import copy_rows
 from mosca.numba_support.decorators import inlined_step, kernel, step
 
 
@@ -111,4 +112,4 @@ def _pixels(q, v, found):
     out = np.zeros((2, IMAGED))
     for n in range(v.shape[0]):
         if image_of(q, v[n, 0], v[n, 1], v[n, 2], out):
-            found[n] = out
+            copy_rows(out, found[n])
