@@ -20,7 +20,7 @@ or stage by stage:
 ``match``                            detections of several cameras -> points with covariance
 ``track``                            points over time -> tracks
 ``reconstruct``                      all of it: recording -> tracks
-``read_tracks``, ``write_tracks``    .npz, .csv, .c3d, .trc
+``read_tracks``, ``write_tracks``    .npz, .csv, .parquet, .c3d, .trc
 ===================================  ==================================================================
 
 Examples that run as printed: docs/library.md. Scenarios of the digital twin: ``scenarios.run_scenario``.

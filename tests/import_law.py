@@ -37,6 +37,8 @@ LAW: dict[str, tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]] = {
     "mosca.machines.identification": (("mosca",), ("mosca.data.truth",), ("numpy", "scipy", "control")),
     # the search for places of cameras: CMA-ES
     "mosca.accuracy.planning.search": (("mosca",), ("mosca.data.truth",), ("numpy", "scipy", "cma")),
+    # tables with types: Parquet comes from the library that rerun brings along
+    "mosca.formats.tracks.parquet": (("mosca",), ("mosca.data.truth",), ("numpy", "pyarrow")),
     # bags are written by the library that knows ROS 2's encoding
     "mosca.formats.ros2.bag": (("mosca",), ("mosca.data.truth",), ("numpy", "mcap_ros2")),
     # a printable sheet is a drawing: PDF and SVG come from the plot library

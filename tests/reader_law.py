@@ -16,8 +16,9 @@ ENTRIES = {
     "av.open", "cv2.imread", "cv2.imreadmulti", "cv2.imdecode", "cv2.imdecodemulti", "cv2.FileStorage",
     "xml.etree.ElementTree.parse", "xml.etree.ElementTree.iterparse", "xml.etree.ElementTree.fromstring",
     "xml.etree.ElementTree.XML", "ezc3d.c3d", "blosc2.decompress2", "mcap.reader.make_reader",
-    "mcap.stream_reader.StreamReader", "mujoco.MjSpec.from_file", "mujoco.MjSpec.from_string",
-    "mujoco.MjModel.from_xml_path", "mujoco.MjModel.from_xml_string", "trimesh.load", "trimesh.load_mesh",
+    "mcap.stream_reader.StreamReader", "pyarrow.parquet.ParquetFile", "pyarrow.parquet.read_table",
+    "mujoco.MjSpec.from_file", "mujoco.MjSpec.from_string", "mujoco.MjModel.from_xml_path",
+    "mujoco.MjModel.from_xml_string", "trimesh.load", "trimesh.load_mesh",
 }  # fmt: skip
 METHODS = ("read_text", "read_bytes")
 """Of paths, called on anything."""
@@ -36,6 +37,7 @@ ALLOWED = {
     ("mosca/formats/rigs/opencv_yaml.py", "cv2.FileStorage"): "of a text with a limit of what may be nested",
     ("mosca/formats/rigs/qtm.py", "xml.etree.ElementTree.fromstring"): "of a short text, without document types",
     ("mosca/formats/tracks/c3d.py", "ezc3d.c3d"): "behind c3d_checks",
+    ("mosca/formats/tracks/parquet.py", "pyarrow.parquet.ParquetFile"): "of a file from open_file; sizes are checked",
     ("mosca/numba_support/cache.py", "read_bytes"): OWN,
     ("scenarios/run/kept_calibrations.py", "pickle.loads"): "of a file that it wrote itself, behind its digest",
     ("scenarios/spec/new_scenario.py", "read_text"): OWN,

@@ -85,3 +85,56 @@ def test_all_modules_import(without_posix):
     )  # fmt: skip
     assert done.returncode == 0, done.stderr[-2000:]
     assert not done.stdout
+
+
+BARE = r"""
+set -e
+mount -t tmpfs none "$0"
+for node in null zero full random urandom; do touch "$0/$node"; mount --bind "/dev/$node" "$0/$node"; done
+ln -s /proc/self/fd "$0/fd"
+mount --rbind "$0" /dev
+exec "$@"
+"""
+"""A shell script that runs a command with a /dev of its own, in which there is no shm."""
+
+
+@pytest.fixture
+def without_shm(tmp_path):
+    """Return what runs a command without /dev/shm, and without its shared memory and locks of processes."""
+    (tmp_path / "dev").mkdir()
+    words = ["unshare", "--mount", *([] if os.geteuid() == 0 else ["--map-root-user"])]
+    words += ["sh", "-c", BARE, str(tmp_path / "dev")]
+    if shutil.which("unshare") is None or subprocess.run([*words, "true"], capture_output=True).returncode:
+        pytest.skip("mount namespaces are not allowed here")
+
+    def run(*command):
+        return subprocess.run(
+            [*words, sys.executable, *command],
+            env={**os.environ, "PYTHONPATH": str(ROOT)}, cwd=tmp_path, capture_output=True, text=True, check=False,
+        )  # fmt: skip
+
+    return run
+
+
+def test_there_is_no_shm_there(without_shm):
+    """The control: what is taken away is away."""
+    done = without_shm("-c", "import multiprocessing as m, os; print(os.path.exists('/dev/shm')); m.Lock()")
+    assert done.stdout == "False\n"
+    assert "FileNotFoundError" in done.stderr
+
+
+def test_from_scene_to_score_and_from_frames_to_tracks_without_shm(without_shm, tmp_path):
+    scenario = write_tiny(tmp_path)
+    done = without_shm("-m", "scenarios.cli.main", "run", str(scenario), "--record", "take", "--out", "run")
+    assert "tiny: every limit is met" in done.stdout, done.stdout + done.stderr
+    done = without_shm(
+        "-m", "scenarios.cli.main", "reconstruct", "take", "--rig", "take/rig.toml", "--out", "take.csv"
+    )
+    assert (tmp_path / "take.csv").exists(), done.stdout + done.stderr
+
+
+def test_verbs_that_need_processes_say_what_is_missing(without_shm, tmp_path):
+    done = without_shm("-m", "scenarios.cli.main", "suite", str(write_tiny(tmp_path)), "--tier", "full")
+    assert done.returncode == 2
+    assert done.stderr.startswith("mosca: processes beside each other need locks, and this system gives none")
+    assert "\n" not in done.stderr.strip()

@@ -38,14 +38,21 @@ def open_recording(
     path = Path(path)
     if fps is not None and not 0 < fps < float("inf"):
         raise InputError(f"--fps {fps:g}: a frame rate above 0 is wanted")
-    if path.is_file() and path.name.endswith((".mcap", ".mcap.part")):
+    check_recording(path)
+    if path.is_file():
         return _open_mcap(path, rig)
-    if not path.is_dir():
-        raise InputError(f"{path}: no such folder{_similar(path)}; a recording is a folder")
     for name in (MCAP_NAME, PART_NAME):
         if (path / name).exists():
             return _open_mcap(path / name, rig)
     return _open_numbered(path, rig, fps, times_matter)
+
+
+def check_recording(path: Path) -> None:
+    """Raise InputError where ``path`` is neither a folder nor an MCAP file; looks at nothing else."""
+    if path.is_file() and not path.name.endswith((".mcap", ".mcap.part")):
+        raise InputError(f"{path}: is a file; a recording is a folder of images or videos, or a .mcap file")
+    if not path.exists():
+        raise InputError(f"{path}: no such folder{_similar(path)}; a recording is a folder")
 
 
 def _open_mcap(path: Path, rig: Rig | None) -> McapRecording:

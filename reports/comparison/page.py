@@ -10,6 +10,7 @@ from reports.comparison.plots import MOST_PANELS, comparison_pictures
 from reports.error_tables import Cell
 from reports.glossary import COMPARISON_COLUMNS, term
 from reports.page import badge, bound, relative_address, write_rendered
+from reports.plot_style import Picture
 from reports.record import Metric, RunRecord
 from reports.units import duration, figure, shown
 
@@ -19,12 +20,16 @@ SCRIPTS = {"sort": "sort.js", "filter": "comparison/comparison.js"}
 
 
 def write_comparison_page(
-    path: Path, records: Sequence[RunRecord], labels: Sequence[str] = (), pages: Sequence[Path | None] = ()
+    path: Path,
+    records: Sequence[RunRecord],
+    labels: Sequence[str] = (),
+    pages: Sequence[Path | None] = (),
+    first: Picture | None = None,
 ) -> None:
     """Write ``records`` side by side to ``path``: what differs, figures by runs, plots with the same axes.
 
     A run is held against the first run of its scenario. ``labels``: names of the runs (folder names, for example),
-    one each; else their numbers. ``pages``: the runs' own, one each, or none.
+    one each; else their numbers. ``pages``: the runs' own, one each, or none. ``first``: a picture above all else.
     """
     names = list(labels) or [f"run {i + 1}" for i in range(len(records))]
     firsts = [next(k for k, r in enumerate(records) if r.scenario == record.scenario) for record in records]
@@ -62,11 +67,12 @@ def write_comparison_page(
     write_rendered(
         path,
         "comparison/comparison.html.j2",
+        first=first,
         runs=runs,
         rows=rows,
         differences=differences(tuple(records)),
         seconds=[Cell(duration(total_seconds(r)), total_seconds(r)) if r.timings else Cell("–", "") for r in records],
-        sentence=_sentence(records, runs, changes),
+        sentence=_sentence(records, runs, changes) if first is None else f"{_passed(records)} are as claimed.",
         pictures=comparison_pictures(records, names),
         left_out=max(0, len(records) - MOST_PANELS),
         columns=COMPARISON_COLUMNS,
@@ -78,7 +84,7 @@ def _sentence(records: Sequence[RunRecord], runs: list[dict[str, Any]], changes:
     """Return in words how many runs are as claimed and compare, and how many figures are worse and better."""
     found = [one.verdict for of in changes for one in of.values() if one is not None]
     worse, better = found.count("worse"), found.count("better")
-    text = f"{sum(r.passed for r in records)} of {len(records)} runs are as claimed. "
+    text = f"{_passed(records)} are as claimed. "
     others = [run for run in runs if run["against"]]
     if not others:
         return text + "No two are of one scenario: nothing is compared."
@@ -89,6 +95,10 @@ def _sentence(records: Sequence[RunRecord], runs: list[dict[str, Any]], changes:
     if apart:
         text += f"{figure(len(apart))} of {figure(len(others))} cannot be compared with it: see why below."
     return text.strip()
+
+
+def _passed(records: Sequence[RunRecord]) -> str:
+    return f"{sum(r.passed for r in records)} of {len(records)} runs"
 
 
 def _address(page: Path | None, path: Path) -> str:

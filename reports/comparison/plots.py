@@ -38,7 +38,7 @@ def _pictures(records: Sequence[RunRecord], labels: Sequence[str]) -> Iterator[P
 def errors_over_time(records: Sequence[RunRecord], labels: Sequence[str]) -> Picture:
     """Draw the rms position error of each block of time, a panel a run."""
     found = [_error_mm(record) for record in records]
-    drawing, panels = _panels(len(records), 2.1)
+    drawing, panels = side_by_side(len(records), 2.1)
     for axes, record, label, one in zip(panels, records, labels, found, strict=True):
         axes.set_title(_short(label))
         axes.set_xlabel("time [s]")
@@ -67,7 +67,7 @@ def errors_over_time(records: Sequence[RunRecord], labels: Sequence[str]) -> Pic
 def limits_used(records: Sequence[RunRecord], labels: Sequence[str]) -> Picture:
     """Draw how much of each limit is used, with the 95 % interval, a panel a run."""
     names = list(dict.fromkeys(m.name for r in records for m in r.metrics if share_used(m) is not None))
-    drawing, panels = _panels(len(records), 0.9 + 0.2 * len(names), left=0.16)
+    drawing, panels = side_by_side(len(records), 0.9 + 0.2 * len(names), left=0.16)
     for axes, record, label in zip(panels, records, labels, strict=True):
         for row, name in enumerate(names):
             metric = record.metric(name)
@@ -93,7 +93,7 @@ def limits_used(records: Sequence[RunRecord], labels: Sequence[str]) -> Picture:
 def camera_residuals(records: Sequence[RunRecord], labels: Sequence[str]) -> Picture:
     """Draw the reprojection residual of each camera, a panel a run."""
     names = list(dict.fromkeys(name for r in records for name, one in r.cameras.items() if "residual_px" in one))
-    drawing, panels = _panels(len(records), 1.9)
+    drawing, panels = side_by_side(len(records), 1.9)
     top = 0.0
     for axes, record, label in zip(panels, records, labels, strict=True):
         values = np.array([record.cameras.get(name, {}).get("residual_px") or np.nan for name in names], float)
@@ -128,8 +128,8 @@ def _at_end(metric: Metric, value: float) -> float:
     return share_used(replace(metric, value=value)) or 0.0
 
 
-def _panels(n: int, height: float, left: float = 0.07) -> tuple[Figure, list[Axes]]:
-    """Return a figure of ``n`` panels beside each other, ``COLUMNS`` in a row."""
+def side_by_side(n: int, height: float, left: float = 0.07) -> tuple[Figure, list[Axes]]:
+    """Return a figure of ``n`` panels of ``height`` [inch] beside each other, ``COLUMNS`` in a row."""
     columns = min(n, COLUMNS)
     rows = -(-n // columns)
     drawing = canvas(WIDE, height * rows + 0.35 * (rows - 1))

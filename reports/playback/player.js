@@ -34,7 +34,7 @@
     try { return !!document.createElement("canvas").getContext("webgl"); } catch { return false; }
   })();
 
-  const narrow = matchMedia("(max-width:760px)").matches;
+  const narrow = matchMedia("(max-width:760px)").matches, far = (narrow ? 1.05 : 0.78) * (raw.cameras.length ? 1 : 1.8);
 
   /* colour scale of the errors: 0 to their 95 % quantile */
   const top = (() => {
@@ -137,7 +137,7 @@
     };
     return {paper_bgcolor: "rgba(0,0,0,0)", margin: {l: 0, r: 0, t: 0, b: 0}, uirevision: "kept", hovermode: "closest",
       scene: {xaxis: axis(0, "x [m]"), yaxis: axis(1, "y [m]"), zaxis: axis(2, "z [m]"), aspectmode: "data", dragmode: "turntable", uirevision: "kept",
-        camera: {eye: {x: narrow ? 1.05 : 0.78, y: narrow ? -1.05 : -0.78, z: 0.42}, center: {x: 0, y: 0, z: -0.13}}}};
+        camera: {eye: {x: far, y: -far, z: 0.55 * far}, center: {x: 0, y: 0, z: -0.13}}}};
   }
 
   /* ---- plots over time; null where there is no sample, so that no line crosses a gap ---- */

@@ -26,7 +26,7 @@ def player(evidence: Evidence, shown: Played, limit_mm: float | None) -> dict[st
     ghosts, rays = any(len(one) for one in shown.ghosts), shown.used is not None
     layers = [
         ("measured", "measured"), ("true", "true") if has_truth else None, ("trail", "path"),
-        ("rays", "rays of the marker") if rays else None, ("cameras", "cameras"),
+        ("rays", "rays of the marker") if rays else None, ("cameras", "cameras") if evidence.rig.cameras else None,
         ("ghosts", "ghosts") if ghosts else None,
     ]  # fmt: skip
     alt = (

@@ -9,6 +9,7 @@ from mosca.data.frames import Frame, FrameSource, WrappedSource
 from mosca.data.rig import Rig
 from mosca.errors import InputError
 from mosca.recording import RecordingWriter, open_recording
+from mosca.recording.open import check_recording
 from mosca.synchronisation import AssemblySettings
 
 PATIENCE_BYTES = 1 << 28
@@ -20,9 +21,7 @@ def opened(source: str, rig: Rig, rate_hz: float, pulses: int) -> FrameSource:
 
     ``rate_hz``, ``pulses``: the scenario's; devices must run at this rate and are read for so many pulses.
     """
-    kind, _, place = source.partition(":")
-    if kind not in ("recording", "hardware") or not place:
-        raise InputError(f"--source {source}: allowed are twin, recording:DIR and hardware:RIG.toml")
+    kind, place = _named(source)
     if kind == "recording":
         return open_recording(Path(place), rig)
     from hardware.settings import read_hardware
@@ -40,6 +39,27 @@ def opened(source: str, rig: Rig, rate_hz: float, pulses: int) -> FrameSource:
             f"{rate_hz:g}; give both the same"
         )
     return HardwareSource(devices, pulses)
+
+
+def check_source(source: str) -> None:
+    """Raise InputError where ``--source`` names nothing that is there; asked before any work."""
+    if source == "twin":
+        return
+    kind, place = _named(source)
+    if kind == "recording":
+        check_recording(Path(place))
+    if kind == "hardware":
+        from hardware.settings import read_hardware
+
+        read_hardware(Path(place))
+
+
+def _named(source: str) -> tuple[str, str]:
+    """Return the kind of a source other than the twin, and its place; InputError for another one."""
+    kind, _, place = source.partition(":")
+    if kind not in ("recording", "hardware") or not place:
+        raise InputError(f"--source {source}: allowed are twin, recording:DIR and hardware:RIG.toml")
+    return kind, place
 
 
 def account(source: FrameSource) -> Mapping[str, Any]:

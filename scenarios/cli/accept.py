@@ -25,8 +25,8 @@ from scenarios.cli.progress import Progress
 def accept(out: Path | None, **given: Any) -> None:
     """Test by certified artefacts, in the manner of VDI/VDE 2634-1, ASTM E3064 and ASTM E3124.
 
-    WHAT is a scenario with [acceptance], a run folder, a file of tracks (.npz, .csv, .c3d, .trc), or a recording,
-    which is reconstructed first. Each error stands beside its expanded uncertainty and its limit.
+    WHAT is a scenario with [acceptance], a run folder, a file of tracks (.npz, .csv, .parquet, .c3d, .trc), or a
+    recording, which is reconstructed first. Each error stands beside its expanded uncertainty and its limit.
 
     Exit codes: 0 conforming, 1 not conforming, 3 undecided, 2 an input error.
 

@@ -11,7 +11,9 @@ from scenarios.cli.options import FILE, OUT_FILE, POSITIVE, echo_lines
 @click.command()
 @click.argument("take", type=FILE)
 @click.argument("edits", type=FILE, required=False)
-@click.option("--out", required=True, type=OUT_FILE, help="the edited take: .npz, .csv, .c3d or .trc; a motion: .bvh")
+@click.option(
+    "--out", required=True, type=OUT_FILE, help="the edited take: .npz, .csv, .parquet, .c3d or .trc; a motion: .bvh"
+)
 @click.option(
     "--undo",
     metavar="[N]",

@@ -3,7 +3,7 @@
 import click
 
 SECTIONS: dict[str, tuple[str, ...]] = {
-    "Scenarios": ("run", "list", "new", "demo", "suite", "report", "view"),
+    "Scenarios": ("run", "list", "new", "demo", "suite", "sweep", "report", "view"),
     "Claims": ("claim", "budget", "plan", "accept", "certificate", "benchmark"),
     "Calibration": ("target", "calibrate", "rig", "clinic"),
     "Trajectories": ("reconstruct", "live", "labels", "bodies", "edit", "zones", "tracks"),

@@ -37,9 +37,9 @@ from scenarios.cli.progress import Progress
 def identify(tracks: Path, commands: Path, validate: tuple[Path, Path] | None, **options: Any) -> None:
     """Identify how a driven body answers to its commands: v_x and yaw rate by linear models, with their intervals.
 
-    TRACKS holds the targets of a body that drives on a floor (.npz, .csv, .c3d, .trc); COMMANDS is a .csv with a
-    clock (time_s or time_ns of the tracks' session, or frame) and columns left and right, in the unit of the motors'
-    driver.
+    TRACKS holds the targets of a body that drives on a floor (.npz, .csv, .parquet, .c3d, .trc); COMMANDS is a .csv
+    with a clock (time_s or time_ns of the tracks' session, or frame) and columns left and right, in the unit of the
+    motors' driver.
 
     \b
     Example:  mosca identify runs/drive/tracks.npz runs/drive/commands.csv --out model.json --plot fit.svg

@@ -11,7 +11,9 @@ from scenarios.cli.stream_options import stream_options, stream_settings
 @click.command()
 @click.argument("source")
 @click.option("--rig", type=FILE, help="calibrated rig file; a scenario and hardware:RIG.toml bring their own")
-@click.option("--out", type=OUT_FILE, help="tracks: .npz, .csv, .c3d or .trc; until the end OUT.part.csv grows")
+@click.option(
+    "--out", type=OUT_FILE, help="tracks: .npz, .csv, .parquet, .c3d or .trc; until the end OUT.part.csv grows"
+)
 @click.option("--record", type=OUT_FILE, help="write counts and the stages' times here: .json")
 @click.option(
     "--skeleton", type=FILE, help="follow the person of this file of 'skeleton fit': labels, joints; streamed too"

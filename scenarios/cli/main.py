@@ -39,6 +39,7 @@ from scenarios.cli import self_orient as cli_self_orient
 from scenarios.cli import skeleton as cli_skeleton
 from scenarios.cli import station as cli_station
 from scenarios.cli import suite as cli_suite
+from scenarios.cli import sweep as cli_sweep
 from scenarios.cli import track_files as cli_track_files
 from scenarios.cli import tracks as cli_tracks
 from scenarios.cli import vibration as cli_vibration
@@ -226,6 +227,7 @@ def view(run: Path, web: bool) -> None:
 
 
 cli.add_command(cli_suite.suite)
+cli.add_command(cli_sweep.sweep)
 cli.add_command(cli_budget.budget)
 cli.add_command(cli_claim.claim)
 cli.add_command(cli_accept.accept)
@@ -302,9 +304,9 @@ SCHEMAS = {
 
 
 @cli.command()
-@click.argument("kind", type=click.Choice([*SCHEMAS]))
+@click.argument("kind", type=click.Choice([*SCHEMAS]), metavar="KIND")
 def schema(kind: str) -> None:
-    """Print the JSON schema of scenario, claim, plan, acceptance, rig, target or marker-model files.
+    """Print the JSON schema of the files of a KIND: scenario, claim, plan, acceptance, rig, target, marker-model.
 
     \b
     Example:  mosca schema scenario > scenario.schema.json
@@ -322,10 +324,14 @@ def main() -> None:
         cli(prog_name="mosca", standalone_mode=False)
     except click.exceptions.Exit as done:
         sys.exit(done.exit_code)
+    except click.exceptions.NoArgsIsHelpError as error:
+        click.echo(error.format_message(), err=True)
+        sys.exit(EXIT_ERROR)
     except click.ClickException as error:
         where = getattr(error, "ctx", None)
         path = where.command_path if where is not None else "mosca"
-        click.echo(f"mosca: {error.format_message().rstrip('.')}; '{path} --help' shows what there is", err=True)
+        told = " ".join(error.format_message().split()).rstrip(".")
+        click.echo(f"mosca: {told}; '{path} --help' shows what there is", err=True)
         sys.exit(EXIT_ERROR)
     except MoscaError as error:
         click.echo(f"mosca: {error}", err=True)

@@ -26,8 +26,8 @@ from scenarios.cli.stream_options import fault_options, stream_options, stream_s
 def replay(tracks: Path, **given: Any) -> None:
     """Stream tracks at their own pace to the clients of a motion-capture lab, with faults on demand.
 
-    TRACKS is .npz, .csv, .c3d or .trc, or a folder with tracks.npz (or .csv) and bodies.csv, as 'mosca run' writes,
-    and joints.csv and angles.csv where they are there.
+    TRACKS is .npz, .csv, .parquet, .c3d or .trc, or a folder with tracks.npz (or .csv) and bodies.csv, as 'mosca run'
+    writes, and joints.csv and angles.csv where they are there.
     Ctrl-C ends it; then each client's frames and the faults made are told (docs/streams.md).
 
     \b

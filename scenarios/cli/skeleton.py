@@ -38,9 +38,9 @@ def skeleton_fit(
 ) -> None:
     """Fit a skeleton to labelled tracks: segment lengths, joint centres and markers of one person.
 
-    TRACKS is a .npz, .csv, .c3d or .trc file of a take that moves every joint. Labels are those of the model, with
-    or without a person before them (Anna:LKNE). Lengths are printed with their uncertainty; joints that the take
-    does not tell are named.
+    TRACKS is a .npz, .csv, .parquet, .c3d or .trc file of a take that moves every joint. Labels are those of the
+    model, with or without a person before them (Anna:LKNE). Lengths are printed with their uncertainty; joints that
+    the take does not tell are named.
 
     \b
     Example:  mosca skeleton fit range_of_motion.c3d --out anna.npz

@@ -83,7 +83,7 @@ def detect(
 @click.option("--rig", required=True, type=FILE, help="rig file (TOML) with the cameras of all stations")
 @click.option("--stations", required=True, help="their names, e.g. A,B")
 @click.option("--listen", required=True, multiple=True, help=LISTEN_HELP)
-@click.option("--out", required=True, type=OUT_FILE, help="tracks: .npz, .csv, .c3d or .trc")
+@click.option("--out", required=True, type=OUT_FILE, help="tracks: .npz, .csv, .parquet, .c3d or .trc")
 @click.option("--seconds", type=POSITIVE, help="end after this  [default: when all end]")
 @click.option(
     "--deadline-ms",

@@ -94,7 +94,7 @@ class SuiteOptions:
 def suite(**given: Any) -> None:
     """Run all scenarios of a tier (or those in PATH ...) on all cores, and compare with the baselines.
 
-    PATH is a scenario file, a folder of them, or a folder of the built-in ones, as subjects.
+    PATH is a scenario file, a folder of them, or the name of a built-in scenario or folder, as subjects.
 
     OUT/suite.html is their page: expected and found, the nearest limit, the history over commits.
 

@@ -1,4 +1,4 @@
-"""The verbs for files of tracks: tracks info, tracks convert."""
+"""The verbs for files of tracks: tracks info, convert, page, ros2."""
 
 from pathlib import Path
 
@@ -9,7 +9,7 @@ from scenarios.cli.options import FILE, OUT_FILE, OUT_FOLDER, POSITIVE, echo_lin
 
 @click.group()
 def tracks() -> None:
-    """Look into files of tracks, and convert them: .npz, .csv, .c3d, .trc."""
+    """Look into files of tracks, see them on a page, and convert them: .npz, .csv, .parquet, .c3d, .trc."""
 
 
 @tracks.command("info")
@@ -37,7 +37,7 @@ def tracks_info(path: Path) -> None:
 @click.option("--fps", type=POSITIVE, help="frame rate stated in C3D and TRC [Hz]  [default: that of the samples]")
 @click.option("--only", "names", multiple=True, metavar="NAME", help="keep the marker of this name  [repeatable]")
 def tracks_convert(path: Path, out: Path, fps: float | None, names: tuple[str, ...]) -> None:
-    """Write tracks in another format, that of OUT's suffix: .npz, .csv, .c3d, .trc (OpenSim).
+    """Write tracks in another format, that of OUT's suffix: .npz, .csv, .parquet, .c3d, .trc (OpenSim).
 
     \b
     Example:  mosca tracks convert take1.npz take1.trc
@@ -45,6 +45,23 @@ def tracks_convert(path: Path, out: Path, fps: float | None, names: tuple[str, .
     from scenarios.commands.track_files import convert_tracks
 
     echo_lines(convert_tracks(path, out, fps, names))
+
+
+@tracks.command("page")
+@click.argument("take", type=FILE)
+@click.argument("out", type=OUT_FILE)
+@click.option("--rig", type=FILE, help="cameras to show  [default: rig.toml of TAKE, or none]")
+def tracks_page(take: Path, out: Path, rig: Path | None) -> None:
+    """Write a page on which tracks can be seen: a 3D view to turn and play, gaps, residuals, extent.
+
+    TAKE is a file of tracks, of this program or another one, or a run folder. OUT opens in a browser, offline.
+
+    \b
+    Example:  mosca tracks page take1.csv take1.html --rig rig.toml
+    """
+    from scenarios.commands.track_files import page_of_tracks
+
+    echo_lines(page_of_tracks(take, out, rig))
 
 
 @tracks.command("ros2")

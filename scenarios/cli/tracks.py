@@ -64,7 +64,7 @@ def _exclude(what: str, options: dict[str, object]) -> None:
 @click.command()
 @click.argument("recording", type=FILE)
 @click.option("--rig", required=True, type=FILE, help="rig file (TOML; also aniposelib, Caliscope, Pose2Sim)")
-@click.option("--out", required=True, type=OUT_FILE, help="tracks: .npz, .csv, .c3d or .trc")
+@click.option("--out", required=True, type=OUT_FILE, help="tracks: .npz, .csv, .parquet, .c3d or .trc")
 @click.option("--fps", type=float, help="frame rate of a recording that does not tell its own [Hz]")
 @click.option("--settings", type=FILE, help="TOML file with [background], [detection], [match], [track] and [volume]")
 @SET
@@ -148,7 +148,9 @@ def learn(tracks: Path, out: Path, names: tuple[str, ...], limbs: tuple[str, ...
 @labels.command()
 @click.argument("tracks", type=FILE)
 @click.option("--model", required=True, type=FILE, help="marker model: .toml")
-@click.option("--out", required=True, type=OUT_FILE, help="the same tracks with labels: .npz, .csv, .c3d or .trc")
+@click.option(
+    "--out", required=True, type=OUT_FILE, help="the same tracks with labels: .npz, .csv, .parquet, .c3d or .trc"
+)
 @click.option("--fps", type=POSITIVE, help="frame rate to state in .c3d and .trc  [default: from the samples' times]")
 def apply(tracks: Path, model: Path, out: Path, fps: float | None) -> None:
     """Name the tracks of a file by a marker model.
@@ -163,7 +165,9 @@ def apply(tracks: Path, model: Path, out: Path, fps: float | None) -> None:
 
 @labels.command()
 @click.argument("tracks", type=FILE)
-@click.option("--out", required=True, type=OUT_FILE, help="the same tracks with labels: .npz, .csv, .c3d or .trc")
+@click.option(
+    "--out", required=True, type=OUT_FILE, help="the same tracks with labels: .npz, .csv, .parquet, .c3d or .trc"
+)
 @click.option(
     "--set",
     "set_name",
@@ -198,7 +202,9 @@ def auto(
 
 @labels.command()
 @click.argument("tracks", type=FILE)
-@click.option("--out", required=True, type=OUT_FILE, help="the same tracks with labels: .npz, .csv, .c3d or .trc")
+@click.option(
+    "--out", required=True, type=OUT_FILE, help="the same tracks with labels: .npz, .csv, .parquet, .c3d or .trc"
+)
 @click.option(
     "--name", "names", multiple=True, metavar="NUMBER=LABEL", help="label of a lamp  [default: lamp/NUMBER, all]"
 )
@@ -225,7 +231,9 @@ def blink(
 @labels.command()
 @click.argument("recording", type=FILE)
 @click.option("--rig", required=True, type=FILE, help="calibrated rig file")
-@click.option("--out", required=True, type=OUT_FILE, help="tracks, labelled code/NUMBER: .npz, .csv, .c3d or .trc")
+@click.option(
+    "--out", required=True, type=OUT_FILE, help="tracks, labelled code/NUMBER: .npz, .csv, .parquet, .c3d or .trc"
+)
 @click.option("--fps", type=POSITIVE, help="frame rate of a recording that does not tell its own [Hz]")
 @click.option(
     "--colour",
@@ -303,7 +311,7 @@ def find_bodies(
 
 @click.command()
 @click.argument("tracks", nargs=-1, required=True, type=FILE)
-@click.option("--out", required=True, type=OUT_FILE, help="one set of tracks: .npz, .csv, .c3d or .trc")
+@click.option("--out", required=True, type=OUT_FILE, help="one set of tracks: .npz, .csv, .parquet, .c3d or .trc")
 @click.option("--fps", type=POSITIVE, help="frame rate to state in .c3d and .trc  [default: from the samples' times]")
 def zones(tracks: tuple[Path, ...], out: Path, fps: float | None) -> None:
     """Stitch the tracks of several zones into one set; all have the same pulses and the same frame.

@@ -50,7 +50,8 @@ from scenarios.cli.progress import Progress
 def vibration(tracks: Path, out: Path | None, plot: Path | None, **options: Any) -> None:
     """Modes of vibration from tracks: frequencies, damping, shapes, noise floor, and what to beware of.
 
-    TRACKS is a .npz, .csv, .c3d or .trc file of targets on something that vibrates by forces that nobody measures.
+    TRACKS is a .npz, .csv, .parquet, .c3d or .trc file of targets on something that vibrates by forces that nobody
+    measures.
 
     \b
     Example:  mosca vibration panel.csv --out modes.json --plot spectra.svg --exposure 0.001

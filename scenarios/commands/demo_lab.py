@@ -132,6 +132,7 @@ def _commands(out: Path, sessions: list[str], cameras: tuple[VirtualCamera, ...]
         f"{calibrate} --out {out}/rig.toml",
         f"mosca rig check {out}/rig.toml",
         f"mosca reconstruct {out}/take --rig {out}/rig.toml --out {out}/take.csv",
+        f"mosca tracks page {out}/take.csv {out}/take.html --rig {out}/rig.toml",
         f"mosca run {out}/check.toml --source recording:{out}/take --truth {out}/truth/truth.npz --out {out}/check",
         f"mosca rig compare {out}/rig.toml {out}/truth/rig.toml",
     )
@@ -187,8 +188,9 @@ def _readme(out: Path, spec: Scenario, rig: Rig, sessions: list[str], commands: 
         *commands,
         "```",
         "",
-        "They write the calibrated cameras (`rig.toml`, `rig.html`), trajectories with covariances (`take.csv`), the",
-        "verdict against the truth (`check/report.html`), and how far rays and points of the two rigs are apart.",
+        "They write the calibrated cameras (`rig.toml`, `rig.html`), trajectories with covariances (`take.csv`,",
+        "`take.html`), the verdict against the truth (`check/report.html`), and how far rays and points of the two",
+        "rigs are apart.",
         "",
     ]
     return "\n".join(lines)

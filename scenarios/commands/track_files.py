@@ -1,4 +1,4 @@
-"""``mosca tracks``: what a file of tracks holds, and the same tracks in another format."""
+"""``mosca tracks``: what a file of tracks holds, its page, and the same tracks in another format."""
 
 from pathlib import Path
 
@@ -14,6 +14,9 @@ from mosca.formats.rigs.lens_conversion import RigFileOptions
 from mosca.formats.ros2.bag import Bag, written_bag
 from mosca.formats.tracks.tracks_file import check_tracks_file, read_tracks, write_tracks
 from mosca.recording.open import open_recording
+from reports.evidence import Evidence
+from reports.page import write_page
+from reports.record import Metric, RunRecord
 from scenarios.commands.labels import rate_of
 from scenarios.run.take_files import RIG_FILE, take_files
 
@@ -67,10 +70,33 @@ def convert_tracks(path: Path, out: Path, rate_hz: float | None, names: tuple[st
     kept = f"{len(np.unique(tracks.track))} tracks, {len(tracks)} samples"
     lost = []
     if out.suffix.lower() in (".c3d", ".trc"):
-        lost = (
-            [f"{out.suffix} holds no covariances; .csv and .npz do"] if np.isfinite(tracks.covariance).any() else []
-        )
+        known = np.isfinite(tracks.covariance).any()
+        lost = [f"{out.suffix} holds no covariances; .csv, .npz and .parquet do"] if known else []
     return [f"{out}: {kept}", *lost]
+
+
+def page_of_tracks(take: Path, out: Path, rig_file: Path | None) -> list[str]:
+    """Write the page of a take's tracks to ``out``, with the cameras of ``rig_file``; return the lines to print.
+
+    Without it those of ``take``, where it is a run folder, else none. InputError where a file cannot be read or
+    written, or there is no sample.
+    """
+    if out.suffix.lower() not in (".html", ".htm"):
+        raise InputError(f"{out}: suffix '{out.suffix}' given; a page is .html")
+    files = take_files(take)
+    tracks = read_tracks(files.tracks)
+    if not np.isfinite(tracks.xyz).all(axis=1).any():
+        raise InputError(f"{files.tracks}: no tracks: there is nothing to see")
+    rig_file = rig_file or files.rig
+    rig = Rig(()) if rig_file is None else read_rig(rig_file)
+    low, high = np.nanmin(tracks.xyz, axis=0), np.nanmax(tracks.xyz, axis=0)
+    residual_px = tracks.residual_px[np.isfinite(tracks.residual_px)]
+    rms = float(np.sqrt(np.mean(residual_px**2))) if len(residual_px) else 0.0
+    metrics = (Metric("reprojection_rms", rms, "px", len(residual_px)),) if len(residual_px) else ()
+    verdict = f"{len(np.unique(tracks.track))} tracks with {len(tracks)} samples; nothing is claimed of them"
+    record = RunRecord(str(files.tracks), take.stem, 0, "file", "", "pass", True, verdict, metrics)
+    write_page(out, record, Evidence(rig, (low + high) / 2, np.maximum(high - low, 1e-3), tracks))
+    return [f"{out}"]
 
 
 def _of_names(tracks: Tracks, names: tuple[str, ...], path: Path) -> Tracks:

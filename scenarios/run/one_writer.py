@@ -39,7 +39,7 @@ def one_writer(out: Path) -> Iterator[None]:
     try:
         left = _holder(file)
         if left:
-            LOG.warning("%s: taken over from process %s, which did not end its work here", out, _who(left))
+            LOG.warning("%s: taken over from process %s which did not end its work here", out, _who(left))
         file.seek(0)
         file.truncate()
         started = datetime.now().astimezone().isoformat(timespec="seconds")

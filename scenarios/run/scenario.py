@@ -29,6 +29,7 @@ from reports.viewer_result import log_result
 from scenarios.build.calibration_faults import with_fault
 from scenarios.build.cameras import Calibrated, calibrated, true_rig, twin_source, virtual_cameras
 from scenarios.build.frame_sources import account, device_notes, patient
+from scenarios.build.frame_sources import check_source as check_named_source
 from scenarios.build.frame_sources import opened as opened_source
 from scenarios.build.scene import build_scene, pipeline_settings
 from scenarios.build.survey import without_own_camera
@@ -241,6 +242,7 @@ def _with_frames(
 
 
 def _built(spec: Scenario, folder: Path, options: RunOptions) -> _Built:
+    check_named_source(options.source)
     check_source(spec, options.source)
     check_survey_source(spec, options.source)
     check_flight_source(spec, options.source)

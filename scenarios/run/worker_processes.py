@@ -8,13 +8,24 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 
+from mosca.errors import InputError
+
 
 def spawned_pool(jobs: int, initializer: Callable[[], object] | None = None) -> ProcessPoolExecutor:
     """Return a pool of ``jobs`` processes that are spawned.
 
-    A forked child would inherit threads of its parent's libraries in unknown states.
+    A forked child would inherit threads of its parent's libraries in unknown states. Raises InputError where this
+    system gives processes no locks: on Linux these are files in /dev/shm.
     """
-    return ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn"), initializer=initializer)
+    context = multiprocessing.get_context("spawn")
+    try:
+        context.Lock()
+    except OSError as error:
+        raise InputError(
+            f"processes beside each other need locks, and this system gives none ({error.strerror}; /dev/shm); mount "
+            "/dev/shm, or run scenarios one by one with 'mosca run'"
+        ) from None
+    return ProcessPoolExecutor(jobs, mp_context=context, initializer=initializer)
 
 
 @contextmanager

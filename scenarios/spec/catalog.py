@@ -27,19 +27,29 @@ class Entry:
 def find(name: str) -> Path:
     """Return the scenario file that ``name`` means: a path, or the name of a built-in scenario."""
     path = Path(name)
-    if path.is_file() or path.suffix == ".toml":
+    if path.is_file():
+        return path
+    if path.suffix == ".toml":
+        known = [scenario_name(p) for p in built_in() if p.stem == path.stem]
+        if known:
+            raise InputError(f"{name}: no such file; the built-in scenario is called '{known[0]}'")
         return path
     there = {scenario_name(p): p for p in built_in()}
     # the last part of a name is enough where it is the only one
-    short = [p for p in there.values() if p.stem == name]
+    short = [full for full, p in there.items() if p.stem == name]
     if name in there or len(short) == 1:
-        return there.get(name) or short[0]
+        return there.get(name) or there[short[0]]
+    if short:
+        raise InputError(f"{name}: {len(short)} scenarios end so: {', '.join(short)}; give one of these")
     if path.is_dir():
         raise InputError(
             f"{path}: is a folder; a scenario is a .toml file, or a name that 'mosca list' shows; of images: "
             f"recording:{path} with --rig RIG.toml"
         )
-    near = difflib.get_close_matches(name, [*there, *(p.stem for p in there.values())], n=1)
+    if name and (LIBRARY / name).is_dir():
+        raise InputError(f"{name}: is a folder of the built-in scenarios; 'mosca suite {name}' runs those in it")
+    names = [*there, *(p.stem for p in there.values()), *(p.parent.name for p in there.values())]
+    near = difflib.get_close_matches(name.lower(), names, n=1)
     hint = f"did you mean '{near[0]}'?" if near else "'mosca list' shows what there is"
     raise InputError(f"{name}: no such scenario or file; {hint}")
 
@@ -60,7 +70,7 @@ def scenario_name(path: Path) -> str:
 def entries(paths: tuple[Path, ...], tier: str | None = None, overrides: tuple[str, ...] = ()) -> list[Entry]:
     """Return the scenarios of files and folders (all built-in ones where none is named), of one tier or of all.
 
-    A folder that is not there may be one of the built-in scenarios: "subjects".
+    What is not there may be a folder of the built-in scenarios, "subjects", or one of these, "actor".
     ``overrides``: as of ``load_scenario``, in each of them.
     """
     files: list[Path] = []
@@ -69,7 +79,7 @@ def entries(paths: tuple[Path, ...], tier: str | None = None, overrides: tuple[s
         if folder.is_dir():
             files += sorted(folder.rglob("*.toml"))
         else:
-            files.append(path)
+            files.append(find(str(path)))
     chosen = files if paths else built_in()
     found = [Entry(path, scenario_name(path), load_scenario(path, overrides), overrides) for path in chosen]
     names = [e.name for e in found]

@@ -16,13 +16,16 @@ def test_a_tutorial_leads_where_it_says(path, tmp_path):
     work = tmp_path / "work"
     text = path.read_text(encoding="utf-8")
     # every page that a reader is told to open, and every file that the text names with its folder, is there
-    named = set(re.findall(r"`((?:runs|accuracy)/[\w/]+\.\w+|comparison\.html|cameras\.html|suite\.xml)`", text))
+    named = set(re.findall(r"`((?:runs|accuracy)/[\w/]+\.\w+|comparison\.html|suite\.xml)`", text))
     assert {name for name in named if not (work / name).exists()} == set()
     # calibrations that several runs share, and matplotlib's list of fonts: nothing else is left at a reader's home
     assert {one.name for one in (tmp_path / "home").iterdir()} <= {".cache", ".config"}
     if path.stem == "camera_count":
         # twice the rays give at best 1 / sqrt(2) of the error; a common calibration leaves more
-        few, many = (read_record(work / f"runs/cameras_{n}/record.json").metric("position_rms").value for n in (3, 6))
+        few, many = (
+            read_record(work / f"runs/cameras/study/cameras.count={n}/record.json").metric("position_rms").value
+            for n in (3, 6)
+        )
         assert many < few
 
 

@@ -25,7 +25,19 @@ class Reader:
     """What the program reads from the folder, as nested plain values."""
     expect: Callable[[Path], Any] | None = None
     """The same by an independent reader; None: a file with a checksum, which is read as it was written or refused."""
-    binary: tuple[str, ...] = (".npz", ".c3d", ".mcap", ".tail", ".png", ".tif", ".bmp", ".mkv", ".avi", ".mp4")
+    binary: tuple[str, ...] = (
+        ".npz",
+        ".parquet",
+        ".c3d",
+        ".mcap",
+        ".tail",
+        ".png",
+        ".tif",
+        ".bmp",
+        ".mkv",
+        ".avi",
+        ".mp4",
+    )
 
     def text(self, path: Path) -> bool:
         """Return whether a file of it has lines and numbers."""

@@ -644,6 +644,12 @@ READERS = (
     ),
     Reader("bodies.csv", (_bodies_seed,), ("bodies.csv",), _bodies, _bodies_expected),
     Reader(
+        "tracks.parquet",
+        (lambda folder: write_tracks(some_tracks(), folder / "tracks.parquet", 100.0),),
+        ("tracks.parquet",),
+        _tracks("tracks.parquet"),
+    ),
+    Reader(
         "tracks.npz",
         (lambda folder: write_npz(some_tracks(), folder / "tracks.npz"),),
         ("tracks.npz",),

@@ -88,7 +88,7 @@ GOOD_CSV = ",".join(COLUMNS) + "\n0,5,1,a,1.5,-0.1,0.3,1,1,1,0,0,0,2,,measured\n
 
 def test_other_suffixes_rates_and_places_are_errors(tmp_path: Path) -> None:
     tracks = one_sample("a", (0, 0, 0))
-    with pytest.raises(InputError, match=r"suffix '.xlsx' given; .npz, .csv, .c3d, .trc are allowed"):
+    with pytest.raises(InputError, match=r"suffix '.xlsx' given; .npz, .csv, .parquet, .c3d, .trc are allowed"):
         write_tracks(tracks, tmp_path / "tracks.xlsx", 100)
     with pytest.raises(InputError, match="one above 0 is wanted"):
         write_tracks(tracks, tmp_path / "tracks.c3d", 0)

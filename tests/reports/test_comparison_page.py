@@ -14,6 +14,7 @@ from reports_examples import example_record
 from reports.comparison.changes import change, differences, not_comparable
 from reports.comparison.page import write_comparison_page
 from reports.comparison.plots import errors_over_time
+from reports.comparison.series import figures_over
 from reports.plot_style import house_style
 from reports.record import Metric, MetricBlocks, RunRecord
 
@@ -133,6 +134,23 @@ def test_panels_have_the_same_axes() -> None:
         extents.append(np.ptp(np.array(re.findall(r"[-\d.]+", curve), float).reshape(-1, 2), axis=0))
     # errors three times as large for twice as long are drawn so
     np.testing.assert_allclose(extents[1] / extents[0], [2.0, 3.0], rtol=1e-3)
+
+
+def test_figures_stand_over_their_values() -> None:
+    picture = figures_over("cameras.count", ["2", "3", "6"], [run(3.0), run(2.0), run()])
+    assert picture is not None
+    assert "position_rms from 0.735 to 0.245 mm" in picture.alt
+    panel = re.split(r'<g id="over-axes_', picture.svg)[1]
+    curve = next(d for d in re.findall(r' d="(M[^"]*)"', panel.split("over-line2d", 1)[1]) if d.count("L") == 2)
+    points = np.array(re.findall(r"[-\d.]+", curve), float).reshape(-1, 2)
+    # 6 is three times as far from 3 as 3 is from 2; three, two and one parts of the same error
+    np.testing.assert_allclose(np.diff(points[:, 0]) / (points[1, 0] - points[0, 0]), [1.0, 3.0], rtol=1e-3)
+    np.testing.assert_allclose(np.diff(points[:, 1])[0], np.diff(points[:, 1])[1], rtol=1e-3)
+    # words stand beside each other; one run has nothing to draw
+    named = figures_over("rig", ["a.toml", "b.toml"], [FIRST, FIRST])
+    assert named is not None
+    assert ">b.toml<" in named.svg
+    assert figures_over("seed", ["1"], [FIRST]) is None
 
 
 @pytest.fixture(scope="module")

@@ -188,7 +188,7 @@ GOOD = {"recording": "take", "--rig": "rig.toml", "--out": "t.csv", "--settings"
         ({"--rig": "rgi.toml"}, "did you mean 'rig.toml'?"),
         ({"--rig": "apart.toml"}, "apart.toml: no two cameras see a common point"),
         ({"--rig": "other.toml"}, "nothing is called or ends with the rig's camera name 'far'"),
-        ({"--out": "t.xlsx"}, "suffix '.xlsx' given; .npz, .csv, .c3d, .trc are allowed"),
+        ({"--out": "t.xlsx"}, "suffix '.xlsx' given; .npz, .csv, .parquet, .c3d, .trc are allowed"),
         ({"--out": "nowhere/t.csv"}, "no folder nowhere"),
         ({"--out": "folder.csv"}, "folder.csv: is a folder"),
         ({"--settings": "none.toml"}, "none.toml: no such file"),

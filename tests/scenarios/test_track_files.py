@@ -6,7 +6,9 @@ import ezc3d
 import numpy as np
 import pytest
 from command_line import mosca, refusal
+from rigs import ring
 
+from mosca.data.files.rig_file import write_rig
 from mosca.data.tracks import Tracks
 from mosca.formats.tracks.tracks_file import SUFFIXES, read_tracks, write_tracks
 
@@ -58,11 +60,34 @@ def test_the_rate_and_the_markers_can_be_chosen(take):
     assert outside["RATE"]["value"][0] == 60.0
 
 
+def test_tracks_are_seen_on_a_page(take):
+    folder = take.parent
+    write_rig(ring(3), folder / "rig.toml")
+    done = mosca("tracks", "page", "take.npz", "seen.html", "--rig", "rig.toml", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    page = (folder / "seen.html").read_text(encoding="utf-8")
+    assert all(f">{name}<" in page for name in ("A (track 0)", "B (track 1)"))
+    assert 'data-layer="cameras"' in page
+    assert "2 tracks with 35 samples" in page
+    # another program's file has neither cameras nor residuals
+    assert mosca("tracks", "convert", "take.npz", "other.trc", cwd=folder).returncode == 0
+    assert mosca("tracks", "page", "other.trc", "other.html", cwd=folder).returncode == 0
+    page = (folder / "other.html").read_text(encoding="utf-8")
+    assert ">A (track 0)<" in page
+    assert 'data-layer="cameras"' not in page
+    write_tracks(read_tracks(take).select(np.array([], int)), folder / "none.npz", 50.0)
+    assert "none.npz: no tracks: there is nothing to see" in refusal(
+        "tracks", "page", "none.npz", "x.html", cwd=folder
+    )
+
+
 def test_mistakes_are_told_in_one_line(take):
     folder = take.parent
     assert "has no marker of that name; names there: A, B" in refusal(
         "tracks", "convert", "take.npz", "x.csv", "--only", "C", cwd=folder
     )
-    assert ".npz, .csv, .c3d, .trc are allowed" in refusal("tracks", "convert", "take.npz", "x.mat", cwd=folder)
+    assert ".npz, .csv, .parquet, .c3d, .trc are allowed" in refusal(
+        "tracks", "convert", "take.npz", "x.mat", cwd=folder
+    )
     assert "take.xls" in refusal("tracks", "info", "take.xls", cwd=folder)
     assert not (folder / "x.csv").exists()

@@ -33,11 +33,11 @@ _ENCRYPTED = 1
 def write_npz_file(path: Path, arrays: Mapping[str, Array]) -> None:
     """Write arrays under their names, compressed, without pickles, with their checksum."""
     with open(path, "wb") as file:
-        np.savez_compressed(file, allow_pickle=False, **arrays, **{DIGEST: _digest(arrays)})
+        np.savez_compressed(file, allow_pickle=False, **arrays, **{DIGEST: array_digest(arrays)})
 
 
-def _digest(arrays: Mapping[str, Array]) -> Array:
-    """Return the digest (32,) of arrays by their names."""
+def array_digest(arrays: Mapping[str, Array]) -> Array:
+    """Return the digest (32,) of names, types, shapes and values of arrays."""
     total = hashlib.sha256()
     for name in sorted(arrays):
         values = np.ascontiguousarray(arrays[name])
@@ -51,7 +51,7 @@ def _checked(arrays: Mapping[str, Array]) -> Mapping[str, Array]:
     if DIGEST not in arrays:
         return arrays
     loaded = dict(arrays)  # once: what numpy opened reads the file at every access
-    if not np.array_equal(loaded.pop(DIGEST), _digest(loaded)):
+    if not np.array_equal(loaded.pop(DIGEST), array_digest(loaded)):
         raise ValueError(f"damaged: its arrays are not those of its checksum ({DIGEST})")
     return loaded
 

@@ -50,15 +50,16 @@ T = TypeVar("T", bound=BaseModel)
 def described(schema: dict[str, Any]) -> dict[str, Any]:
     """Return a JSON schema whose keys that are tables have their table's own first sentence as description.
 
-    Those that have a description keep it; ``schema`` is changed.
+    So has a key of one value alone, which says what kind of table it stands in. Those that have a description keep
+    it; ``schema`` is changed.
     """
     tables = schema.get("$defs", {})
     for table in (schema, *tables.values()):
         for key in table.get("properties", {}).values():
-            if "description" not in key and (name := _table_of(key)) in tables:
-                text = " ".join(tables[name].get("description", "").split("\n\n")[0].split())
-                if text:
-                    key["description"] = text.split(". ")[0].rstrip(".") + "."
+            meant = table if "const" in key else tables.get(_table_of(key), {})
+            text = " ".join(meant.get("description", "").split("\n\n")[0].split())
+            if "description" not in key and text:
+                key["description"] = text.split(". ")[0].rstrip(".") + "."
     return schema
 
 

@@ -16,7 +16,7 @@ COLUMNS = (
     "frame", "time_ns", "track", "label", "x", "y", "z", "sxx", "syy", "szz", "sxy", "sxz", "syz",
     "n_cameras", "residual_px", "status",
 )  # fmt: skip
-_ELEMENTS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+COVARIANCE_ELEMENTS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 
 
 def write_tracks_csv(tracks: Tracks, path: Path) -> None:
@@ -32,7 +32,7 @@ def cells_of(tracks: Tracks) -> list[list[str]]:
         integers(tracks.track),
         tracks.label.tolist(),
         *(reals(tracks.xyz[:, k]) for k in range(3)),
-        *(reals(tracks.covariance[:, i, j]) for i, j in _ELEMENTS),
+        *(reals(tracks.covariance[:, i, j]) for i, j in COVARIANCE_ELEMENTS),
         integers(tracks.n_cameras),
         reals(tracks.residual_px),
         tracks.status.tolist(),
@@ -45,7 +45,7 @@ def read_tracks_csv(path: Path) -> Tracks:
     cells = read_columns(path, COLUMNS, "tracks.csv")
     status = one_of(cells["status"], "status", STATUSES, path)
     covariance = np.empty((len(status), 3, 3))
-    for (i, j), name in zip(_ELEMENTS, COLUMNS[7:13], strict=True):
+    for (i, j), name in zip(COVARIANCE_ELEMENTS, COLUMNS[7:13], strict=True):
         covariance[:, i, j] = covariance[:, j, i] = parsed(cells[name], name, float, path)
     return Tracks(
         frame=parsed(cells["frame"], "frame", int, path),

@@ -13,10 +13,11 @@ from mosca.data.tracks import Samples, Tracks, read_npz, table, write_npz
 from mosca.errors import InputError
 from mosca.formats.tracks.c3d import read_c3d, write_c3d
 from mosca.formats.tracks.marker_table import table_from_tracks, tracks_from_table
+from mosca.formats.tracks.parquet import read_tracks_parquet, write_tracks_parquet
 from mosca.formats.tracks.tracks_csv import COLUMNS, cells_of, read_tracks_csv, write_tracks_csv
 from mosca.formats.tracks.trc import read_trc, write_trc
 
-SUFFIXES = (".npz", ".csv", ".c3d", ".trc")
+SUFFIXES = (".npz", ".csv", ".parquet", ".c3d", ".trc")
 
 
 def check_tracks_file(path: Path) -> None:
@@ -26,7 +27,7 @@ def check_tracks_file(path: Path) -> None:
 
 
 def read_tracks(path: Path) -> Tracks:
-    """Read tracks from .npz, .csv, .c3d or .trc; C3D and TRC hold no covariances, which are NaN then.
+    """Read tracks from .npz, .csv, .parquet, .c3d or .trc; C3D and TRC hold no covariances, which are NaN then.
 
     Raises InputError for another suffix, a missing file and one that is something else.
     """
@@ -36,6 +37,8 @@ def read_tracks(path: Path) -> Tracks:
             return read_npz(path)
         case ".csv":
             return read_tracks_csv(path)
+        case ".parquet":
+            return read_tracks_parquet(path)
         case ".c3d":
             return tracks_from_table(read_c3d(path))
         case ".trc":
@@ -44,7 +47,7 @@ def read_tracks(path: Path) -> Tracks:
 
 
 def write_tracks(tracks: Tracks, path: Path, frame_rate_hz: float) -> None:
-    """Write ``tracks`` to ``path`` as .npz, .csv, .c3d or .trc, whole or not at all.
+    """Write ``tracks`` to ``path`` as .npz, .csv, .parquet, .c3d or .trc, whole or not at all.
 
     ``frame_rate_hz`` is stated in C3D and TRC files. Raises InputError for another suffix, a rate that is not above
     0, or a path that cannot be written.
@@ -59,6 +62,8 @@ def write_tracks(tracks: Tracks, path: Path, frame_rate_hz: float) -> None:
                 write_npz(tracks, temporary)
         case ".csv":
             write_tracks_csv(tracks, path)
+        case ".parquet":
+            write_tracks_parquet(tracks, path)
         case ".c3d":
             write_c3d(table_from_tracks(tracks, frame_rate_hz), path)
         case ".trc":
