@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from hardware.streams.faults import FaultAccount, StreamFaults, check_names
+from hardware.streams.moved_camera import MovedCamera
 from hardware.streams.stream_server import Outgoing, StreamServer
 from hardware.streams.values import (
     MARKER,
@@ -40,6 +41,7 @@ class FaultLine:
         self._gained_ns: dict[int, int] = {}
         self._kept: dict[int, Array] = {}
         self._ghosts: dict[int, Array] = {}
+        self._moved: dict[int, MovedCamera] = {}
         self._restarts: set[int] = set()
         self._base: int | None = 0
         self._down = False
@@ -96,6 +98,10 @@ class FaultLine:
                     frame = self._without_body(frame, k, fault.names or tuple(self._bodies)[:1])
                 case "body-swap":
                     frame = self._bodies_swapped(frame, fault.names or tuple(self._bodies)[:2])
+                case "camera-moved":
+                    if k not in self._moved:
+                        self._moved[k] = MovedCamera(frame, fault.amount)
+                    frame = self._moved[k].seen(frame)
                 case _:
                     continue
             account.add(at_s)

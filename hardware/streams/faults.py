@@ -26,7 +26,7 @@ from mosca.errors import InputError
 
 FaultName = Literal[
     "latency", "jitter", "burst-loss", "half-rate", "duplicate", "reorder", "clock-offset", "clock-drift",
-    "label-swap", "ghosts", "body-lost", "body-swap", "connection-lost", "restart",
+    "label-swap", "ghosts", "body-lost", "body-swap", "camera-moved", "connection-lost", "restart",
 ]  # fmt: skip
 
 
@@ -54,6 +54,11 @@ KINDS: Mapping[FaultName, FaultKind] = {
     "ghosts": FaultKind("so many markers that stand still among the others and have no label", 1, most=1000),
     "body-lost": FaultKind("a body (name, default the first) is not tracked and keeps its last pose", 0, 1),
     "body-swap": FaultKind("two bodies (names, default the first two) have each other's pose", 0, 2),
+    "camera-moved": FaultKind(
+        "one of four cameras has turned by so much [rad]: what it sees is displaced by its share in it",
+        0.005,
+        most=1.0,
+    ),
     "connection-lost": FaultKind("nothing arrives at the server or leaves it", 0, for_s=2.0),
     "restart": FaultKind(
         "the server ends and starts again after for_s, without clients, frames from 0 on", 0, for_s=1.0

@@ -15,6 +15,9 @@ from hardware.streams.values import StreamFrame
 
 SHORT_S = 0.05
 AHEAD = 8
+"""Frames that are encoded together: half the work of one by one."""
+REST, WORK = 0.5, 0.25
+"""Shares of a period: from a frame until later ones are encoded, so that clients have the processor; encoding."""
 MOST_KEPT = 100_000
 """Frames whose lateness is kept."""
 
@@ -49,7 +52,7 @@ class StreamPlayer:
     def play(self, frames: Iterable[StreamFrame], period_s: float, seconds: float | None = None) -> None:
         """Play ``frames``, ``period_s`` apart, to their end, for ``seconds`` or until ``stop``."""
         start_ns, first_s = time.monotonic_ns(), None
-        for encoded in self._ahead(frames):
+        for encoded in self._ahead(frames, 0.0 if self._speed is None else 1e9 * period_s / self._speed):
             stamp_s = encoded.frame.timestamp_s
             first_s = stamp_s if first_s is None else first_s
             at_s = stamp_s - first_s
@@ -68,10 +71,20 @@ class StreamPlayer:
         if last_ns is not None:
             self._wait(last_ns)
 
-    def _ahead(self, frames: Iterable[StreamFrame]) -> Iterator[Outgoing]:
-        """Yield frames encoded some at a time, in the pause after one was sent: half the work of one by one."""
+    def _ahead(self, frames: Iterable[StreamFrame], period_ns: float) -> Iterator[Outgoing]:
+        """Yield frames, encoded some at a time in the pause after one was sent."""
         rest = iter(frames)
-        while some := [self.server.encoded(frame) for frame in itertools.islice(rest, AHEAD)]:
+        while True:
+            if self.played and period_ns and not self._wait(time.monotonic_ns() + round(REST * period_ns)):
+                return
+            end_ns = time.monotonic_ns() + (WORK * period_ns or float("inf"))
+            some: list[Outgoing] = []
+            for frame in itertools.islice(rest, AHEAD):
+                some.append(self.server.encoded(frame))
+                if time.monotonic_ns() > end_ns:
+                    break
+            if not some:
+                return
             yield from some
 
     def _wait(self, until_ns: int) -> bool:

@@ -17,7 +17,7 @@ from mosca.clinic.images import ImageWitness, image_causes, reflection_causes
 from mosca.clinic.lost_camera import lost_cameras
 from mosca.clinic.misfit import residuals_of
 from mosca.clinic.observations import CONNECTED, LADDER_PX, PointImages, observe
-from mosca.clinic.stamps import StampWitness, WitnessedSource, row_causes, stamp_causes
+from mosca.clinic.stamps import StampWitness, WitnessedSource, row_causes, stamp_causes, track_stamp_causes
 from mosca.clinic.tracks import TAPE_M, label_causes, length_causes, places_of, swap_causes
 from mosca.data.bodies import BodyPoses
 from mosca.data.detections import Seen
@@ -110,7 +110,10 @@ def diagnose_frames(source: FrameSource, rig: Rig, known: KnownLengths | None = 
         )
         found += stamp_causes(stamps, None, 1.0 / rate_hz, ALPHA)
         return ClinicReport(tuple(in_order(found)), tuple(told), short)
-    told.append(f"rays meet to {residuals.unit_weight:.2f} times the stated noise")
+    told.append(
+        f"rays meet to {residuals.unit_weight:.2f} times the stated noise, those of the half of the markers that fit "
+        f"best to {residuals.better_half:.2f}"
+    )
     lost = lost_cameras(seen, rig, observed)
     geometry = geometry_causes(residuals, rig, 1.0 / rate_hz, ALPHA)
     found += stamp_causes(stamps, residuals, 1.0 / rate_hz, ALPHA)
@@ -137,10 +140,11 @@ def _not_judged(observed: PointImages, rig: Rig) -> tuple[str, ...]:
 
 
 def diagnose_tracks(tracks: Tracks | None, bodies: BodyPoses | None) -> ClinicReport:
-    """Return what labels and bodies' poses of a take show."""
+    """Return what labels, stamps and poses of bodies show, of a run or of what a client recorded of a stream."""
     found, told = [], []
     if tracks is not None:
         found += label_causes(tracks, ALPHA)
+        found += track_stamp_causes(tracks, ALPHA)
         told.append(f"{len(set(tracks.label.tolist()) - {''})} labels in {len(tracks)} samples")
     if bodies is not None:
         known = np.isfinite(bodies.position).all(axis=1)

@@ -38,6 +38,8 @@ def geometry_causes(residuals: Residuals, rig: Rig, period_s: float, alpha: floa
     """
     if len(residuals.rest) == 0 or residuals.unit_weight <= UNIT_WEIGHT:
         return []
+    if residuals.unit_weight > UNIT_WEIGHT * residuals.better_half:
+        return []  # a fault of the rig shows in all markers; this misfit is of a few
     excess = residuals.squares() - residuals.freedom
     best: dict[str, Diagnosis] = {}
     for code, camera, kind, design, searched in models(residuals, rig):

@@ -53,13 +53,30 @@ class Residuals:
 
     def squares(self) -> float:
         """Return Q without any model."""
+        return float(self._squares().sum())
+
+    def _squares(self) -> Array:
         r = (self.rest * self.weight[..., None]).reshape(len(self.rest), -1)
-        return float(np.einsum("ni,nij,nj->", r, self.projector, r))
+        return np.asarray(np.einsum("ni,nij,nj->n", r, self.projector, r))
 
     @property
     def unit_weight(self) -> float:
         """Rms of the residuals over the stated noise."""
         return float(np.sqrt(self.squares() / max(self.freedom, 1)))
+
+    @property
+    def better_half(self) -> float:
+        """The same of the tracks that fit best and have half of the points.
+
+        A misfit far beyond it is of a few markers (hidden, merged, wrongly paired).
+        """
+        squares = self._squares()
+        freedom = 2.0 * (self.weight > 0).sum(axis=1) - 3.0
+        _, of, counts = np.unique(self.observations.track, return_inverse=True, return_counts=True)
+        squares, freedom = np.bincount(of, squares), np.bincount(of, freedom)
+        order = np.argsort(squares / np.maximum(freedom, 1.0))
+        best = order[: 1 + np.searchsorted(np.cumsum(counts[order]), 0.5 * counts.sum())]
+        return float(np.sqrt(squares[best].sum() / max(freedom[best].sum(), 1.0)))
 
 
 @dataclass(frozen=True, eq=False)

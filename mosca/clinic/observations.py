@@ -7,12 +7,12 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from mosca.camera.projection import project
+from mosca.camera.projection import lens_pixels, project
 from mosca.camera.ray_table import make_ray_table
 from mosca.correspondence.match import EVERYWHERE, match
 from mosca.data.arrays import Array
 from mosca.data.detections import Seen
-from mosca.data.rays import Predicted
+from mosca.data.rays import Predicted, RayTable
 from mosca.data.rig import Rig
 from mosca.data.settings import MatchSettings, TrackSettings
 from mosca.data.tracks import Points, Samples
@@ -45,7 +45,7 @@ class PointImages:
     velocity: Array
     """(n, 3) [m/s]; NaN where a track is too short."""
     xy_px: Array
-    """(n, c, 2), NaN where a camera has no image."""
+    """(n, c, 2) freed of their target's eccentricity, NaN where a camera has no image."""
     sigma_px: Array
     """(n, c) of the detection, an axis."""
     index: Array
@@ -94,6 +94,7 @@ def _observed(seen: Sequence[Seen], rig: Rig, sigma_px: float) -> PointImages:
     tracker, rows = Tracker(TrackSettings()), []
     points_of: dict[int, Points] = {}
     index_of: dict[int, Array] = {}
+    freed: dict[int, list[Array]] = {}
     begin_ns = seen[0][0].time_ns if seen else 0
     found, used = np.zeros(cameras), np.zeros(cameras)
     for frame_set, detections, _ in seen:
@@ -106,6 +107,7 @@ def _observed(seen: Sequence[Seen], rig: Rig, sigma_px: float) -> PointImages:
                 found[k] += len(one)
                 used[k] += int((index[:, k] >= 0).sum())
         points_of[frame_set.pulse], index_of[frame_set.pulse] = points, index
+        freed[frame_set.pulse] = _freed(table, rig)
         tracker.predict(frame_set.time_ns * 1e-9)
         samples = tracker.update(points, frame_set.pulse, frame_set.time_ns, 0.0)
         rows += _rows(samples, points_of, index_of, begin_ns)
@@ -116,7 +118,7 @@ def _observed(seen: Sequence[Seen], rig: Rig, sigma_px: float) -> PointImages:
         for k, camera in enumerate(rig.cameras):
             if row.rays[k] >= 0:
                 one = tables[row.frame][camera.name]
-                xy[i, k] = one.xy_px[row.rays[k]]
+                xy[i, k] = freed[row.frame][k][row.rays[k]]
                 sigma[i, k] = np.sqrt(0.5 * np.trace(one.covariance_px2[row.rays[k]]))
     frame = np.array([row.frame for row in rows], np.int64)
     time_s = np.array([row.time_s for row in rows], float)
@@ -127,6 +129,14 @@ def _observed(seen: Sequence[Seen], rig: Rig, sigma_px: float) -> PointImages:
         frame, time_s, track, xyz, _velocities(time_s, track, xyz), xy, sigma, index, used / np.maximum(found, 1),
         sigma_px,
     )  # fmt: skip
+
+
+def _freed(table: RayTable, rig: Rig) -> list[Array]:
+    """Return each camera's images (n, 2) [px] of the directions that matching took for those of targets' centres."""
+    return [
+        lens_pixels(camera.lens, table.direction[begin:end] @ camera.world_from_camera.rotation)
+        for camera, begin, end in zip(rig.cameras, table.start[:-1], table.start[1:], strict=True)
+    ]
 
 
 def _rows(samples: Samples, points_of: dict[int, Points], index_of: dict[int, Array], begin_ns: int) -> list[_Row]:

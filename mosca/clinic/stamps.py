@@ -1,7 +1,7 @@
 """Causes that stamps and frame numbers show: arrival stamps, and frames lost without a gap in the numbers."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.stats import f as f_distribution
@@ -11,10 +11,13 @@ from mosca.clinic.misfit import Residuals
 from mosca.data.arrays import Array
 from mosca.data.frames import Frame, FrameSource, WrappedSource, mid_exposure_ns
 from mosca.data.rig import Rig
+from mosca.data.tracks import Tracks
 from mosca.diagnostics.camera_health import HealthSettings
 
 CERTAIN_S = HealthSettings().late_s
 """Scatter of stamps below which they are taken for those of exposures."""
+ROUNDED_NS = (1_000_000, 10_000_000)
+"""To which files round stamps."""
 FACTOR = 3.0
 """Factor by which stamps may scatter more than the motion says that exposures do."""
 
@@ -57,33 +60,98 @@ def stamp_causes(
         number, t = np.array(witness.numbers[name], float), 1e-9 * (np.array(times, float) - times[0])
         if len(t) < 20:
             continue
-        steps, counted = np.diff(t) / period_s, np.diff(number)
-        gaps = np.flatnonzero(
-            (np.round(steps - counted) >= 1) & (steps > 1.5) & (np.abs(steps - np.round(steps)) < 0.25)
-        )
-        regular = float(np.median(np.abs(steps - np.round(steps))))
-        if len(gaps) and regular < 0.05:
-            text = (
-                f"camera '{name}': {len(gaps)} gap(s) in the stamps without one in the frame numbers, the first of "
-                f"{steps[gaps[0]]:.0f} periods after frame {int(number[gaps[0]])}"
-            )
-            found.append(Diagnosis("dropped-unnoticed", 1e-12, (text,), camera=name, figures={"gaps": len(gaps)}))
-            continue
-        rest = t - np.polyval(np.polyfit(number, t, 1), number)
-        scatter = float(np.std(rest))
-        motion = exposure_scatter(residuals, k) if residuals is not None else None
-        if scatter <= CERTAIN_S or motion is None or scatter <= FACTOR * motion[0]:
-            continue
-        chance = float(f_distribution.sf((scatter / motion[0]) ** 2, len(t) - 2, motion[1]))
-        skew = float(np.mean((rest / scatter) ** 3))
-        text = (
-            f"camera '{name}': stamps scatter by {1e3 * scatter:.2f} ms about even frames (skewness {skew:.1f}; "
-            f"{1e6 * CERTAIN_S:.0f} us allowed), while the motion in its images is even to {1e3 * motion[0]:.2f} ms "
-            f"(p = {chance:.1g})"
-        )
-        if chance < alpha:
-            found.append(Diagnosis("arrival-stamps", chance, (text,), camera=name, figures={"scatter_s": scatter}))
+        one = _gaps(number, t, period_s, f"camera '{name}'")
+        if one is None:
+            motion = exposure_scatter(residuals, k) if residuals is not None else None
+            one = _scattered(number, t, motion, alpha, f"camera '{name}'", "the motion in its images")
+        found += [] if one is None else [replace(one, camera=name)]
     return merged(found)
+
+
+def track_stamp_causes(tracks: Tracks, alpha: float) -> list[Diagnosis]:
+    """Return what stamps and numbers of the frames of tracks show, as a client records them from a stream.
+
+    Stamps that a file rounds are as certain as that.
+    """
+    tracks = tracks.select(tracks.status == "measured")
+    frame, first = np.unique(tracks.frame, return_index=True)
+    period_s = tracks.frame_period_s
+    if len(frame) < 20 or not period_s or period_s <= 0:
+        return []
+    t = 1e-9 * (tracks.time_ns[first] - tracks.time_ns[first[0]])
+    one = _gaps(frame.astype(float), t, period_s, "tracks")
+    if one is None:
+        motion = _sampling_scatter(tracks, period_s)
+        rounded = max((step for step in ROUNDED_NS if not (tracks.time_ns[first] % step).any()), default=0)
+        one = _scattered(frame.astype(float), t, motion, alpha, "tracks", "their motion", 1e-9 * rounded)
+    return [] if one is None else [one]
+
+
+def _gaps(number: Array, t: Array, period_s: float, whose: str) -> Diagnosis | None:
+    """Return that stamps ``t`` (n,) [s] leave out frames which their numbers (n,) do not."""
+    steps, counted = np.diff(t) / period_s, np.diff(number)
+    gaps = np.flatnonzero((np.round(steps - counted) >= 1) & (steps > 1.5) & (np.abs(steps - np.round(steps)) < 0.25))
+    regular = float(np.median(np.abs(steps - np.round(steps))))
+    if not len(gaps) or regular >= 0.05:
+        return None
+    text = (
+        f"{whose}: {len(gaps)} gap(s) in the stamps without one in the frame numbers, the first of "
+        f"{steps[gaps[0]]:.0f} periods after frame {int(number[gaps[0]])}"
+    )
+    return Diagnosis("dropped-unnoticed", 1e-12, (text,), figures={"gaps": len(gaps)})
+
+
+def _scattered(
+    number: Array, t: Array, motion: tuple[float, int] | None, alpha: float, whose: str, what: str,
+    certain_s: float = 0.0,
+) -> Diagnosis | None:  # fmt: skip
+    """Return that stamps scatter more than exposures: ``motion`` has the scatter of these [s], and of how many."""
+    certain_s = max(CERTAIN_S, certain_s)
+    rest = t - np.polyval(np.polyfit(number, t, 1), number)
+    scatter = float(np.std(rest))
+    if scatter <= certain_s or motion is None or scatter <= FACTOR * motion[0]:
+        return None
+    chance = float(f_distribution.sf((scatter / motion[0]) ** 2, len(t) - 2, motion[1]))
+    skew = float(np.mean((rest / scatter) ** 3))
+    text = (
+        f"{whose}: stamps scatter by {1e3 * scatter:.2f} ms about even frames (skewness {skew:.1f}; "
+        f"{1e6 * certain_s:.0f} us allowed), while {what} is even to {1e3 * motion[0]:.2f} ms (p = {chance:.1g})"
+    )
+    if chance >= alpha:
+        return None
+    return Diagnosis("arrival-stamps", chance, (text,), figures={"scatter_s": scatter})
+
+
+def _sampling_scatter(tracks: Tracks, period_s: float) -> tuple[float, int] | None:
+    """Return how far (rms [s]) places scatter along their paths about even frames, and in how many frames.
+
+    Each place against the parabola through the five about it, all tracks of a frame together; None where too little
+    moves. The parabola takes up half of a lone place's share.
+    """
+    pushes: dict[int, float] = {}
+    sizes: dict[int, float] = {}
+    x = np.arange(-2.0, 3.0)
+    onto = np.linalg.pinv(np.stack([np.ones(5), x * period_s, (x * period_s) ** 2], axis=1))
+    for name in np.unique(tracks.track):
+        rows = np.flatnonzero(tracks.track == name)
+        rows = rows[np.argsort(tracks.frame[rows], kind="stable")]
+        if len(rows) < 5:
+            continue
+        near = np.lib.stride_tricks.sliding_window_view(rows, 5)
+        near = near[np.ptp(tracks.frame[near], axis=1) == 4]
+        fitted = np.einsum("pj,njk->npk", onto, tracks.xyz[near])
+        off = tracks.xyz[near[:, 2]] - fitted[:, 0]
+        for frame, push, size in zip(
+            tracks.frame[near[:, 2]].tolist(),
+            np.einsum("nk,nk->n", fitted[:, 1], off).tolist(),
+            np.einsum("nk,nk->n", fitted[:, 1], fitted[:, 1]).tolist(),
+            strict=True,
+        ):
+            pushes[frame], sizes[frame] = pushes.get(frame, 0.0) + push, sizes.get(frame, 0.0) + size
+    late = np.array([pushes[frame] / size for frame, size in sizes.items() if size > 0])
+    if len(late) < 20:
+        return None
+    return 2.0 * float(1.4826 * np.median(np.abs(late - np.median(late)))), len(late)
 
 
 def row_causes(witness: StampWitness, residuals: Residuals, rig: Rig, limit_px: float) -> list[Diagnosis]:

@@ -20,6 +20,7 @@ from mosca.formats.joints.angles_csv import read_angles_csv
 from mosca.formats.joints.joints_csv import read_joints_csv
 from mosca.formats.tracks.tracks_file import read_tracks
 from mosca.rigid_bodies.tracker import body_poses, labelled_by_bodies
+from scenarios.lab.priority import before_others, prompt
 from scenarios.run.interrupt import first_ctrl_c
 from scenarios.run.stream_servers import StreamSettings, check_wait, opened_streams
 from scenarios.run.take_files import take_files
@@ -60,7 +61,7 @@ def replay_tracks(request: ReplayRequest, report: Callable[[str], None]) -> list
     line = FaultLine(faults, frames.model, frames.numbers) if faults.program else None
     with opened_streams(request.settings, frames.model, frames.names, frames.rate_hz) as server:
         player = StreamPlayer(server, line, request.speed)
-        with first_ctrl_c(player.stop):
+        with before_others(), prompt(), first_ctrl_c(player.stop):
             report(server.where())
             report(f"{request.tracks}: {len(frames)} frames at {frames.rate_hz:.6g} Hz; {_content(frames)}")
             while server.connected() < request.wait and not player.stopped:

@@ -113,7 +113,7 @@ class PulsedStream:
         period_s: float = 0.01,
     ) -> None:
         self._frames, self._exposure_ns, self._length, self._period_s = frames, exposure_ns, length, period_s
-        self._sender = FaultedSender(server, faults)
+        self._server, self._sender = server, FaultedSender(server, faults)
         self.sent = 0
         self._first_ns: int | None = None
         self._due: queue.SimpleQueue[tuple[int, int] | None] = queue.SimpleQueue()
@@ -155,9 +155,10 @@ class PulsedStream:
         if frame is None:
             return
         self._first_ns = time_ns if self._first_ns is None else self._first_ns
+        encoded = self._server.encoded(replace(frame, number=number))
         self._deliver_until(time_ns + self._exposure_ns)
         at_s, mid_ns = (time_ns - self._first_ns) * 1e-9, time_ns + self._exposure_ns // 2
-        self._sender.send(replace(frame, number=number), at_s, mid_ns, self._period_s)
+        self._sender.send(encoded, at_s, mid_ns, self._period_s)
         self.sent += 1
 
 

@@ -16,7 +16,8 @@ from hardware.streams.natnet.settings import NatNetSettings
 from mosca.data.bodies import BodyPoses, RigidBody
 from mosca.data.tracks import Tracks
 
-PATIENT_S = 60.0
+PATIENT_S = 300.0
+"""More than a busy computer needs to compile what a test renders."""
 RATE_HZ = 100.0
 PERIOD_S = 1 / RATE_HZ
 

@@ -10,7 +10,9 @@ from natnet_clients import PERIOD_S, PlainClient, server, take_frames, until, wi
 
 from hardware.streams.fault_line import FaultLine
 from hardware.streams.faults import KINDS, StreamFault, StreamFaults, fault_of, read_faults
+from hardware.streams.moved_camera import MovedCamera
 from hardware.streams.play import StreamPlayer, account_lines, looped
+from hardware.streams.values import BODY, StreamFrame
 from mosca.errors import InputError
 
 START = 1000
@@ -229,6 +231,36 @@ def test_bodies_are_swapped(witnessed):
         assert [b.id_num for b in one.rigid_bodies] == [1, 2]
         assert [b.pos[0] for b in one.rigid_bodies] == ([1, 0] if k in ACTIVE else [0, 1])
     between(account, 20, 0.1, 0.29)
+
+
+def test_a_moved_camera_displaces_what_it_sees(witnessed):
+    """Markers fill 5 m along x: the camera stands 5 m beside their middle, at x = 7.5, and sees from x = 2.5 on."""
+    got, model, account = witnessed(fault_of("camera-moved=0.4@0.1+0.2"))
+    numbers = {one.name: one.id_num for one in model.rigid_bodies}
+    for k, one in enumerate(got):
+        turn = 0.1 if k in ACTIVE else 0.0  # a quarter of it
+        y, since = k / 1000, (k - 10) / 1000
+        for m, marker in enumerate(one.labeled_markers):
+            seen = turn if m > 2.5 else 0.0
+            away = np.array([-seen * since, seen * (m - 7.5), 0.0])
+            np.testing.assert_allclose(marker.pos, np.array([m, y, 1.0]) + away, atol=1e-6)
+            assert marker.residual == pytest.approx(np.hypot(2e-4, np.linalg.norm(away)), rel=1e-5)
+        (everything,) = [s for s in one.marker_sets if s.model_name == "all"]
+        np.testing.assert_array_equal(everything.marker_pos_list, [m.pos for m in one.labeled_markers[:4]])
+        # bodies stand at x = 0 and 1, out of its view
+        assert {b.id_num: b.pos[0] for b in one.rigid_bodies} == {numbers["drone"]: 0.0, numbers["cup"]: 1.0}
+    between(account, 20, 0.1, 0.29)
+
+
+def test_a_moved_camera_turns_bodies_in_its_view():
+    """A body alone at (2, 0, 1) and one at the origin: the camera stands at (1 + sqrt 5, 0, 0.5)."""
+    rows = np.zeros(2, BODY)
+    rows["position"], rows["quaternion"] = [[0, 0, 0], [2, 0, 1]], [0, 0, 0, 1]
+    far, near = MovedCamera(StreamFrame(0, 0.0, bodies=rows), 0.4).seen(StreamFrame(0, 0.0, bodies=rows)).bodies
+    np.testing.assert_array_equal(far, rows[0])
+    np.testing.assert_allclose(near["position"], [2.0, 0.1 * (1 - np.sqrt(5)), 1.0], rtol=1e-6)
+    np.testing.assert_allclose(near["quaternion"], [0, 0, np.sin(0.05), np.cos(0.05)], rtol=1e-6)
+    assert near["error"] == pytest.approx(0.1 * (np.sqrt(5) - 1), rel=1e-6)
 
 
 def test_a_programme_over_time(tmp_path):

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 from hardware.streams.natnet import messages
 from hardware.streams.natnet.messages import NS_PER_TICK, ClientCommand, FrameStamps, Version
-from hardware.streams.natnet.settings import Address, ClientAccount, NatNetSettings, bound, free_port
+from hardware.streams.natnet.settings import Address, ClientAccount, NatNetSettings, bound, free_port, sent_whole
 from hardware.streams.stream_server import Outgoing, StreamServer
 from hardware.streams.values import StreamModel
 from mosca.errors import InputError
@@ -92,14 +92,18 @@ class NatNetServer(StreamServer):
         self.frames += 1
         try:
             if self.settings.group is not None:
-                self._count(self._group, self._data, _message(outgoing, self.settings.version), self._group.to)
+                data = _message(outgoing, self.settings.version)
+                self._group.count(sent_whole(self._data, data, self._group.to))
                 return
             now = time.monotonic()
-            for client in tuple(self._clients.values()):
-                account = client.account
-                if client.begins_s > now:
-                    continue
-                if not self._count(account, client.socket, _message(outgoing, account.version)):
+            there = [one for one in tuple(self._clients.values()) if one.begins_s <= now]
+            versions = [one.account.version for one in there]  # a client may change it meanwhile
+            made = {version: _message(outgoing, version) for version in set(versions)}
+            # one right after the other: who is woken first may take the processor from the next
+            outcomes = [sent_whole(one.socket, made[own]) for one, own in zip(there, versions, strict=True)]
+            for client, outcome in zip(there, outcomes, strict=True):
+                client.account.count(outcome)
+                if outcome is None:
                     self._refused(client)
         except ValueError:
             self.too_large += 1
@@ -166,19 +170,6 @@ class NatNetServer(StreamServer):
             lines.append(f"{self.too_large} frames do not fit in a datagram and were left out; stream fewer markers")
         commands = ", ".join(f"{count} {name}" for name, count in sorted(self.counts.items()))
         return [*lines, f"commands: {commands or 'none'}"]
-
-    def _count(self, account: ClientAccount, sock: socket.socket, data: bytes, to: Address | None = None) -> bool:
-        """Send, and count what became of it; False where nobody is there any more."""
-        try:
-            sent = sock.send(data) if to is None else sock.sendto(data, to)
-        except ConnectionRefusedError:
-            account.dropped += 1
-            return False
-        except OSError:  # a full buffer, a cable that is out: this frame is lost, the next may not be
-            account.dropped += 1
-            return True
-        account.sent += sent == len(data)
-        return True
 
     def _listen(self, end: socket.socket) -> None:
         look = min(1.0, self.settings.forget_s / 4)

@@ -59,6 +59,26 @@ class ClientAccount:
     left: str = ""
     """Why it is no longer a client: "disconnected", "gone" (its port is closed), "silent", "server restarted"."""
 
+    def count(self, outcome: bool | None) -> None:
+        """Count what became of a frame, as ``sent_whole`` returned it."""
+        if outcome:
+            self.sent += 1
+        else:
+            self.dropped += 1
+
+
+def sent_whole(sock: socket.socket, data: bytes, to: Address | None = None) -> bool | None:
+    """Send without waiting; return whether it was taken, None where nobody is there any more.
+
+    A full buffer, a cable that is out: this message is lost, the next may not be.
+    """
+    try:
+        return (sock.send(data) if to is None else sock.sendto(data, to)) == len(data)
+    except ConnectionRefusedError:
+        return None
+    except OSError:
+        return False
+
 
 def bound(address: str, port: int, exclusive: bool) -> socket.socket:
     """Return a socket that waits for nothing, bound; others of this server may join it, another server may not."""

@@ -3,14 +3,17 @@
 import numpy as np
 import pytest
 
+from mosca.clinic.diagnose import diagnose_tracks
 from mosca.clinic.geometry import geometry_causes
 from mosca.clinic.images import marker_image
 from mosca.clinic.misfit import fit, residuals_of
-from mosca.clinic.observations import PointImages
+from mosca.clinic.observations import PointImages, observe
 from mosca.clinic.stamps import StampWitness, stamp_causes
 from mosca.clinic.tracks import length_causes, swap_causes
-from mosca.data.frames import Frame
+from mosca.data.detections import Detections
+from mosca.data.frames import Frame, FrameSet
 from mosca.data.rig import Camera, OpenCVLens, Pose, Rig
+from mosca.data.tracks import Tracks
 
 RATE, F, SIZE = 60.0, 700.0, (640, 480)
 ALPHA = 1e-4
@@ -94,6 +97,18 @@ def test_a_turned_camera_is_named():
     pose = turned(POSES[2], 1, 0.006)
     first = causes(lambda c, k, t: pinhole(pose if c == 2 else POSES[c], place(t, k)[0]))[0]
     assert (first.code, first.camera) == ("camera-moved", "cam3")
+
+
+def test_images_of_few_markers_that_are_off_are_no_fault_of_the_rig():
+    """Three of eight markers are half hidden in one camera: their images are off along a lens's field."""
+
+    def half_hidden(c, k, t):
+        return pinhole(POSES[c], place(t, k)[0], k1=-3.0 if k < 3 and c == 1 else 0.0)
+
+    assert residuals_of(observations(half_hidden), RIG, RATE).unit_weight > 3
+    assert causes(half_hidden) == []
+    of_all = causes(lambda c, k, t: pinhole(POSES[c], place(t, k)[0], k1=-3.0 if c == 1 else 0.0))
+    assert of_all[0].code == "wrong-lens"
 
 
 def test_a_forgotten_distortion_is_a_wrong_lens():
@@ -199,6 +214,39 @@ def test_a_gap_in_the_stamps_alone_is_a_frame_that_nobody_counted():
     assert stamp_causes(witness(t, numbers), None, 1 / RATE, ALPHA) == []
 
 
+def recorded_tracks(times, exposed=None, markers=4):
+    """Return tracks of markers that were exposed at ``exposed`` [s] and recorded with stamps ``times`` [s]."""
+    n = len(times)
+    exposed = times if exposed is None else exposed
+    xyz = np.stack([place(exposed, k)[0] for k in range(markers)], axis=1).reshape(-1, 3)
+    xyz = xyz + np.random.default_rng(8).normal(0, 5e-5, xyz.shape)
+    m = n * markers
+    return Tracks(
+        np.repeat(np.arange(n), markers), np.repeat(np.rint(1e9 * times).astype(np.int64), markers),
+        np.tile(np.arange(markers), n), np.full(m, ""), xyz, np.tile(1e-8 * np.eye(3), (m, 1, 1)), np.full(m, 3),
+        np.full(m, 0.1), np.full(m, "measured"),
+    )  # fmt: skip
+
+
+def test_stamps_of_arrival_in_what_a_client_recorded():
+    even = np.arange(200) / RATE
+    arrived = even + np.random.default_rng(5).exponential(0.003, 200)
+    (found,) = diagnose_tracks(recorded_tracks(arrived, even), None).causes
+    assert found.code == "arrival-stamps"
+    assert found.figures["scatter_s"] == pytest.approx(0.003, rel=0.2)
+    # exposed when the stamps say, or stamps that a file rounds
+    assert diagnose_tracks(recorded_tracks(arrived), None).causes == ()
+    assert diagnose_tracks(recorded_tracks(np.round(even, 2), even), None).causes == ()
+    assert diagnose_tracks(recorded_tracks(even), None).causes == ()
+
+
+def test_a_gap_in_the_stamps_of_what_a_client_recorded():
+    t = np.delete(np.arange(150) / RATE, [70, 71])
+    (found,) = diagnose_tracks(recorded_tracks(t), None).causes
+    assert found.code == "dropped-unnoticed"
+    assert "3 periods after frame 69" in found.evidence[0]
+
+
 @pytest.mark.parametrize("sigma", [0.8, 1.6])
 def test_the_edge_of_a_disc_has_the_width_of_its_blur(sigma):
     scipy = pytest.importorskip("scipy.ndimage")
@@ -209,3 +257,43 @@ def test_the_edge_of_a_disc_has_the_width_of_its_blur(sigma):
     assert share == 0.0
     # pixels (1/12 px^2) and steps of one pixel widen it, and the three rows averaged are not one
     assert width / np.sqrt(2 * np.pi) == pytest.approx(np.sqrt(sigma**2 + 1 / 6), rel=0.12)
+
+
+BALL_M = 0.06
+
+
+def seen_balls(sets=20, markers=4):
+    """Yield frame sets of large balls, outlined by the cones that touch them.
+
+    The ellipse's centre is at x z / (z^2 - r^2) in the plane z = 1.
+    """
+    for n in range(sets):
+        t = np.array([n / RATE])
+        centres = np.concatenate([place(t, k)[0] for k in range(markers)])
+        found = {}
+        for camera in RIG.cameras:
+            pose = camera.world_from_camera
+            v = (centres - pose.translation) @ pose.rotation
+            xy = F * v[:, :2] * v[:, 2:] / (v[:, 2:] ** 2 - BALL_M**2) + [320, 240]
+            size = 2 * F * BALL_M / np.linalg.norm(v, axis=1)
+            one = np.ones(markers)
+            found[camera.name] = Detections(
+                camera.name, xy, np.tile(1e-4 * np.eye(2), (markers, 1, 1)), size, 200 * one, one
+            )
+        yield FrameSet(n, round(1e9 * n / RATE)), found, 0.0
+
+
+def test_images_of_balls_are_freed_of_their_eccentricity():
+    seen = list(seen_balls())
+    observed = observe(seen, RIG)
+    assert len(observed) > 40
+    off, raw = [], []
+    for row in range(len(observed)):
+        centres = np.concatenate([place(observed.time_s[row : row + 1], k)[0] for k in range(4)])
+        truth = centres[np.argmin(np.linalg.norm(centres - observed.xyz[row], axis=1))]
+        for c, pose in enumerate(POSES):
+            here = pinhole(pose, truth[None])[0]
+            off.append(observed.xy_px[row, c] - here)
+            raw.append(np.min(np.linalg.norm(seen[observed.frame[row]][1][f"cam{c + 1}"].xy_px - here, axis=1)))
+    assert np.quantile(raw, 0.9) > 0.05  # what is taken off
+    np.testing.assert_allclose(off, 0.0, atol=0.01)
