@@ -6,11 +6,12 @@ from typing import Any
 
 import numpy as np
 
+from mosca.accuracy.planning.cut_discs import measured, taken_variance
 from mosca.accuracy.planning.field_calibration import common_covariance, parameter_covariance
 from mosca.accuracy.planning.layout import CameraOption, Layout, MountingPlace, direction, planned_rig
 from mosca.accuracy.planning.objective import Objective, PredictedMarkers
 from mosca.accuracy.planning.search import WIDE, PlacementTask, first_layout, search
-from mosca.accuracy.planning.views import MarkerRoom, Softness, view_table
+from mosca.accuracy.planning.views import SCALE, MarkerRoom, Softness, view_table
 from mosca.camera.projection import project_with_jacobians
 from mosca.data.arrays import Array
 from mosca.data.rig import Rig
@@ -24,6 +25,7 @@ from scenarios.studies.plan.room import (
     points_in,
     room_of,
     session_of,
+    worn_markers_of,
 )
 
 SEARCH_POINTS, CURVE_POINTS, REPORT_POINTS = 320, 160, 1000
@@ -143,26 +145,40 @@ def task_of(spec: PlanFile, points: Array, calibration_px: float) -> PlacementTa
 
 
 def predicted_of(spec: PlanFile, rig: Rig, rows: Array, room: MarkerRoom) -> VolumePrediction:
-    """Return what is predicted of the markers of ``room`` with ``rig`` and its rows (c, COLUMNS)."""
+    """Return what is predicted of the markers of ``room`` with ``rig`` and its rows (c, COLUMNS).
+
+    The covariance is that of all markers that the pipeline measures, sigma is infinite where fewer cameras than are
+    wanted see at least half of one.
+    """
+    points, places = room.points, rows[:, :3]
     seen, variance = view_table(
-        rows, room.points, room.normals, room.obstacles, room.center, room.diameter_m, room.tables, Softness().row
+        rows, points, np.empty((0, 3)), room.obstacles, room.center, room.diameter_m, room.tables, Softness().row
     )
-    places = rows[:, :3]
+    seen = seen[:, :, 0] > 0.5
     known = parameter_covariance(rig, session_of(spec, places, spec.seed))
-    n, kinds = seen.shape[1:]
+    worn, normals = worn_markers_of(spec), room.normals if len(room.normals) else np.zeros((1, 3))
+    radius_px = rows[:, SCALE, None] * room.diameter_m / (2 * np.linalg.norm(points - places[:, None], axis=2))
+    n, kinds = len(points), len(normals)
     covariance = np.full((n, kinds, 3, 3), np.nan)
-    common = np.full((n, kinds), np.inf)
-    sigma = np.full((n, kinds), np.inf)
-    count = (seen > 0.5).sum(axis=0)
-    for k in range(kinds):
-        good = count[:, k] >= max(2, spec.goal.seen_by)
-        weights = np.where(seen[:, good, k] > 0.5, 1.0 / np.maximum(variance[:, good], 1e-12), 0.0)
-        of_noise = np.linalg.inv(_information(rig, room.points[good], weights))
-        of_rig = common_covariance(rig, known, room.points[good], weights)
-        covariance[good, k] = of_noise + of_rig
-        sigma[good, k] = np.sqrt(np.trace(covariance[good, k], axis1=1, axis2=2))
+    common, sigma = np.full((2, n, kinds), np.inf)
+    count = np.zeros((n, kinds), int)
+    for k, normal in enumerate(normals):
+        hidden, shift, edge = np.zeros(seen.shape), np.zeros(seen.shape), np.zeros((*seen.shape, 3))
+        if worn is not None and normal.any():
+            hidden, shift, edge = worn.images(points, normal, places)
+        count[:, k] = (seen & (hidden <= 0.5)).sum(axis=0)
+        good = measured(seen, hidden)
+        images = (seen & (hidden < 1.0))[:, good]
+        true = np.where(images, variance[:, good], 1.0)
+        weights = np.where(images, 1.0 / taken_variance(hidden[:, good], radius_px[:, good], true), 0.0)
+        displaced = 0.5 * room.diameter_m * shift[:, good, None] * edge[:, good]
+        of_rig = common_covariance(rig, known, points[good], weights)
+        covariance[good, k] = _of_images(rig, points[good], weights, true, displaced) + of_rig
+        enough = good & (count[:, k] >= max(2, spec.goal.seen_by))
+        sigma[enough, k] = np.sqrt(np.trace(covariance[enough, k], axis1=1, axis2=2))
         common[good, k] = np.sqrt(np.trace(of_rig, axis1=1, axis2=2))
-    return VolumePrediction(sigma, covariance, count, room.points, common)
+        common[~enough, k] = np.inf
+    return VolumePrediction(sigma, covariance, count, points, common)
 
 
 def result_document(plan: Plan) -> dict[str, Any]:
@@ -252,11 +268,21 @@ def _calibration_px(spec: PlanFile, mounts: tuple[MountingPlace, ...], count: in
     return float(np.sqrt(share * np.median(variance[variance > 0])))
 
 
-def _information(rig: Rig, points: Array, weights: Array) -> Array:
-    """Return sum J'J / sigma^2 (n, 3, 3) [1/m^2] of points (n, 3) with the weights (c, n) of the cameras."""
-    total = np.zeros((len(points), 3, 3))
-    for camera, weight in zip(rig.cameras, weights, strict=True):
+def _of_images(rig: Rig, points: Array, weights: Array, variance: Array, displaced: Array) -> Array:
+    """Return the mean square error (n, 3, 3) [m^2] that images give points (n, 3).
+
+    ``weights`` (c, n) [1/px^2] with which they count, ``variance`` (c, n) [px^2] of them, ``displaced`` (c, n, 3)
+    [m]: by how much the point that each shows is off.
+    """
+    total, noise = np.zeros((2, len(points), 3, 3))
+    pull = np.zeros((len(points), 3, 1))
+    for camera, weight, of_image, off in zip(rig.cameras, weights, variance, displaced, strict=True):
         rows = np.flatnonzero(weight > 0)
         by_point = project_with_jacobians(camera, points[rows]).by_point
-        total[rows] += np.swapaxes(by_point, 1, 2) @ by_point * weight[rows, None, None]
-    return total
+        told = np.swapaxes(by_point, 1, 2) @ by_point * weight[rows, None, None]
+        total[rows] += told
+        noise[rows] += told * (weight * of_image)[rows, None, None]
+        pull[rows] += told @ off[rows, :, None]
+    inverse = np.linalg.inv(total)
+    mean = inverse @ pull
+    return np.asarray(inverse @ noise @ inverse + mean @ np.swapaxes(mean, 1, 2))

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.stats import qmc
 
+from mosca.accuracy.planning.cut_discs import WornMarkers
 from mosca.accuracy.planning.field_calibration import FieldSession
 from mosca.accuracy.planning.image_noise import PixelNoiseModel, information_table
 from mosca.accuracy.planning.layout import CameraOption, MountingPlace
@@ -73,6 +74,15 @@ def normals_of(plan: PlanFile) -> Array:
         return np.empty((0, 3))
     angle = 2 * np.pi * np.arange(plan.subject.directions) / plan.subject.directions
     return np.column_stack([np.cos(angle), np.sin(angle), np.zeros(len(angle))])
+
+
+def worn_markers_of(plan: PlanFile) -> WornMarkers | None:
+    """Return the balls on the subject, None without one; it is as high as the volume."""
+    if plan.subject is None:
+        return None
+    center, size = bounding_box(plan)
+    low, high = center[2] - size[2] / 2, center[2] + size[2] / 2
+    return WornMarkers(plan.volume.marker_diameter_m / 2, plan.subject.radius_m, float(low), float(high))
 
 
 def room_of(plan: PlanFile, points: Array, normals: Array | None = None) -> MarkerRoom:

@@ -82,17 +82,18 @@ def _at_truth(plan: Plan, truth: Truth) -> tuple[Array, Array, Array, float]:
     xyz = np.asarray(truth.xyz)[frames][:, order]
     rows = best.layout.rows(plan.mounts, np.array([one.row for one in options_of(spec)]))
     draw = np.random.default_rng(spec.seed)
-    sigma, errors, total = [], [], 0
+    sigma, errors, total, unseen = [], [], 0, 0
     for normal in np.unique(subjects.normals, axis=0):
         points = xyz[:, (subjects.normals == normal).all(axis=1)].reshape(-1, 3)
         facing = normal[None] if normal.any() else np.empty((0, 3))
         found = predicted_of(spec, best.rig, rows, room_of(spec, points, facing))
-        good = np.isfinite(found.sigma_m[:, 0])
+        good = np.isfinite(found.covariance[:, 0, 0, 0])
         total += len(points)
-        sigma.append(found.sigma_m[good, 0])
+        unseen += int((~np.isfinite(found.sigma_m)).sum())
+        sigma.append(np.sqrt(np.trace(found.covariance[good, 0], axis1=1, axis2=2)))
         roots = np.linalg.cholesky(found.covariance[good, 0])
         errors.append(np.linalg.norm(np.einsum("nij,nkj->nki", roots, draw.standard_normal((len(roots), DRAWS, 3))),
                                      axis=2).ravel())  # fmt: skip
     seen = (np.asarray(truth.visible)[frames][:, order] >= 0.5).sum(axis=2)
     known = np.concatenate(sigma)
-    return known, np.concatenate(errors), seen, 1 - len(known) / total
+    return known, np.concatenate(errors), seen, unseen / total

@@ -1,0 +1,100 @@
+"""Images of markers that the body which wears them hides in part: how far their centres are off, how much they count.
+
+A ball of radius r seated on a convex body is hidden where the sight line to its centre passes nearer than r to the
+body or through it. With the clearance d of that line (below zero inside), the body's edge cuts a straight piece off
+the disc. Of a disc of radius 1 cut at x = d / r the hidden share, and the shift of the centroid of what is left, away
+from the edge, are
+
+    h = (acos x - x sqrt(1 - x^2)) / pi,    c = 2 (1 - x^2)^(3/2) / (3 pi (1 - h)),    c -> h for small h
+
+(a segment of a circle, and its first moment). A circle fitted to the edge moves by as much where little is hidden:
+the edge is displaced by u(phi) = 1 - x / cos phi, of which 1 / pi int u cos phi dphi = h to first order.
+
+What an image counts for is the pipeline's rule (``mosca.correspondence.hypothesis``): missing areas below a share
+are noise of the sizes, and the image counts in full, with its shift; beyond, its variance grows by the square of the
+shift that goes with the share. A point is the weighted mean of images, each of which is displaced by
+e = c r t, t the edge's normal: with N = sum J'J / v, v what the variance is taken for,
+
+    mean error = N^-1 sum J'J e / v,    covariance of the noise = N^-1 (sum J'J sigma^2 / v^2) N^-1.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mosca.accuracy.planning.obstacles import CYLINDER, clearance
+from mosca.correspondence.hypothesis import HALF_HIDDEN, MOST_ODD, ODD_SHIFT, SIZE_DEADBAND, SIZE_SIGMAS
+from mosca.data.arrays import Array
+from mosca.numba_support.decorators import kernel
+
+
+@dataclass(frozen=True, eq=False)
+class WornMarkers:
+    """Balls seated on an upright cylinder, one a body: where the body is, seen from each ball's centre."""
+
+    radius_m: float
+    """Of the balls."""
+    body_radius_m: float
+    low_m: float
+    high_m: float
+    """Heights of the body's ends."""
+
+    def images(self, points: Array, normal: Array, places: Array) -> tuple[Array, Array, Array]:
+        """Return hidden shares (c, n), and shifts (c, n) [radius] and their directions (c, n, 3), of balls' images.
+
+        ``points`` (n, 3) [m] centres of balls with the same ``normal`` (3,), ``places`` (c, 3) of the cameras [m].
+        """
+        axes = points - (self.body_radius_m + self.radius_m) * normal
+        near, edge = body_clearance(points, axes, places, self.body_radius_m, self.low_m, self.high_m)
+        hidden, shift = cut_disc(near / self.radius_m)
+        return hidden, shift, edge
+
+
+def cut_disc(cut: Array) -> tuple[Array, Array]:
+    """Return the hidden share of discs of radius 1 cut by a line at ``cut`` from the centre, 1 or more: not cut, and
+    the shift of the centroid of what is left, 0 where nothing is.
+    """
+    x = np.clip(cut, -1.0, 1.0)
+    hidden = (np.arccos(x) - x * np.sqrt(1.0 - x * x)) / np.pi
+    left = np.maximum(1.0 - hidden, 1e-12)
+    return hidden, 2.0 * (1.0 - x * x) ** 1.5 / (3.0 * np.pi * left)
+
+
+def taken_variance(hidden: Array, radius_px: Array, variance: Array) -> Array:
+    """Return the variance [px^2] that matching takes images for, of which a share is hidden.
+
+    ``variance`` [px^2]: of whole images. The radius of a disc is known to 1 / sqrt(2) of the centre's standard
+    deviation (Fisher information of a sharp edge: pi and 2 pi times the same), its area to twice that share.
+    """
+    usual = np.maximum(SIZE_DEADBAND, SIZE_SIGMAS * np.sqrt(2.0 * variance) / radius_px)
+    shift = ODD_SHIFT * np.minimum(hidden, MOST_ODD) * radius_px
+    return np.asarray(variance + np.where(hidden > usual, 0.5 * shift**2, 0.0))
+
+
+def measured(seen: Array, hidden: Array) -> Array:
+    """Return which points (n,) are measured: three images, or two of which none is more than half hidden."""
+    images = (seen & (hidden < 1.0)).sum(axis=0)
+    good = (seen & (hidden < HALF_HIDDEN)).sum(axis=0)
+    return np.asarray((good >= 2) | (images >= 3))
+
+
+@kernel
+def body_clearance(points, axes, places, radius, low, high):
+    """Return the least signed distance (c, n) [m] of sight lines from a body, and the normal (c, n, 3) there.
+
+    ``points`` (n, 3) [m], ``axes`` (n, 3) [m]: on the axis of the upright cylinder that goes with each, ``places``
+    (c, 3) [m]; ``radius``, ``low``, ``high`` [m] of all bodies.
+    """
+    near, edge = np.zeros((len(places), len(points))), np.zeros((len(places), len(points), 3))
+    row = np.array([CYLINDER, 0.0, 0.0, 0.5 * (low + high), radius, radius, 0.5 * (high - low), 1.0, 0.0])
+    for c in range(len(places)):
+        for p in range(len(points)):
+            row[1], row[2] = axes[p, 0], axes[p, 1]
+            d, x, y, z = clearance(
+                row, points[p, 0], points[p, 1], points[p, 2], places[c, 0], places[c, 1], places[c, 2], 1e9
+            )
+            near[c, p] = d
+            length = np.sqrt(x * x + y * y + z * z)
+            if length > 0.0:
+                edge[c, p, 0], edge[c, p, 1], edge[c, p, 2] = x / length, y / length, z / length
+    return near, edge
