@@ -121,7 +121,13 @@ def project(camera: Camera, xyz: ArrayLike) -> Array:
     return project_points(camera, np.asarray(xyz, dtype=float))
 
 
-def triangulate(rig: Rig, images: Mapping[str, ArrayLike], sigma_px: float = 1.0) -> Triangulated:
+def triangulate(
+    rig: Rig,
+    images: Mapping[str, ArrayLike],
+    sigma_px: float = 1.0,
+    *,
+    covariances_px2: Mapping[str, ArrayLike] | None = None,
+) -> Triangulated:
     """Return the points whose images are known in each camera, with covariance.
 
     Parameters
@@ -132,11 +138,14 @@ def triangulate(rig: Rig, images: Mapping[str, ArrayLike], sigma_px: float = 1.0
         Pixel of point k in row k, NaN where a camera does not see it; cameras may be left out.
     sigma_px :
         Standard deviation of an image coordinate [px].
+    covariances_px2 : camera name -> (n, 2, 2)
+        Those of the pixels of each camera in ``images``, as detections state them, in place of ``sigma_px``.
 
     Raises
     ------
     InputError
-        For a camera that the rig lacks, and for tables of different lengths.
+        For a camera that the rig lacks, for tables of different lengths, and for a seen pixel whose covariance is
+        not positive.
     """
     tables = {name: np.asarray(xy, dtype=float).reshape(-1, 2) for name, xy in images.items()}
     for name in tables:
@@ -149,7 +158,27 @@ def triangulate(rig: Rig, images: Mapping[str, ArrayLike], sigma_px: float = 1.0
     n = lengths.pop() if lengths else 0
     unseen = np.full((n, 2), np.nan)
     xy_px = np.stack([tables.get(name, unseen) for name in rig.names], axis=1)
-    return Triangulated(*triangulate_table(rig, xy_px, sigma_px))
+    weights = None if covariances_px2 is None else _weights(rig, tables, covariances_px2)
+    return Triangulated(*triangulate_table(rig, xy_px, sigma_px, weights))
+
+
+def _weights(rig: Rig, tables: Mapping[str, Array], given: Mapping[str, ArrayLike]) -> Array:
+    """Return the covariances (n, c, 2, 2) of the pixels (n, 2) of each camera; InputError where there is none."""
+    n = len(next(iter(tables.values()), ()))
+    made = np.tile(np.eye(2), (n, len(rig.names), 1, 1))
+    for c, name in enumerate(rig.names):
+        if name not in tables:
+            continue
+        one = np.asarray(given.get(name, ()), dtype=float)
+        if one.shape != (n, 2, 2):
+            raise InputError(f"triangulate: covariances of '{name}' {one.shape} given; {(n, 2, 2)} are wanted")
+        seen = np.isfinite(tables[name]).all(axis=1)
+        good = (one[:, 0, 0] > 0) & (np.linalg.det(one) > 0)
+        if (seen & ~good).any():
+            row = int(np.flatnonzero(seen & ~good)[0])
+            raise InputError(f"triangulate: covariance of row {row} of '{name}' is not positive definite")
+        made[seen, c] = one[seen]
+    return made
 
 
 def match(

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from mosca.camera.projection import project
 from mosca.camera.ray_table import make_ray_table
 from mosca.data.arrays import Array
 from mosca.data.detections import Detections
@@ -88,27 +89,34 @@ def solve_rays(members, ranks, rays, views, steps, solved):
     return total
 
 
-def triangulate(rig: Rig, xy_px: Any, sigma_px: float = 1.0) -> tuple[Array, Array, Array]:
+def triangulate(
+    rig: Rig, xy_px: Any, sigma_px: float = 1.0, covariance_px2: Array | None = None
+) -> tuple[Array, Array, Array]:
     """Triangulate points whose images are known in each camera.
 
     ``xy_px`` (n, c, 2): pixel in each camera of the rig, NaN where it is not seen; ``sigma_px`` its standard
-    deviation an axis. Returns xyz (n, 3) [m], covariance (n, 3, 3) [m^2] and rms reprojection error
-    (n,) [px]; NaN where fewer than two rays meet.
+    deviation an axis, or ``covariance_px2`` (n, c, 2, 2) that of each. Returns xyz (n, 3) [m], covariance (n, 3, 3)
+    [m^2] and rms reprojection error (n,) [px]; NaN where fewer than two rays meet.
     """
     xy = np.asarray(xy_px, dtype=float)
+    equal = np.broadcast_to(sigma_px**2 * np.eye(2), (*xy.shape[:2], 2, 2))
+    weight = equal if covariance_px2 is None else np.asarray(covariance_px2, dtype=float)
     n, found, row_of = len(xy), {}, np.full(xy.shape[:2], -1, dtype=np.int64)
     first = 0
     for c, camera in enumerate(rig.cameras):
         rows = np.flatnonzero(np.isfinite(xy[:, c]).all(axis=1))
         k = len(rows)
-        found[camera.name] = Detections(
-            camera.name, xy[rows, c], np.tile(sigma_px**2 * np.eye(2), (k, 1, 1)), np.ones(k), np.ones(k), np.ones(k)
-        )
+        found[camera.name] = Detections(camera.name, xy[rows, c], weight[rows, c], np.ones(k), np.ones(k), np.ones(k))
         row_of[rows, c] = first + np.arange(k)
         first += k
     bundle = make_ray_table(rig, found, 0.0)
     solved, total, count = _solve_rows(row_of, bundle.rays, bundle.views)
-    return (solved[:, :3], solved[:, 3:].reshape(n, 3, 3), sigma_px * np.sqrt(total / (2 * np.maximum(count, 1))))
+    xyz, values = solved[:, :3], 2 * np.maximum(count, 1)
+    residual = sigma_px * np.sqrt(total / values)
+    if covariance_px2 is not None:
+        off = np.stack([project(camera, xyz) for camera in rig.cameras], axis=1) - xy
+        residual = np.where(np.isfinite(total), np.sqrt(np.nansum(off**2, axis=(1, 2)) / values), np.nan)
+    return xyz, solved[:, 3:].reshape(n, 3, 3), residual
 
 
 @kernel

@@ -66,7 +66,9 @@ class BenchmarkOptions:
 @click.option("--export", type=OUT_FOLDER, help="write the data sets with their truth into this folder, run nothing")
 @click.option("--tune", is_flag=True, help="tune settings on the tuning seeds (changes settings.toml)")
 @click.option("--cache", type=OUT_FOLDER, help="where environments are kept  [default: ~/.cache/mosca-benchmark]")
-@click.option("--workers", type=click.IntRange(1, 64), help="rendering threads  [default: all cores]")
+@click.option(
+    "--workers", type=click.IntRange(1, 64), help="rendering threads, and entrants side by side  [default: all cores]"
+)
 def benchmark(**given: Any) -> None:
     """Compare mosca with other programs on the same images: a leaderboard.
 
@@ -101,6 +103,8 @@ def benchmark(**given: Any) -> None:
     else:
         # before the first round is published there is nothing to repeat
         passphrase = (None if options.fresh else seeds.published()) or seeds.fresh()
+    if not (options.sets or options.quick):
+        sets = set_files(passphrase.sets)
     if options.export is not None:
         _export(sets, passphrase, options.export, job.workers)
         return

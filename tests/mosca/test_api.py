@@ -70,6 +70,44 @@ def test_a_camera_may_be_left_out_and_a_wrong_one_is_named() -> None:
         mosca.triangulate(RIG, {"cam1": pixels["cam1"], "cam2": pixels["cam2"][:2]})
 
 
+def test_pixels_count_by_their_covariances() -> None:
+    pixels = {camera.name: mosca.project(camera, XYZ) for camera in RIG.cameras}
+    pixels["cam3"][1] = np.nan
+    plain = mosca.triangulate(RIG, pixels, sigma_px=0.1)
+    equal = {name: np.tile(0.01 * np.eye(2), (3, 1, 1)) for name in pixels}
+    same = mosca.triangulate(RIG, pixels, covariances_px2=equal)
+    assert same.covariance == pytest.approx(plain.covariance, rel=1e-9)
+    # an image that is 2 px off and says so moves the point by what its weight allows: least squares by hand
+    pixels["cam2"][0] += (2.0, -1.0)
+    stated = {name: one.copy() for name, one in equal.items()}
+    stated["cam2"][0] = [[9.0, 1.0], [1.0, 4.0]]
+    found = mosca.triangulate(RIG, pixels, covariances_px2=stated)
+    normal, moment, step = np.zeros((3, 3)), np.zeros(3), 1e-6
+    for camera in RIG.cameras:
+        here = mosca.project(camera, XYZ[:1])[0]
+        jacobian = np.array([mosca.project(camera, XYZ[:1] + step * axis)[0] - here for axis in np.eye(3)]).T / step
+        weight = np.linalg.inv(stated[camera.name][0])
+        normal += jacobian.T @ weight @ jacobian
+        moment += jacobian.T @ weight @ (pixels[camera.name][0] - here)
+    expected = np.linalg.solve(normal, moment)
+    assert found.xyz[0] - XYZ[0] == pytest.approx(expected, abs=0.02 * np.linalg.norm(expected))
+    assert found.covariance[0] == pytest.approx(
+        np.linalg.inv(normal), rel=0.02, abs=1e-3 * np.abs(normal).max() ** -1
+    )
+    assert np.linalg.norm(expected) < 0.05 * np.linalg.norm(mosca.triangulate(RIG, pixels).xyz[0] - XYZ[0])
+    off = [mosca.project(camera, found.xyz[:1])[0] - pixels[camera.name][0] for camera in RIG.cameras]
+    assert found.residual_px[0] == pytest.approx(np.sqrt(np.mean(np.square(off))), rel=1e-9)
+
+
+def test_covariances_that_are_none_are_named() -> None:
+    pixels = {camera.name: mosca.project(camera, XYZ) for camera in RIG.cameras}
+    with pytest.raises(InputError, match=r"covariances of 'cam1' \(0,\) given; \(3, 2, 2\) are wanted"):
+        mosca.triangulate(RIG, pixels, covariances_px2={})
+    flat = {name: np.zeros((3, 2, 2)) for name in pixels}
+    with pytest.raises(InputError, match="covariance of row 0 of 'cam1' is not positive definite"):
+        mosca.triangulate(RIG, pixels, covariances_px2=flat)
+
+
 def test_detections_are_matched_and_tracked_without_a_setting() -> None:
     speed, instants = np.array([0.2, 0.0, 0.0]), []
     for frame in range(12):

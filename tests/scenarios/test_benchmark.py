@@ -3,7 +3,9 @@
 import csv
 import dataclasses
 import json
+import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import cv2
@@ -19,11 +21,11 @@ from reports.benchmark.page import write_leaderboard
 from scenarios.build.camera_ring import looking_at
 from scenarios.cli.main import cli
 from scenarios.studies.benchmark import seeds
-from scenarios.studies.benchmark.benchmark import Benchmarked, BenchmarkJob, OnSet
+from scenarios.studies.benchmark.benchmark import Benchmarked, BenchmarkJob, OnSet, run_benchmark
 from scenarios.studies.benchmark.entrant import Entrant, EnvironmentFailed, python_of, read_entrants, settings_for
 from scenarios.studies.benchmark.execute import execute
 from scenarios.studies.benchmark.folder import MadeSet, read_about, read_set_truth, write_set
-from scenarios.studies.benchmark.make import make_set, set_files
+from scenarios.studies.benchmark.make import SetFile, make_set, set_files
 from scenarios.studies.benchmark.result import document_of, mean_interval, overall, write_result
 from scenarios.studies.benchmark.scoring import FoundPoints, match_detections, read_found, score_found
 from scenarios.types import Score
@@ -148,6 +150,42 @@ def test_children_of_one_that_is_cut_off_end_too(tmp_path):
     assert not _lives(status)
 
 
+def test_what_runs_is_ended_when_the_run_is_stopped(tmp_path):
+    stopped = threading.Event()
+    with ThreadPoolExecutor(1) as pool:
+        code = "open('begun', 'w').close()\nimport time\ntime.sleep(600)\n"
+        running = pool.submit(execute, [str(PYTHON), "-S", "-c", code], {}, tmp_path, 300.0, stopped)
+        until = time.monotonic() + 60
+        while not (tmp_path / "begun").exists() and time.monotonic() < until:
+            time.sleep(0.02)
+        stopped.set()
+        done = running.result(timeout=60)
+    assert done.error == "stopped"
+    assert execute([str(PYTHON), "-S", "-c", "import time; time.sleep(600)"], {}, tmp_path, 300.0, stopped).error
+
+
+@pytest.mark.parametrize("workers", [1, 4])
+def test_entrants_side_by_side_give_the_rows_of_one_after_the_other(tmp_path, monkeypatch, workers):
+    one = on_set(tmp_path)
+    # the borrower stands first: it is run after the one whose image points it gets
+    exact = planted("exact", tmp_path, "matched")
+    borrower = exact.model_copy(update={"name": "shifted", "detections_of": "exact"})
+    entrants = [borrower, planted("crash", tmp_path), planted("nothing", tmp_path), exact]
+    monkeypatch.setattr(
+        "scenarios.studies.benchmark.benchmark.python_of", lambda entrant, _: one.pythons[entrant.name]
+    )
+    monkeypatch.setattr("scenarios.studies.benchmark.benchmark.make_set", lambda *_: None)
+    job = dataclasses.replace(one.job, workers=workers)
+    steps: list[int] = []
+    small = SetFile(Path("small.toml"))
+    monkeypatch.setattr("scenarios.studies.benchmark.benchmark.row_key", lambda *_: "key")
+    found = run_benchmark([small], entrants, seeds.given("a"), job, lambda done, _: steps.append(done))
+    assert [row.entrant for row in found.rows] == ["shifted", "crash", "nothing", "exact"]
+    assert [row.scores["completeness"].value for row in found.rows] == [1.0, 0.0, 0.0, 1.0]
+    assert [bool(row.error) for row in found.rows] == [False, True, False, False]
+    assert steps == list(range(1, 10))
+
+
 def test_memory_is_that_of_the_entrant_alone(tmp_path):
     held = np.ones(1 << 27, np.uint8)  # 134 MB of this process are none of it
     little = execute([str(PYTHON), "-S", "-c", "import time; time.sleep(0.3)"], {}, tmp_path, 30.0)
@@ -244,6 +282,16 @@ def test_image_points_are_matched_one_to_one_within_the_disc(tmp_path):
     assert match_detections(tmp_path / "d.csv", truth, tmp_path / "m.csv") == 1
 
 
+def test_stated_covariances_stay_with_their_image_points(tmp_path):
+    _, truth = small_truth()
+    rows = ["camera,frame,u,v,var_u,cov_uv,var_v", "c0,0,-50,-50,9,9,9"]
+    rows += [f"c0,0,{u},{v},0.{k + 1},0.0{k + 1},0.5" for k, (u, v) in enumerate(truth.image_xy_px[0, ::-1, 0])]
+    (tmp_path / "d.csv").write_text("\n".join(rows) + "\n")
+    assert match_detections(tmp_path / "d.csv", truth, tmp_path / "m.csv") == MARKERS
+    found = {row["target"]: (row["var_u"], row["cov_uv"], row["var_v"]) for row in table_of(tmp_path / "m.csv")}
+    assert found == {str(MARKERS - 1 - k): (f"0.{k + 1}", f"0.0{k + 1}", "0.5") for k in range(MARKERS)}
+
+
 def test_a_written_set_is_read_back_and_its_cameras_are_opencvs(tmp_path):
     made(tmp_path)
     _, truth = small_truth()
@@ -309,7 +357,13 @@ def test_a_published_passphrase_must_be_the_committed_one(tmp_path):
     path.write_text(f'[[round]]\ncommitment_sha256 = "{seeds.digest("a")}"\npassphrase = "a"\n')
     told = seeds.published(path)
     assert told is not None
-    assert told.text == "a"
+    assert (told.text, told.sets) == ("a", ())
+    path.write_text(
+        f'[[round]]\ncommitment_sha256 = "{seeds.digest("a")}"\npassphrase = "a"\nsets = ["actor", "ring_8"]\n'
+    )
+    told = seeds.published(path)
+    assert told is not None
+    assert told.sets == ("actor", "ring_8")
     path.write_text(f'[[round]]\ncommitment_sha256 = "{seeds.digest("a")}"\npassphrase = "b"\n')
     with pytest.raises(InputError, match="round 1: SHA-256"):
         seeds.published(path)
@@ -378,6 +432,22 @@ def test_wrong_options_are_told_in_one_line(given, told):
     assert isinstance(done.exception, InputError)
     assert told in str(done.exception)
     assert "\n" not in str(done.exception)
+
+
+def test_the_plain_command_runs_the_sets_of_the_published_round(tmp_path, monkeypatch):
+    rounds = tmp_path / "rounds.toml"
+    rounds.write_text(
+        f'[[round]]\ncommitment_sha256 = "{seeds.digest("a")}"\npassphrase = "a"\nsets = ["actor", "ring_8"]\n'
+    )
+    published = seeds.published
+    monkeypatch.setattr("scenarios.studies.benchmark.seeds.published", lambda: published(rounds))
+    ran: list[list[str]] = []
+    monkeypatch.setattr("scenarios.cli.benchmark._run", lambda sets, *_: ran.append([one.name for one in sets]))
+    for given in ([], ["--set", "cloud_50"], ["--fresh"]):
+        CliRunner().invoke(cli, ["benchmark", *given, "--out", str(tmp_path)])
+    assert ran[0] == ["actor", "ring_8"]
+    assert ran[1] == ["cloud_50"]
+    assert len(ran[2]) == 10
 
 
 def test_an_export_leaves_files_that_are_there_alone(tmp_path):

@@ -3,8 +3,10 @@
 import logging
 import os
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
+from threading import Event
 from typing import Any
 
 import numpy as np
@@ -61,7 +63,7 @@ class BenchmarkJob:
     """Environments that are kept."""
     limit_s: float = LIMIT_S
     workers: int = 1
-    """Threads that render."""
+    """Threads that render, and entrants that run side by side."""
     twice: bool = False
 
 
@@ -160,16 +162,23 @@ def _on_set(
     installed: tuple[dict[str, Path], dict[str, str]],
     step: Callable[[str], None],
 ) -> list[BenchmarkRow]:
-    """Run all entrants on a set; rows with results are kept."""
+    """Run all entrants on a set, ``job.workers`` of them side by side; rows with results are kept."""
     on_set = OnSet(one.name, job, *installed)
-    rows = []
-    for entrant in entrants:
-        own = on_set.rows_of(entrant)
-        if not any(row.error or row.again for row in own):
-            keep_rows(*_where_kept(one, entrant, passphrase, job), own)
-        rows += own
-        step(f"{entrant.name} on {one.name}")
-    return rows
+    rows: dict[str, list[BenchmarkRow]] = {}
+    finding = [entrant for entrant in entrants if entrant.detections_of is None]
+    borrowing = [entrant for entrant in entrants if entrant.detections_of is not None]
+    with ThreadPoolExecutor(job.workers) as pool:
+        try:
+            for some in (finding, borrowing):
+                for entrant, own in zip(some, pool.map(on_set.rows_of, some), strict=True):
+                    if not any(row.error or row.again for row in own):
+                        keep_rows(*_where_kept(one, entrant, passphrase, job), own)
+                    rows[entrant.name] = own
+                    step(f"{entrant.name} on {one.name}")
+        finally:
+            # after Ctrl-C nothing runs on
+            on_set.stopped.set()
+    return [row for entrant in entrants for row in rows[entrant.name]]
 
 
 class OnSet:
@@ -180,6 +189,8 @@ class OnSet:
         self.truth = read_set_truth(job.data / "truth" / name)
         low, high = np.array(read_about(job.data / name / "dataset.json").volume_m)
         self.working_space_m = float((high - low).max())
+        self.stopped = Event()
+        """Set: what runs is ended, and nothing more is begun."""
         self._matched: dict[tuple[str, str], Path | str] = {}
 
     def rows_of(self, entrant: Entrant) -> list[BenchmarkRow]:
@@ -244,7 +255,7 @@ class OnSet:
         dataset = (self.job.data / self.name).absolute()
         python, adapter = self.pythons[entrant.name], ADAPTERS / entrant.adapter
         command = adapter_command(python, adapter, phase, dataset, out, settings, *more)
-        return execute(command, own_environment(entrant), out.parent / phase, self.job.limit_s)
+        return execute(command, own_environment(entrant), out.parent / phase, self.job.limit_s, self.stopped)
 
 
 def _difference(scores: dict[str, Score], again: tuple[dict[str, Score], str, Execution]) -> str:

@@ -8,6 +8,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from threading import Event
 from typing import Any, BinaryIO
 
 from mosca.data.files.bounded import open_file
@@ -29,20 +30,26 @@ class Execution:
     """Most memory that it held [MB]; None where the operating system does not say."""
 
 
-def execute(command: Sequence[str], environment: Mapping[str, str], folder: Path, limit_s: float) -> Execution:
-    """Run ``command`` in ``folder``; it is ended, with its children, after ``limit_s`` [s].
+def execute(
+    command: Sequence[str], environment: Mapping[str, str], folder: Path, limit_s: float, stopped: Event | None = None
+) -> Execution:
+    """Run ``command`` in ``folder``; ended, with its children, after ``limit_s`` [s] or once ``stopped`` is set.
 
     What it prints is in ``folder/log.txt``.
     """
+    if stopped is None:
+        stopped = Event()
     folder.mkdir(parents=True, exist_ok=True)
     log = folder / "log.txt"
     begun = time.monotonic()
     with open(log, "wb") as out:
         try:
-            code, peak = _waited(_started(command, environment, folder, out), begun + limit_s)
+            code, peak = _waited(_started(command, environment, folder, out), begun + limit_s, stopped)
         except OSError as error:
             return Execution(f"cannot be started: {error.strerror}", time.monotonic() - begun, None)
     seconds = time.monotonic() - begun
+    if code is None and stopped.is_set():
+        return Execution("stopped", seconds, peak)
     if code is None:
         return Execution(f"cut off at the limit of {limit_s:g} s", seconds, peak)
     return Execution("" if code == 0 else _reason(code, log), seconds, peak)
@@ -67,16 +74,15 @@ def _started(
     )  # fmt: skip
 
 
-def _waited(process: "subprocess.Popen[bytes]", until: float) -> tuple[int | None, float | None]:
-    """Return the exit code, None where the time was over before, and the most memory that was held [MB]."""
+def _waited(process: "subprocess.Popen[bytes]", until: float, stopped: Event) -> tuple[int | None, float | None]:
+    """Return the exit code, None where it was cut off before, and the most memory that was held [MB]."""
     peak: float | None = None
     try:
         while True:
             peak = _peak_mb(process.pid) or peak
             code = process.poll()
-            if code is not None or time.monotonic() > until:
+            if code is not None or time.monotonic() > until or stopped.wait(POLL_S):
                 return code, peak
-            time.sleep(POLL_S)
     finally:
         _ended(process)
 

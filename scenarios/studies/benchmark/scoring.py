@@ -16,7 +16,7 @@ from mosca.data.arrays import Array
 from mosca.data.tracks import Tracks
 from mosca.data.truth import Truth
 from mosca.errors import InputError
-from mosca.formats.tracks.csv_columns import integers, parsed, read_columns, reals, write_columns
+from mosca.formats.tracks.csv_columns import integers, parsed, read_columns, read_named, reals, write_columns
 from scenarios.score.tracks import block_of, metrics, pair, ratio_of_sums
 from scenarios.types import Score, TruthPairs
 
@@ -25,6 +25,8 @@ POINTS, DETECTIONS, MATCHED = (
     ("camera", "frame", "u", "v"),
     ("frame", "target", "camera", "u", "v"),
 )
+COVARIANCE = ("var_u", "cov_uv", "var_v")
+"""Columns [px^2] that an entrant may add to its image points, and then finds in what it triangulates."""
 CUT_OFF_M = 0.01
 """Of OSPA: a miss or a ghost weighs as much as an error of 10 mm, far beyond any set's typical one."""
 KEPT = ("position_rms", "position_p95", "position_max", "completeness", "ghosts_per_frame")
@@ -97,7 +99,7 @@ def match_detections(path: Path, truth: Truth, out: Path) -> int:
     In each image, one to one with the least total distance from the true images of the markers' centres. InputError
     in one line for a table that cannot be of this set.
     """
-    cells = read_columns(path, DETECTIONS, "table of image points")
+    cells = read_named(path, DETECTIONS, COVARIANCE, "table of image points")
     frame = parsed(cells["frame"], "frame", int, path)
     places = np.stack([parsed(cells[name], name, float, path) for name in ("u", "v")], axis=1)
     _check_frames(frame, truth, path)
@@ -118,7 +120,9 @@ def match_detections(path: Path, truth: Truth, out: Path) -> int:
     chosen = places[table[:, 3]]
     names = [truth.cameras[c] for c in table[:, 2]]
     columns = [integers(table[:, 0]), integers(table[:, 1]), names, reals(chosen[:, 0]), reals(chosen[:, 1])]
-    write_columns(out, MATCHED, columns)
+    stated = [name for name in COVARIANCE if name in cells]
+    columns += [[cells[name][row] for row in table[:, 3].tolist()] for name in stated]
+    write_columns(out, (*MATCHED, *stated), columns)
     return len(table)
 
 

@@ -24,6 +24,8 @@ class Round(Table):
 
     commitment_sha256: str
     passphrase: str | None = None
+    sets: tuple[str, ...] = ()
+    """The data sets of the round; none: all."""
 
 
 class Rounds(Table):
@@ -39,6 +41,8 @@ class Passphrase:
     text: str
     told: str
     """In words, for the result."""
+    sets: tuple[str, ...] = ()
+    """The data sets of its round; none: all."""
 
     @property
     def sha256(self) -> str:
@@ -78,7 +82,8 @@ def published(path: Path = ROUNDS) -> Passphrase | None:
                     f"{path}: round {number}: SHA-256 of passphrase is {digest(one.passphrase)}, committed was "
                     f"{one.commitment_sha256}; run with --fresh, and distrust this round"
                 )
-            return Passphrase(one.passphrase, f"round {number} of the repository; its hash was committed before")
+            told = f"round {number} of the repository; its hash was committed before"
+            return Passphrase(one.passphrase, told, one.sets)
     return None
 
 

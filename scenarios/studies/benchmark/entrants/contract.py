@@ -3,9 +3,10 @@
 An adapter is called as ``python ADAPTER.py PHASE DATASET OUT.csv SETTINGS.json [MATCHED.csv]``:
 
 - ``points``: from images to OUT.csv with ``frame,x,y,z`` [m], in the world of ``cameras.json``;
-- ``detect``: from images to OUT.csv with ``camera,frame,u,v`` [px];
-- ``triangulate``: from MATCHED.csv with ``frame,target,camera,u,v`` (the same target: the same marker) to OUT.csv as
-  of ``points``.
+- ``detect``: from images to OUT.csv with ``camera,frame,u,v`` [px], and ``var_u,cov_uv,var_v`` [px^2] where the
+  entrant states the covariance of its image points;
+- ``triangulate``: from MATCHED.csv with ``frame,target,camera,u,v`` (the same target: the same marker), and those
+  covariances, to OUT.csv as of ``points``.
 
 It writes what it finds; whatever goes wrong is an exception.
 """
@@ -21,6 +22,7 @@ import numpy as np
 
 Arrays = Any
 Read = Callable[[str], Arrays]
+PLACE, COVARIANCE = ("u", "v"), ("var_u", "cov_uv", "var_v")
 
 
 class Dataset:
@@ -52,17 +54,20 @@ class Dataset:
             images = [(k, np.clip(image.astype(np.int16) - still, 0, 255).astype(np.uint8)) for k, image in images]
         yield from images
 
-    def read_matched(self, path: str) -> tuple[Arrays, Arrays]:
-        """Return the frame (n,) and the images (n, cameras, 2) [px] of each target, NaN where there is none."""
+    def read_matched(self, path: str, names: Sequence[str] = PLACE) -> tuple[Arrays, Arrays]:
+        """Return the frame (n,) and the columns ``names`` (n, cameras, k) of each target's images, NaN for none.
+
+        By default their places [px].
+        """
         found: dict[tuple[int, int], Arrays] = {}
         with open(path, newline="", encoding="utf-8") as file:
             for row in csv.DictReader(file):
                 key = int(row["frame"]), int(row["target"])
-                place = found.setdefault(key, np.full((len(self.names), 2), np.nan))
-                place[self.names.index(row["camera"])] = float(row["u"]), float(row["v"])
+                place = found.setdefault(key, np.full((len(self.names), len(names)), np.nan))
+                place[self.names.index(row["camera"])] = [float(row[name]) for name in names]
         keys = sorted(found)
         places = [found[key] for key in keys]
-        return np.array([frame for frame, _ in keys], int), np.array(places).reshape(-1, len(self.names), 2)
+        return np.array([frame for frame, _ in keys], int), np.array(places).reshape(-1, len(self.names), len(names))
 
 
 def projections(dataset: Dataset) -> list[Arrays]:
@@ -95,9 +100,9 @@ def write_points(path: str, frame: Arrays, xyz: Arrays) -> None:
     )
 
 
-def write_detections(path: str, rows: Iterator[tuple[str, int, float, float]]) -> None:
-    """Write ``camera,frame,u,v``."""
-    _write(path, ("camera", "frame", "u", "v"), rows)
+def write_detections(path: str, rows: Iterator[tuple[Any, ...]], more: Sequence[str] = ()) -> None:
+    """Write ``camera,frame,u,v`` and the columns ``more``."""
+    _write(path, ("camera", "frame", *PLACE, *more), rows)
 
 
 def _write(path: str, names: Sequence[str], rows: Iterator[tuple[Any, ...]]) -> None:

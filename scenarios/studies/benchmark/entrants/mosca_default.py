@@ -1,10 +1,13 @@
-"""mosca with default settings: ``mosca.reconstruct``; with given correspondence its detections and triangulate."""
+"""mosca with default settings: ``mosca.reconstruct``; with given correspondence its detections and triangulate.
+
+The covariances are those that its detections state, and that ``mosca.match`` and ``mosca.reconstruct`` weight with.
+"""
 
 from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-from contract import Dataset, run, write_detections, write_points
+from contract import COVARIANCE, PLACE, Dataset, run, write_detections, write_points
 
 import mosca
 from mosca.pipeline import run as run_pipeline
@@ -29,26 +32,29 @@ def points(dataset: Dataset, out: str, settings: dict[str, Any]) -> None:
     write_points(out, np.asarray(tracks.frame)[measured], np.asarray(tracks.xyz)[measured])
 
 
-def found(dataset: Dataset) -> Iterator[tuple[str, int, float, float]]:
-    """Yield the detections of the pipeline."""
+def found(dataset: Dataset) -> Iterator[tuple[str | int | float, ...]]:
+    """Yield the detections of the pipeline and their covariances."""
     rig = rig_of(dataset)
     with mosca.open_recording(dataset.folder / "images", rig, None) as source:
         for step in run_pipeline(source, rig):
             for camera, seen in step.detections.items():
-                for u, v in np.asarray(seen.xy_px):
-                    yield camera, step.frame_set.pulse, float(u), float(v)
+                for (u, v), ((uu, uv), (_, vv)) in zip(
+                    seen.xy_px.tolist(), seen.covariance_px2.tolist(), strict=True
+                ):
+                    yield camera, step.frame_set.pulse, u, v, uu, uv, vv
 
 
 def detect(dataset: Dataset, out: str, settings: dict[str, Any]) -> None:
     """Write all detections."""
-    write_detections(out, found(dataset))
+    write_detections(out, found(dataset), COVARIANCE)
 
 
 def triangulate(dataset: Dataset, out: str, settings: dict[str, Any], matched: str) -> None:
     """Write the points of targets whose images are known."""
-    frame, places = dataset.read_matched(matched)
-    images = {name: places[:, c] for c, name in enumerate(dataset.names)}
-    write_points(out, frame, np.asarray(mosca.triangulate(rig_of(dataset), images).xyz))
+    frame, table = dataset.read_matched(matched, (*PLACE, *COVARIANCE))
+    images = {name: table[:, c, :2] for c, name in enumerate(dataset.names)}
+    covariances = {name: table[:, c][:, [[2, 3], [3, 4]]] for c, name in enumerate(dataset.names)}
+    write_points(out, frame, mosca.triangulate(rig_of(dataset), images, covariances_px2=covariances).xyz)
 
 
 if __name__ == "__main__":
