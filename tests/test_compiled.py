@@ -95,16 +95,6 @@ def test_a_kernel_s_copies_of_other_functions_are_its_own() -> None:
     assert replaceable_functions(numba.njit, numba.njit)
 
 
-def test_functions_of_numba_that_kernels_only_link_serve_other_libraries_too() -> None:
-    def middle(values: np.ndarray) -> float:
-        kept = np.zeros(3, dtype=np.complex64)
-        kept[0] = np.median(values) + np.full(2, 5.0, dtype=np.float32).sum()
-        return kept[0].real
-
-    values = np.array([3.0, 1.0, 2.0, 7.0])
-    assert kernel(middle)(values) == numba.njit(middle)(values) == 12.5
-
-
 def test_quick_flags_are_equal_where_flags_of_numba_are() -> None:
     usual = Flags()
     usual.nrt, usual.error_model = True, "numpy"

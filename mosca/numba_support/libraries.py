@@ -4,11 +4,11 @@ By default Numba optimises and emits machine code for each function, and again f
 weak symbol: whichever copy is loaded first answers for all. Copies of a ``fastmath`` function may round differently,
 so that results depended on whether kernels were compiled in this process or loaded from the cache, and in which
 order. Here steps are only linked, and the copies in a kernel are internal to it, under names of their own. This also
-saves a third of the time to compile (images to tracks, one core: 122 to 83 s), and another fifth by what
-``StepCompiler`` and ``QuickFlags`` do (another machine: detection 51 to 41 s, correspondence and tracking 56 to 46).
+saves a third of the time to compile (images to tracks, one core: 122 to 83 s); ``QuickFlags`` and seldom garbage
+collection save another eighth (another machine: correspondence and tracking 56 to 49 s).
 
 ``pipeline_class`` is Numba's documented way to change how it compiles; ``finalize`` and ``_optimize_final_module`` of
-its code libraries are private (0.61 to 0.68 have them), as are ``_library_class`` and the flags' ``_values``.
+its code libraries are private (0.61 to 0.68 have them), as are the flags' ``_values``.
 ``tests/test_compiled.py`` shows that it works.
 """
 
@@ -111,18 +111,12 @@ class StepCompiler(Compiler):
         super().__init__(typing, target, library, arguments, result, QuickFlags(flags), locals_)  # type: ignore[no-untyped-call]
 
     def compile_extra(self, func: Any) -> Any:
-        """Compile; functions of Numba that are called, as ``np.empty``, are only linked, too.
-
-        Meanwhile garbage is collected more seldom: what is compiled is a great many objects that live on.
-        """
-        codegen, thresholds = self.state.targetctx.codegen(), gc.get_threshold()
-        library_class = codegen._library_class
-        codegen._library_class = StepLibrary
+        """Compile, and collect garbage more seldom meanwhile: what is made is a great many objects that live on."""
+        thresholds = gc.get_threshold()
         gc.set_threshold(100_000, *thresholds[1:])
         try:
             return super().compile_extra(func)  # type: ignore[no-untyped-call]
         finally:
-            codegen._library_class = library_class
             gc.set_threshold(*thresholds)
 
 
