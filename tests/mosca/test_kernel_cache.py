@@ -73,6 +73,19 @@ def test_an_update_that_removes_a_class_reads_nothing_of_what_was_kept(project: 
     assert run(project) == ["False", "2", "True"]
 
 
+def test_a_kept_kernel_that_another_one_calls_still_has_code_of_its_own(project: Path) -> None:
+    """It is loaded while the other is compiled."""
+    assert run(project) == ["False", "2", "True"]
+    other = project / "mosca" / "other.py"
+    other.write_text(
+        "from mosca.fast import f\nfrom mosca.numba_support.decorators import kernel\n"
+        "@kernel\ndef g():\n    return f() + 1\n"
+    )
+    both = f"import sys; sys.path[:0] = [{str(project)!r}]; from mosca.other import g, f; print(g(), f())"
+    done = subprocess.run([sys.executable, "-c", both], capture_output=True, text=True, check=True, cwd=project)
+    assert done.stdout.split() == ["3", "2"]
+
+
 def test_what_a_file_imports_is_followed_through_every_way_to_write_it(tmp_path: Path) -> None:
     package = tmp_path / "mosca"
     package.mkdir()
