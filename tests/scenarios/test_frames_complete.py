@@ -46,6 +46,7 @@ def result_of(path, monkeypatch, arrives=lambda _: True, change=lambda frame: fr
     source = Lossy(open_recording(take), arrives)
     kept = type(source).__iter__
     monkeypatch.setattr(Lossy, "__iter__", lambda self: map(change, kept(self)))
+    monkeypatch.setattr(runner, "check_named_source", lambda _: None)
     monkeypatch.setattr(runner, "opened_source", lambda *_: source)
     spec = load_scenario(path)
     spec = spec.model_copy(update={"limits": spec.limits | limits})
@@ -134,6 +135,7 @@ def test_a_recording_longer_than_the_scenario_is_held_to_its_own_length(free, mo
     spec = load_scenario(free, ("capture.duration_s=0.2",))
     for arrives, passed in ((lambda _: True, True), (lambda f: f.camera != "cam1" or f.index < 30, False)):
         take = Lossy(open_recording(free.parent / "take"), arrives)
+        monkeypatch.setattr(runner, "check_named_source", lambda _: None)
         monkeypatch.setattr(runner, "opened_source", lambda *_, take=take: take)
         options = RunOptions(source="recording:take", truth=free.parent / "take/truth.npz")
         record = runner.run_scenario(spec, "tiny", free.parent, options).record

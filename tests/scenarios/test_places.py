@@ -51,7 +51,7 @@ def test_every_verb_tries_where_it_writes_before_anything_else(name, tmp_path):
     assert isinstance(dict(OUTPUTS)[name].type, OutFile | OutFolder)
     *verb, last = name.split()[1:]
     option = [last] if last.startswith("--") else []
-    before = ["in.file"] if verb[-1] in ("convert", "ros2") else []
+    before = ["in.file"] if verb[-1] in ("convert", "page", "ros2") else []
     line = refusal(*verb, *before, *option, f"{NOWHERE}/x.toml", cwd=tmp_path)
     assert NOWHERE in line
 

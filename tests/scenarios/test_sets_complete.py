@@ -43,6 +43,7 @@ def tiny(tmp_path_factory):
 
 def record_of(path, arrives, monkeypatch, **limits):
     take = path.parent / "take"
+    monkeypatch.setattr(runner, "check_named_source", lambda _: None)
     monkeypatch.setattr(runner, "opened_source", lambda *_: Lossy(open_recording(take), arrives))
     spec = load_scenario(path)
     spec = spec.model_copy(update={"limits": spec.limits | limits})
@@ -112,6 +113,7 @@ def test_a_recording_longer_than_the_scenario_is_held_to_its_own_length(tiny, mo
     verdicts = []
     for arrives in (lambda _: True, lambda f: f.camera != "cam2" or f.index < 25):
         source = Lossy(open_recording(take), arrives)
+        monkeypatch.setattr(runner, "check_named_source", lambda _: None)
         monkeypatch.setattr(runner, "opened_source", lambda *_, source=source: source)
         record = runner.run_scenario(spec, "tiny", tiny.parent, options).record
         assert record.counts["expected_sets"] == PULSES

@@ -46,6 +46,7 @@ def judged(folder, monkeypatch, filmed, line, limits=MET, hardware="", kinds=Non
         return opener(name, settings) if kind is None else kind(name, line, filmed[name], SIZE)
 
     fakes = opened, trigger
+    monkeypatch.setattr(work, "check_named_source", lambda _: None)
     monkeypatch.setattr(work, "opened_source", lambda *given: HardwareSource(rig, PULSES, *fakes))
     spec = load_scenario(write_tiny(folder, duration_s=PULSES / 100, limits=limits))
     result = work.run_scenario(spec, "tiny", folder, RunOptions(source="hardware:rig.toml"))
