@@ -32,6 +32,7 @@ from mosca.detection.search import (
     UNEVEN,
     FoundRegions,
     Search,
+    is_compact,
     is_sure,
 )  # fmt: skip
 from mosca.detection.threshold_regions import blobs_of, passes_below, runs_above, survey, write_grown, write_whole
@@ -80,6 +81,8 @@ class BlobPart(NamedTuple):
     """Smallest and largest grey value, and a bound of the dips between summits, see ``survey``."""
     peak: Any
     dip: Any
+    compact: Any
+    """See ``is_compact``."""
 
 
 class Place(NamedTuple):
@@ -169,14 +172,31 @@ def middle_column(runs: Array, values: Array, left: int, right: int) -> Any:
 
 
 @bare_step
-def part_of(runs: Array, values: Array, lowest: int) -> BlobPart:
-    """Return the connected part of these runs, of pixels above ``lowest``."""
+def is_spot(runs: Array, values: Array, level: float, peak: int) -> bool:
+    """Return whether the pixels of these runs are one compact spot over the background (``is_compact``)."""
+    n = core = 0
+    for i in range(len(runs)):
+        n += runs[i, END] - runs[i, FIRST]
+    if is_compact(n, 1):
+        return True
+    half = 0.5 * (level + peak)
+    for i in range(len(runs)):
+        for k in range(runs[i, PLACE], runs[i, PLACE] + runs[i, END] - runs[i, FIRST]):
+            core += values[k] > half
+    result: bool = is_compact(n, core)
+    return result
+
+
+@bare_step
+def part_of(runs: Array, values: Array, lowest: int, level: float) -> BlobPart:
+    """Return the connected part of these runs, of pixels above ``lowest`` over a background ``level``."""
     left, right = runs[0, FIRST], runs[0, END]
     for i in range(1, len(runs)):
         left = min(left, runs[i, FIRST])
         right = max(right, runs[i, END])
     darkest, peak, dip = survey(runs, 0, len(runs), values, lowest, middle_column(runs, values, left, right))
-    return BlobPart(left, right, max(right - left, runs[-1, ROW] - runs[0, ROW] + 1), darkest, peak, dip)
+    longer = max(right - left, runs[-1, ROW] - runs[0, ROW] + 1)
+    return BlobPart(left, right, longer, darkest, peak, dip, is_spot(runs, values, level, peak))
 
 
 @bare_step
@@ -223,6 +243,7 @@ def verdict_of(part: BlobPart, blob: Blob, search: Search, gain: float, sigmas: 
     if short or faint:
         return SMALL if short else FAINT
     certain = over > NEAR_LIMIT * least and part.longer < search.largest_px and part.dip <= contrast + 1
+    certain &= part.compact
     return WHOLE if certain else UNCERTAIN
 
 
@@ -255,7 +276,7 @@ def examine(
             place.left_out[UNEVEN] += 1.0
             return n, r
     contrast = contrast_of(float(part.peak), blob.level, blob.variance, gain, noise.sigmas)
-    whole = part.longer < search.largest_px
+    whole = part.longer < search.largest_px and part.compact
     if whole and part.dip > contrast + 1:
         # the noise of a bright target makes simple paths dip: find the best path
         whole = not passes_below(runs, values, box, contrast + 1)
@@ -263,7 +284,7 @@ def examine(
         n, r = write_target(runs, blob, gain, place, n, r)
         return n, r
     step = max(1, int(0.5 * math.sqrt(blob.variance)))
-    finer = Search(search.highest, blob.cut, step, contrast, search.smallest_px, search.largest_px)
+    finer = Search(search.highest, blob.cut, step, contrast, search.smallest_px, search.largest_px, blob.level)
     grown_thresholds, grown_runs = grow_regions(runs, values, falling_thresholds(part.peak, blob.cut, step), finer)
     first = r
     n, r = write_grown(grown_thresholds, grown_runs, (place.image, blob.cut), place.found, place.regions, n, r)
@@ -303,7 +324,7 @@ def decide(
             continue
         m, joined = trim_runs(own, values, blob.cut, cut)
         if joined:
-            part = part_of(cut[:m], values, blob.cut)
+            part = part_of(cut[:m], values, blob.cut, blob.level)
             if part.darkest > blob.cut:
                 verdict = verdict_of(part, blob, search, gain, sigmas)
                 if verdict == WHOLE:
@@ -316,7 +337,7 @@ def decide(
         parts, part_start = blobs_of(runs_above(own, values, blob.cut))
         for q in range(len(part_start) - 1):
             one = parts[part_start[q] : part_start[q + 1]]
-            part = part_of(one, values, blob.cut)
+            part = part_of(one, values, blob.cut, blob.level)
             verdict = verdict_of(part, blob, search, gain, sigmas)
             if verdict == WHOLE:
                 n, r = write_target(one, blob, gain, place, n, r)

@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 
 from mosca.data.arrays import Array
-from mosca.detection.search import END, FIRST, PLACE, ROW, Search, is_target
+from mosca.detection.search import END, FIRST, PLACE, ROW, Search, is_compact, is_target
 from mosca.numba_support.decorators import bare_step, step
 
 # Columns of the table of disjoint pixel sets while a blob is grown; all but PARENT and NEXT are of the roots.
-PARENT, NEXT, LAST, SIZE, LEFT, RIGHT, TOP, BOTTOM, PEAK, DARKEST, N_TARGETS, REGION, CHECKED = range(13)
+PARENT, NEXT, LAST, SIZE, LEFT, RIGHT, TOP, BOTTOM, PEAK, DARKEST, N_TARGETS, REGION, CHECKED, CORE = range(14)
+FINAL = 14
 
 
 @bare_step
@@ -89,11 +90,23 @@ def join(sets: Array, a: Any, b: Any) -> Any:
     sets[a, RIGHT] = max(sets[a, RIGHT], sets[b, RIGHT])
     sets[a, TOP] = min(sets[a, TOP], sets[b, TOP])
     sets[a, BOTTOM] = max(sets[a, BOTTOM], sets[b, BOTTOM])
+    if sets[a, PEAK] == sets[b, PEAK]:
+        sets[a, CORE] += sets[b, CORE]
+    elif sets[a, PEAK] < sets[b, PEAK]:
+        sets[a, CORE] = sets[b, CORE]
     sets[a, PEAK] = max(sets[a, PEAK], sets[b, PEAK])
     sets[a, DARKEST] = min(sets[a, DARKEST], sets[b, DARKEST])
     sets[a, N_TARGETS] += sets[b, N_TARGETS]
     sets[a, REGION] = max(sets[a, REGION], sets[b, REGION])
     return a
+
+
+@bare_step
+def keep_core(found: Array, t: Any) -> None:
+    """Take region t as it was at half of its contrast: what it grew into since is not its own."""
+    for c in range(7):
+        found[t, c] = found[t, 7 + c]
+    found[t, FINAL] = 1
 
 
 @step
@@ -108,12 +121,13 @@ def grow_regions(runs: Array, values: Array, thresholds: Array, search: Search) 
     for i in range(len(runs)):
         left = min(left, runs[i, FIRST])
         right = max(right, runs[i, END])
-    sets = np.empty((len(pixels), 13), np.int32)
+    sets = np.empty((len(pixels), 14), np.int32)
     # Index of the pixel at each position of the box, with a rim; -1 before it is reached.
     width = np.int64(right - left + 2)
     index_at = np.full((runs[-1, ROW] - top + 3) * width, np.int32(-1), np.int32)
-    # An accepted region: its first pixel, number of pixels, box and threshold.
-    found, n_found = np.empty((len(pixels), 7), np.int32), 0
+    # An accepted region: its first pixel, number of pixels, box and threshold; the same at half of its contrast (or
+    # when it was first accepted); whether that is final.
+    found, n_found = np.empty((len(pixels), 15), np.int32), 0
     for level in range(len(thresholds)):
         for i in range(start[level], start[level + 1]):
             x, y, value = pixels[i, 0], pixels[i, 1], pixels[i, 2]
@@ -121,7 +135,7 @@ def grow_regions(runs: Array, values: Array, thresholds: Array, search: Search) 
             sets[i, LEFT] = sets[i, RIGHT] = x
             sets[i, TOP] = sets[i, BOTTOM] = y
             sets[i, PEAK] = sets[i, DARKEST] = value
-            sets[i, SIZE], sets[i, N_TARGETS], sets[i, REGION], sets[i, CHECKED] = 1, 0, -1, -1
+            sets[i, SIZE], sets[i, N_TARGETS], sets[i, REGION], sets[i, CHECKED], sets[i, CORE] = 1, 0, -1, -1, 0
             place = (y - top + 1) * width + x - left + 1
             index_at[place] = i
             mine = np.uint64(i)
@@ -139,29 +153,52 @@ def grow_regions(runs: Array, values: Array, thresholds: Array, search: Search) 
             if sets[root, CHECKED] == level:
                 continue
             sets[root, CHECKED] = level
+            is_core = thresholds[level] >= 0.5 * (sets[root, PEAK] + search.level)
+            if sets[root, CORE] == 0 or is_core:
+                sets[root, CORE] = sets[root, SIZE]
             size_x = sets[root, RIGHT] - sets[root, LEFT] + 1
             size_y = sets[root, BOTTOM] - sets[root, TOP] + 1
             contrast = sets[root, PEAK] - sets[root, DARKEST]
             if sets[root, N_TARGETS] > 1 or not is_target(size_x, size_y, contrast, search):
                 continue
-            if sets[root, N_TARGETS] == 0:
+            if search.level >= 0.0 and not is_compact(sets[root, SIZE], sets[root, CORE]):
+                if sets[root, N_TARGETS] == 1:
+                    keep_core(found, sets[root, REGION])
+                continue
+            is_new = sets[root, N_TARGETS] == 0
+            if is_new:
                 sets[root, N_TARGETS], sets[root, REGION] = 1, n_found
+                found[n_found, FINAL] = 0
                 n_found += 1
             t = sets[root, REGION]
+            if found[t, FINAL] == 1:
+                continue
             found[t, 0], found[t, 1], found[t, 2] = root, sets[root, SIZE], sets[root, LEFT]
             found[t, 3], found[t, 4] = sets[root, RIGHT], sets[root, TOP]
             found[t, 5], found[t, 6] = sets[root, BOTTOM], thresholds[level]
+            if is_new or is_core:
+                for c in range(7):
+                    found[t, 7 + c] = found[t, c]
+    return found[:n_found, 6], runs_of(found[:n_found], pixels, sets, index_at, (left, top, width))
 
+
+@step
+def runs_of(found: Array, pixels: Array, sets: Array, index_at: Array, box: tuple[int, int, int]) -> Array:
+    """Return the runs (m, 4) of regions: region, row, first and end column; ``index_at`` is overwritten.
+
+    ``box``: left column, top row, and width with its rim, of ``index_at``.
+    """
+    left, top, width = box
     # Mark each region's pixels in the box, then read them out row by row.
     index_at[:] = -1
-    for r in range(n_found):
+    for r in range(len(found)):
         i = found[r, 0]
         for _ in range(found[r, 1]):
             index_at[(pixels[i, 1] - top + 1) * width + pixels[i, 0] - left + 1] = r
             i = sets[i, NEXT]
     region_runs = np.empty((len(pixels), 4), np.int32)
     n = 0
-    for r in range(n_found):
+    for r in range(len(found)):
         for y in range(found[r, 4], found[r, 5] + 1):
             inside, place = False, (y - top + 1) * width - left + 1
             for x in range(found[r, 2], found[r, 3] + 2):
@@ -173,4 +210,4 @@ def grow_regions(runs: Array, values: Array, thresholds: Array, search: Search) 
                 else:
                     region_runs[n, 3] = x
                     n += 1
-    return found[:n_found, 6], region_runs[:n]
+    return region_runs[:n]

@@ -51,6 +51,8 @@ class Search(NamedTuple):
     """D_min."""
     largest_px: float
     """D_max."""
+    level: float
+    """Background [DN] on which a target stands, see ``is_compact``; below 0: anything is compact, as in the paper."""
 
 
 class FoundRegions(NamedTuple):
@@ -72,6 +74,18 @@ def is_target(size_x: int, size_y: int, contrast: int, search: Search) -> bool:
         and search.smallest_px < size_y < search.largest_px
         and contrast > search.contrast
     )
+
+
+@bare_step
+def is_compact(n: Any, core: Any) -> bool:
+    """Return whether a region of n pixels is one spot, of which ``core`` pixels have more than half of its contrast.
+
+    And not a target before something else that is brighter than the background. The image of a disc fades within
+    the blur; none is softer than a point's, a Gaussian's: radius 2.35 sigma at 1/16 of its contrast, twice that at
+    half. A pixel and a half more, since what is that small is in a few pixels.
+    """
+    result: bool = math.sqrt(n / math.pi) <= 2.0 * math.sqrt(core / math.pi) + 1.5
+    return result
 
 
 @bare_step

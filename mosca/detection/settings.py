@@ -21,4 +21,5 @@ def search_of(settings: DetectionSettings, bit_depth: int) -> Search:
         contrast=float(contrast * scale),
         smallest_px=float(settings.minimum_size_px),
         largest_px=float(settings.maximum_size_px),
+        level=-1.0,
     )
