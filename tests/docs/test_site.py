@@ -2,6 +2,7 @@
 
 import importlib
 import json
+import re
 import subprocess
 import sys
 
@@ -18,7 +19,10 @@ def made():
     """The modules of the site's hook that need no MkDocs, by name."""
     sys.path.insert(0, str(ROOT / "docs" / "site"))
     try:
-        yield {name: importlib.import_module(name) for name in ("gallery", "links", "offline", "schemas", "terms")}
+        yield {
+            name: importlib.import_module(name)
+            for name in ("commands", "gallery", "links", "offline", "schemas", "terms")
+        }
     finally:
         sys.path.remove(str(ROOT / "docs" / "site"))
 
@@ -32,6 +36,18 @@ def test_every_scenario_is_in_the_gallery(made):
     baseline = json.loads((ROOT / "reports/baselines/subjects/actor.json").read_text(encoding="utf-8"))
     (rms,) = (one["value"] for one in baseline["metrics"] if one["name"] == "position_rms")
     assert f"| {1e3 * rms:.3f} mm |" in pages["gallery/subjects.md"]
+
+
+def test_the_navigation_names_every_page(made):
+    """``mkdocs build --strict`` asks for it; that is run at night."""
+    nav = (ROOT / "mkdocs.yml").read_text(encoding="utf-8").split("\nnav:\n")[1]
+    named = set(re.findall(r"[\w/-]+\.md", nav))
+    docs = ROOT / "docs"
+    written = {path.relative_to(docs).as_posix() for path in docs.rglob("*.md")}
+    generated = set(made["gallery"].pages(ROOT)) | set(made["commands"].pages())
+    assert sorted(one for one in written | generated if one.endswith(".md") and one not in named) == []
+    depths = {len(line) - len(line.lstrip()) for line in nav.splitlines() if line.lstrip().startswith("- ")}
+    assert depths <= {2, 6, 10}
 
 
 def test_every_key_of_a_scenario_is_in_the_reference(made):
