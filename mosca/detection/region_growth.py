@@ -9,6 +9,7 @@ import numpy as np
 
 from mosca.data.arrays import Array
 from mosca.detection.search import END, FIRST, PLACE, ROW, Search, is_compact, is_target
+from mosca.numba_support.copying import copy_row
 from mosca.numba_support.decorators import bare_step, step
 
 # Columns of the table of disjoint pixel sets while a blob is grown; all but PARENT and NEXT are of the roots.
@@ -104,8 +105,7 @@ def join(sets: Array, a: Any, b: Any) -> Any:
 @bare_step
 def keep_core(found: Array, t: Any) -> None:
     """Take region t as it was at half of its contrast: what it grew into since is not its own."""
-    for c in range(7):
-        found[t, c] = found[t, 7 + c]
+    copy_row(found[t, 7:FINAL], found[t])
     found[t, FINAL] = 1
 
 
@@ -177,8 +177,7 @@ def grow_regions(runs: Array, values: Array, thresholds: Array, search: Search) 
             found[t, 3], found[t, 4] = sets[root, RIGHT], sets[root, TOP]
             found[t, 5], found[t, 6] = sets[root, BOTTOM], thresholds[level]
             if is_new or is_core:
-                for c in range(7):
-                    found[t, 7 + c] = found[t, c]
+                copy_row(found[t, :7], found[t, 7:])
     return found[:n_found, 6], runs_of(found[:n_found], pixels, sets, index_at, (left, top, width))
 
 

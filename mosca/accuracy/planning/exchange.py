@@ -16,6 +16,7 @@ from mosca.numba_support.decorators import kernel
 MOST_TRIES = 60
 """Candidates, best first, of which a step asks what costs more."""
 LEAST_GAIN = 1e-6
+"""Of the cost, that an exchange must bring: above rounding, so that equal layouts do not take turns for ever."""
 
 
 def information_of(cameras: Array, room: MarkerRoom) -> Array:
