@@ -13,7 +13,7 @@ import numpy as np
 
 from mosca.clinic.causes import CAUSES, Diagnosis
 from mosca.clinic.geometry import MOVED_PX, geometry_causes
-from mosca.clinic.images import ImageWitness, image_causes, reflection_causes
+from mosca.clinic.images import MARKERS, ImageWitness, image_causes, reflection_causes
 from mosca.clinic.lost_camera import lost_cameras
 from mosca.clinic.misfit import residuals_of
 from mosca.clinic.observations import CONNECTED, LADDER_PX, PointImages, observe
@@ -33,6 +33,10 @@ FALSE_ALARMS = 1e-3
 """Chance of an alarm in a take without a fault."""
 ALPHA = FALSE_ALARMS / len(CAUSES)
 """Chance of each cause's false alarm."""
+NO_MARKERS = (
+    f"in no camera {100 * MARKERS:.0f} % of what is detected meets other cameras' rays: these are other things than "
+    "markers (a board: mosca calibrate), or the rig is not theirs"
+)
 GEOMETRY, WITNESSES, TRACKS = range(3)
 KIND = {
     "other-resolution": GEOMETRY, "wrong-lens": GEOMETRY, "camera-moved": GEOMETRY, "mirrored-pose": GEOMETRY,
@@ -92,17 +96,19 @@ def diagnose_frames(source: FrameSource, rig: Rig, known: KnownLengths | None = 
         bare = {name: replace(f, image=None, status="dropped") for name, f in frame_set.frames.items()}
         seen.append((replace(frame_set, frames=bare), detections, seconds))
     rate_hz = source.cameras[0].frame_rate_hz
-    found = image_causes(images, rate_hz, ALPHA)
     if not seen:
-        return ClinicReport(tuple(found), (), ("there are no frames",))
+        return ClinicReport((), (), ("there are no frames",))
     observed = observe(seen, rig)
+    connected = dict(zip(rig.names, observed.connected.tolist(), strict=True))
+    found = image_causes(images, connected, rate_hz, ALPHA)
     told = [
         f"{len(seen)} frame sets of {len(rig.cameras)} cameras, {len(observed)} points, matched to "
         f"{observed.matched_px:g} px; in points: "
         + ", ".join(f"{n} {100 * s:.0f} %" for n, s in zip(rig.names, observed.connected, strict=True))
     ]
-    if not len(observed):
-        return ClinicReport(tuple(in_order(found)), tuple(told), ("no rays meet: nothing can be said of the rig",))
+    if not len(observed) or observed.connected.max() < MARKERS:
+        found += stamp_causes(stamps, None, 1.0 / rate_hz, ALPHA)
+        return ClinicReport(tuple(in_order(found)), tuple(told), (NO_MARKERS,))
     residuals = residuals_of(observed, rig, rate_hz)
     if not len(residuals.rest):
         short = (

@@ -18,6 +18,8 @@ from mosca.data.rays import Predicted
 from mosca.data.rig import Rig
 from mosca.data.settings import MatchSettings
 
+MARKERS = 0.5
+"""Share of a camera's detections in points from which they are taken for markers."""
 PLATEAU = 0.5
 """Share of a marker's pixels that may be white: beyond it fewer pixels tell of its place than do not."""
 MERGED_SHARE = 0.1
@@ -94,22 +96,28 @@ def marker_image(image: Array, xy: Array, diameter_px: float, white: int) -> tup
     return share, height / steep if steep > 0 else float("nan")
 
 
-def image_causes(witness: ImageWitness, rate_hz: float, alpha: float) -> list[Diagnosis]:
-    """Return what images show to be wrong; ``alpha``: chance of a false alarm of each cause."""
+def image_causes(
+    witness: ImageWitness, connected: Mapping[str, float], rate_hz: float, alpha: float
+) -> list[Diagnosis]:
+    """Return what images of markers show to be wrong; ``alpha``: chance of a false alarm of each cause.
+
+    ``connected``: share of each camera's detections that belong to points. Where it is below ``MARKERS``, what is
+    detected may be no markers (a board, a room), and nothing is said of that camera.
+    """
     found = []
     for name, one in witness.sums.items():
-        if one.detections == 0:
+        if one.detections == 0 or connected.get(name, 0.0) < MARKERS:
             continue
-        n = max(one.detections / max(0.1 * rate_hz, 1.0), 1.0)
+        n = max(int(one.detections / max(0.1 * rate_hz, 1.0)), 1)  # a marker's images within 0.1 s are one
         if len(one.white) and (share := float(np.mean(np.array(one.white) > PLATEAU))) > 0.5:
-            chance = float(binom.sf(share * n - 1, n, 0.5)) if n >= 1 else 1.0
+            chance = float(binom.sf(np.floor(share * n) - 1, n, 0.5))
             text = (
                 f"camera '{name}': {100 * share:.0f} % of its markers have more than {100 * PLATEAU:.0f} % white "
                 f"pixels ({100 * 0.5:.0f} % of them allowed, p = {chance:.1g})"
             )
             found.append(Diagnosis("saturated", chance, (text,), camera=name, figures={"share": share}))
         share = one.merged / one.detections
-        chance = float(binom.sf(share * n - 1, n, MERGED_SHARE))
+        chance = float(binom.sf(np.floor(share * n) - 1, n, MERGED_SHARE))
         text = (
             f"camera '{name}': {100 * share:.0f} % of its marker images are merged with another "
             f"({100 * MERGED_SHARE:.0f} % allowed, p = {chance:.1g})"

@@ -341,7 +341,7 @@ def sensor_line(one: LearnedSensor) -> str:
     if one.saturation_dn is None:
         most = f"largest value {one.largest_dn} DN, not saturated"
     else:
-        most = f"saturation at {one.saturation_dn} DN reached by {100 * one.saturated:.2g} % of targets"
+        most = f"saturation at {one.saturation_dn} DN reached by {100 * one.saturated:.3g} % of targets"
     return (
         f"camera '{one.name}': {noise}, {gain}{blur}, {one.bits} bits{steps}, {most}; learned from {one.images} "
         f"images, {one.targets} targets"

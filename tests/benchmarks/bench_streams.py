@@ -2,8 +2,9 @@
 
     python tests/benchmarks/bench_streams.py [SECONDS]
 
-Unicast: the package natnet, a plain client that stamps each message as it comes, one client that never reads, one
-that is dead, and one that sends mutated packets. Multicast: natnet and motioncapture. Each is a process of its own.
+Unicast: a plain client that stamps each message as it comes, alone and beside the package natnet, one client that
+never reads, one that is dead, and one that sends mutated packets. Multicast: natnet and motioncapture. Each is a
+process of its own.
 
 Latency is taken apart by the kernel's stamp of a message: from the frame's transmission to the client's socket (the
 server's and the network's part), and from there until the client's process runs (the operating system's part). Beside
@@ -305,6 +306,8 @@ def main():
         return
     seconds = float(words[0]) if words else 60.0
     print(f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}, {seconds:g} s")
+    print("unicast, one client")
+    run(seconds, "", ("plain",), 1)
     print("unicast")
     run(seconds, "", ("natnet", "plain"), 2)
     print("unicast, each second second straight into the clients' sockets")

@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from mosca.clinic.diagnose import diagnose_tracks
+from mosca.clinic.diagnose import diagnose_frames, diagnose_tracks
 from mosca.clinic.geometry import geometry_causes
-from mosca.clinic.images import marker_image
+from mosca.clinic.images import ImageWitness, image_causes, marker_image
 from mosca.clinic.misfit import fit, residuals_of
 from mosca.clinic.observations import PointImages, observe
 from mosca.clinic.stamps import StampWitness, stamp_causes
 from mosca.clinic.tracks import length_causes, swap_causes
 from mosca.data.detections import Detections
-from mosca.data.frames import Frame, FrameSet
+from mosca.data.frames import CameraInfo, Frame, FrameSet
 from mosca.data.rig import Camera, OpenCVLens, Pose, Rig
 from mosca.data.tracks import Tracks
 
@@ -297,3 +297,47 @@ def test_images_of_balls_are_freed_of_their_eccentricity():
             raw.append(np.min(np.linalg.norm(seen[observed.frame[row]][1][f"cam{c + 1}"].xy_px - here, axis=1)))
     assert np.quantile(raw, 0.9) > 0.05  # what is taken off
     np.testing.assert_allclose(off, 0.0, atol=0.01)
+
+
+@pytest.mark.parametrize("detections", [7784, 7785, 7788])
+@pytest.mark.parametrize(("connected", "codes"), [(1.0, ["markers-merged", "saturated"]), (0.4, [])])
+def test_images_of_markers_are_judged_at_any_number_of_detections(detections, connected, codes):
+    """A quarter is merged and three quarters are white; what meets no other camera's rays may be no markers."""
+    witness = ImageWitness([CameraInfo("cam1", *SIZE, 8, RATE)])
+    one = witness.sums["cam1"]
+    one.detections, one.merged = detections, detections // 4
+    one.white = [0.9] * (3 * detections // 4) + [0.0] * (detections // 4)
+    found = image_causes(witness, {"cam1": connected}, RATE, ALPHA)
+    assert sorted(one.code for one in found) == codes
+    assert all(one.p_value < 1e-6 for one in found)
+
+
+def test_few_merged_images_are_no_fault():
+    witness = ImageWitness([CameraInfo("cam1", *SIZE, 8, RATE)])
+    one = witness.sums["cam1"]
+    one.detections, one.merged, one.white = 1501, 150, [0.0] * 1501
+    assert image_causes(witness, {"cam1": 1.0}, RATE, ALPHA) == []
+
+
+class Rooms:
+    """Four cameras' frames in which pairs of touching white blobs lie anywhere: no camera sees what another does."""
+
+    cameras = tuple(CameraInfo(name, *SIZE, 8, RATE) for name in RIG.names)
+
+    def __iter__(self):
+        noise, y, x = np.random.default_rng(5), *np.mgrid[-6:7, -6:16]
+        pair = 240.0 * ((np.hypot(x, y) < 5) | (np.hypot(x - 9, y) < 5))
+        fixed = {name: noise.integers(40, 440, (3, 2)) for name in RIG.names}
+        for n in range(20):
+            for name in RIG.names:
+                image = noise.normal(20, 1, (SIZE[1], SIZE[0]))
+                for across, down in [*noise.integers(40, 440, (6, 2)), *fixed[name]]:
+                    image[down - 6 : down + 7, across - 6 : across + 16] += pair
+                yield Frame(name, n, round(1e9 * n / RATE), 0, np.clip(image, 0, 255).astype(np.uint8))
+
+
+def test_what_no_other_camera_sees_is_not_taken_for_markers():
+    """Blobs are merged, white, and some never move: a board or a room, and no fault of a take of markers."""
+    report = diagnose_frames(Rooms(), RIG)
+    assert report.causes == ()
+    assert "these are other things than markers" in report.not_judged[0]
