@@ -31,7 +31,7 @@ FOLDERS = {
     "people": "Bones and joints of people, faces, running.",
     "rigs": "Few and many cameras, many markers, zones, rigs of other programs.",
     "sensors": "What EMVA 1288 says of sensors.",
-    "spaces": "One rig scaled from 0.1 m to 10 m.",
+    "spaces": "Rooms of 0.1 m to 10 m as they are, and the paper's 0.01 % in each.",
     "subjects": "A person, a drone, a robot, and your own model.",
     "targets": "Spheres, flat and lit markers, boards, wands, test fields.",
     "timing": "Triggers, delays, rolling shutters, strobes, windows.",
