@@ -26,10 +26,12 @@ SIZE_DEADBAND, SIZE_NOISE = 0.07, 0.1
 """Missing shares of the area below this are noise of the measured sizes, and differences of images that are too large
 or whose brightest pixels are saturated."""
 SIZE_SIGMAS = 4.0
-"""Or below so many standard deviations of the image's own area: small images tell little of their sizes."""
+"""Or below so many standard deviations of the image's own area: small images tell little of their sizes. The
+benchmark's actor: nees 2.7 with 2 and 2.8, 3.7 with 4, 4.8 with 5.2, 4.2 with 8, where 0.7 % fewer are complete."""
 HALF_HIDDEN = 0.55
 """Missing share that only more than half a disc leaves, though sizes are noisy; two cameras do not make a point with
-such an image."""
+such an image. The benchmark's actor: completeness 0.991, 0.995, 0.997, 0.998 and 0.999, rms 0.55, 0.56, 0.59, 0.66
+and 0.69 mm with 0.28, 0.39, 0.55, 0.72 and 1.1."""
 PARTIAL_ODD, LONG_ODD, UNFITTED_ODD = 0.2, 0.3, 0.6
 """Missing share, at least, of an image that detection takes for partly hidden; of one that is long where the others
 are round (cut on one side; its size is little evidence); of one that is isolated and that no disc fits, where

@@ -29,6 +29,14 @@ HELD_FROM = 8
 never settle."""
 BACK = 0.3
 """A step that takes back more than this share of the last one is halved."""
+CENTRE_RADII, CENTRE_PX = 0.5, 0.3
+"""Longest step of the centre: this share of the radius and so many pixels."""
+LIGHT_LEFT = 0.4
+"""Least share of its amplitude that a step leaves a disc."""
+SMALLER, LARGER, SMALLEST = 0.6, 1.6, 0.2
+"""Share of its radius that a step leaves a disc at least, and, a blur wider, at most; the least radius in blurs."""
+SHARPER, SOFTER = 0.75, 1.3
+"""Share of its blur that a step leaves a disc, at least and at most."""
 CLOSE_2 = 0.03
 """As ``SETTLED_2`` where pixels are divided: there the error that remains is of first order in the last step."""
 LEAST_BLUR, MOST_BLUR = 0.29, 6.0
@@ -257,7 +265,7 @@ def fit_disc(
             break
         covariance, own, chi2 = step.covariance, step.own_amplitude, step.chi2
         blur_variance, radius_variance = step.blur_variance, step.radius_variance
-        far, most = max(abs(step.x), abs(step.y)), 0.5 * radius + 0.3
+        far, most = max(abs(step.x), abs(step.y)), CENTRE_RADII * radius + CENTRE_PX
         hold, share = min(1.0, most / far) if far > most else 1.0, 1.0
         if parts_of(s) > 1:
             # brightness, radius and place of a small target are tied: whole steps overshoot to and fro
@@ -268,10 +276,10 @@ def fit_disc(
         before = (a, s)
         x0 += hold * step.x
         y0 += hold * step.y
-        a = max(a + share * step.amplitude, 0.4 * a)
+        a = max(a + share * step.amplitude, LIGHT_LEFT * a)
         b += share * step.background
-        radius = min(max(radius + share * step.radius, 0.6 * radius, 0.2 * s), 1.6 * radius + s)
-        next_s = min(max(s + share * step.blur, 0.75 * s, LEAST_BLUR), 1.3 * s, MOST_BLUR)
+        radius = min(max(radius + share * step.radius, SMALLER * radius, SMALLEST * s), LARGER * radius + s)
+        next_s = min(max(s + share * step.blur, SHARPER * s, LEAST_BLUR), SOFTER * s, MOST_BLUR)
         if turn < HELD_FROM or prior.profile == EVEN or parts_of(next_s) == parts_of(s):
             s = next_s
         good = is_settled(turn, step, share, before, s)

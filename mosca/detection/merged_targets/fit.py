@@ -20,6 +20,15 @@ FLAT = 4.0
 """Blurs from an edge beyond which it is taken for flat."""
 A1, A2, A3, A4, A5 = 0.319381530, -0.356563782, 1.781477937, -1.821255978, 1.330274429
 """Abramowitz and Stegun 1964, 26.2.17."""
+FIRST_DAMPING, FIRST_OF_ONE = 1e-3, 0.3
+"""Marquardt's damping of the first step, of a pair and of one long target: that starts from the values of two discs,
+and a full first step overshoots."""
+CALMER, WILDER = 0.1, 8.0
+"""Factors on the damping after a step that is better, and one that is worse."""
+SHARPER, SOFTER, LEAST_BLUR, MOST_BLUR = 0.6, 1.6, 0.25, 6.0
+"""Share of its blur that a step leaves, at least and at most, and its limits [px]."""
+SMALLER, LARGER, LARGER_PX, LEAST_RADIUS = 0.6, 1.5, 0.5, 0.2
+"""The same of a radius, which also may grow by so many pixels; its least value [px]."""
 PAIR, SWEPT, ELLIPSE = range(3)
 UNKNOWNS = (10, 8, 8)
 MOST_NODES = 16
@@ -166,8 +175,7 @@ def fit(kind: int, p: Array, pixels: Array, n: int, task: FitTask, enough: float
     slope, change, off = np.empty(m), np.empty((m, n)), np.empty(n)
     normal, right, inverse = np.empty((m, m)), np.empty(m), np.zeros((m, m))
     fresh, pulled = np.empty((m, m)), np.empty(m)
-    # one long target starts from the values of two discs: a full first step overshoots
-    trial, damping, at_rest = p.copy(), 1e-3 if kind == PAIR else 0.3, False
+    trial, damping, at_rest = p.copy(), FIRST_DAMPING if kind == PAIR else FIRST_OF_ONE, False
     last = math.inf
     for _turn in range(TURNS):
         for i in range(n):
@@ -188,9 +196,9 @@ def fit(kind: int, p: Array, pixels: Array, n: int, task: FitTask, enough: float
         chi2 += ((blur - trial[m - 1]) / spread) ** 2
         if chi2 <= last * (1.0 + 1e-9):
             p[:], normal[:], right[:], last = trial, fresh, pulled, chi2
-            damping = max(0.1 * damping, 1e-6)
+            damping = max(CALMER * damping, 1e-6)
         else:
-            damping *= 8.0
+            damping *= WILDER
             if damping > 1e6:
                 break
         move = solved(normal, right, damping, work)
@@ -203,9 +211,9 @@ def fit(kind: int, p: Array, pixels: Array, n: int, task: FitTask, enough: float
             break
         if last < enough or (damping < 1.0 and last - FORESEEN * gain > enough > 0.0):
             break
-        trial[m - 1] = min(max(trial[m - 1], 0.6 * p[m - 1], 0.25), 1.6 * p[m - 1], 6.0)
+        trial[m - 1] = min(max(trial[m - 1], SHARPER * p[m - 1], LEAST_BLUR), SOFTER * p[m - 1], MOST_BLUR)
         for a in range(4, 6 if kind == PAIR else 5):
-            trial[a] = min(max(trial[a], 0.6 * p[a], 0.2), 1.5 * p[a] + 0.5)
+            trial[a] = min(max(trial[a], SMALLER * p[a], LEAST_RADIUS), LARGER * p[a] + LARGER_PX)
     for a in range(m):
         right[:] = 0.0
         right[a] = 1.0

@@ -27,11 +27,16 @@ from mosca.errors import InputError
 LEAST_DN = 20.0
 """A lamp that changes the brightest pixel by less than this, in images of 8 bits, is none."""
 HALF = 0.5
+"""Share of a lamp's light from which it is lit: an edge lies between two frames on either side."""
 FEWEST_EDGES, EDGES_FOR_DRIFT = 2, 4
 SURE_SIGMAS = 4.0
+"""Standard deviations of the light beyond which a frame is lit in part, and of two edges' times within which they are
+one: of normal errors 6 in 100,000 are larger."""
 LARGEST_NOISE = 0.08
 """A lamp is lit, or dark, to so much of its light; what spreads more is none."""
 AGREE_S = 2e-4
+"""Edges nearer than this [s], besides, are one: less loses those whose stated errors are too small, more takes the
+flashes of a fast lamp for one another."""
 AS_GOOD = 0.7
 """Another shift that matches so large a share of the edges might be the true one."""
 LARGEST_DRIFT = 5e-4
