@@ -197,8 +197,8 @@ def detect_with_statistics(
     for k, name in enumerate(names):
         static = known.backgrounds[name].usable if learns[k] and name in known.backgrounds else None
         if static is not None and static.behind.shape == first.shape:
-            pixels[k] = subtracted(pixels[k], static.behind, int(task.full_dn))
-            behind[k] = known.backgrounds[name].behind(first.shape)
+            shown = behind[k] = known.backgrounds[name].shown_behind(pixels[k])
+            pixels[k] = subtracted(pixels[k], shown[0], int(task.full_dn))
     found, sums = _detect_alike(pixels, behind, names, settings, task, windows, known)
     for k, name in enumerate(names):
         if name in measured and learns[k] and known.backgrounds[name].textured:

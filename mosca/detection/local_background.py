@@ -12,6 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
@@ -113,6 +114,21 @@ class LocalBackground:
             error = np.sqrt(variance / FINENESS).astype(np.float32)
             self._behind[shape] = np.stack([self.pixels.behind, error])
         return self._behind[shape]
+
+    def shown_behind(self, image: Array) -> Array:
+        """Return the texture that an image (H, W) shows, and the standard deviation of its error, as ``behind``.
+
+        Where it shows part of it, as at the edge of a body, the error is as large as the texture.
+        """
+        behind = self.behind(image.shape)
+        if self.pixels is None:
+            return behind
+        cells = self.pixels.seen_in(image, self.variance)
+        if cells.min() == 1.0:
+            return behind
+        share = cv2.resize(cells, image.shape[::-1])
+        texture, error = behind
+        return np.stack([share * texture, np.sqrt((share * error) ** 2 + 4.0 * share * (1.0 - share) * texture**2)])
 
     def limits(self, sigmas: float, shape: tuple[int, int], dtype: Any, as_if_known: bool = False) -> Array:
         """Return for each pixel (H, W) the largest grey value within ``sigmas`` above the background.
@@ -279,7 +295,7 @@ def measure_background(image: Array, largest_px: float, known: LocalBackground |
     rough = None
     if known is not None and known.usable is not None:
         rough = known.variance + known.texture if known.rough is None else known.rough
-        image = image.astype(np.int32) - np.rint(known.usable.behind).astype(np.int32)
+        image = image.astype(np.int32) - np.rint(known.shown_behind(image)[0]).astype(np.int32)
     rows, columns = (n // 2 for n in cell_grid(image.shape, largest_px))
     level, variance = measure_cells(image, rows, columns)
     variance = np.maximum(_filtered(variance, 3, _median), ROUNDING_DN2)

@@ -18,8 +18,11 @@ from mosca.detection.region_growth import grow_regions
 from mosca.detection.search import (
     DARK,
     END,
+    END_RUN,
     FAINT,
     FIRST,
+    FIRST_RUN,
+    FLOOR,
     GAIN,
     IMAGE,
     LARGE,
@@ -29,9 +32,11 @@ from mosca.detection.search import (
     SLOPE_X,
     SLOPE_Y,
     SMALL,
+    THRESHOLD,
     UNEVEN,
     FoundRegions,
     Search,
+    box_of,
     is_compact,
     is_sure,
 )  # fmt: skip
@@ -49,6 +54,10 @@ NEAR_LIMIT = 4.0
 background is known as planes between cells only."""
 LEAST_MARGIN_PX = 2
 """From a faint target's box to the pixels around it, or its longer side where that is more (its skirts)."""
+
+BODY_SHARE = 0.25
+"""Share of the pixels around a target, brighter than the background but no part of a target, from which it stands on
+a body; the skirts of a neighbouring target are fewer."""
 
 
 class Blob(NamedTuple):
@@ -206,8 +215,8 @@ def write_noise(blob: Blob, gain: float, out: Array) -> None:
 
 
 @step
-def ring_level(image: Array, box: tuple[int, int, int, int], margin: int) -> float:
-    """Return the median on the border of a box (left, right, top, bottom; ends excluded) that is wider by ``margin``.
+def ring_values(image: Array, box: tuple[int, int, int, int], margin: int) -> Array:
+    """Return the grey values on the border of a box (left, right, top, bottom; ends excluded) wider by ``margin``.
 
     Of what lies in the image.
     """
@@ -224,7 +233,7 @@ def ring_level(image: Array, box: tuple[int, int, int, int], margin: int) -> flo
             if 0 <= x < image.shape[1]:
                 values[n] = image[y, x]
                 n += 1
-    return float(np.median(values[:n])) if n > 0 else 0.0
+    return values[:n]
 
 
 @bare_step
@@ -256,6 +265,27 @@ def write_target(runs: Array, blob: Blob, gain: float, place: Place, n: int, r: 
 
 
 @step
+def stand_on_body(blob: Blob, gain: float, pixels: Array, runs: Array, region: Array, noise: Array) -> None:
+    """Let a target beside something brighter than the background, but not as bright as itself, stand on that.
+
+    It is no neighbour then but its background, with the noise of its own light. ``runs``: of the region; ``pixels``:
+    of the image (H, W).
+    """
+    (left, right, top, bottom), _ = box_of(runs, 0, len(runs))
+    values = ring_values(pixels, (left, right + 1, top, bottom + 1), LEAST_MARGIN_PX)
+    total = body = count = 0.0
+    for value in values:
+        if value <= region[THRESHOLD]:
+            total += value
+            count += 1.0
+            body += value > blob.cut
+    if body >= BODY_SHARE * len(values):
+        region[FLOOR] = region[THRESHOLD]
+        noise[DARK] += gain * max(total / count - blob.level, 0.0)
+        noise[SLOPE_X] = noise[SLOPE_Y] = 0.0
+
+
+@step
 def examine(
     runs: Array,
     part: BlobPart,
@@ -271,8 +301,8 @@ def examine(
     box = (part.left, part.right, runs[0, ROW], runs[-1, ROW] + 1)
     least, gain = noise.sigmas * blob.spread, noise.gains[place.image]
     if part.peak - blob.level <= NEAR_LIMIT * least:
-        around = ring_level(place.pixels, box, max(part.longer, LEAST_MARGIN_PX))
-        if part.peak - around <= least:
+        around = ring_values(place.pixels, box, max(part.longer, LEAST_MARGIN_PX))
+        if len(around) > 0 and part.peak - np.median(around) <= least:
             place.left_out[UNEVEN] += 1.0
             return n, r
     contrast = contrast_of(float(part.peak), blob.level, blob.variance, gain, noise.sigmas)
@@ -292,6 +322,8 @@ def examine(
         place.left_out[LARGE if part.longer >= search.largest_px else SMALL] += 1.0
     for q in range(first, r):
         write_noise(blob, gain, place.noise[q])
+        own = place.found[place.regions[q, FIRST_RUN] : place.regions[q, END_RUN]]
+        stand_on_body(blob, gain, place.pixels, own, place.regions[q], place.noise[q])
     return n, r
 
 

@@ -182,6 +182,22 @@ def test_the_value_that_most_images_show_is_kept(values, texture, votes):
     assert known.known[0, 1] == (votes >= KNOWN)
 
 
+def test_the_texture_is_subtracted_where_it_is_seen_and_not_before_a_body():
+    """Of a tiled floor behind a person, who is as bright as the tiles: 40 px from the person's edge."""
+    rng = np.random.default_rng(4)
+    tiles = 9.0 * ((np.arange(256)[:, None] // 12 + np.arange(256) // 12) % 2)
+    known = StaticBackground((tiles - 4.5).astype(np.float32), np.full(tiles.shape, MOST_VOTES, np.uint8), MOST_VOTES)
+    floor = 50.0 + tiles + rng.normal(0.0, 1.0, tiles.shape)
+    person = floor.copy()
+    person[:, 100:230] = 53.0 + rng.normal(0.0, 1.0, (256, 130))
+    person[120:130, 20:30] = 200.0  # targets
+    variance = np.ones((8, 8))
+    assert known.seen_in(np.rint(floor).astype(np.uint8), variance).min() == 1.0
+    seen = known.seen_in(np.rint(person).astype(np.uint8), variance)
+    assert seen[:, :2].min() == 1.0
+    assert seen[:, 4:6].max() == 0.0
+
+
 def test_unknown_pixels_are_filled_from_around():
     y, x = np.mgrid[:40, :50].astype(np.float32)
     known = np.hypot(x - 25, y - 20) > 6

@@ -14,8 +14,8 @@ from mosca.detection.centroid import X, Y
 from mosca.detection.disc_fit.disc_image import FAST, f32, is_profiled, is_smeared, parts_of
 from mosca.detection.disc_fit.ellipse import ellipticity_of
 from mosca.detection.disc_fit.first_values import NO_STRETCH, Light, Region, first_disc, is_plain, light_of, reshaped
-from mosca.detection.disc_fit.gauss_newton import DiscFit, DiscPrior, Model, Workspace, fit_disc
-from mosca.detection.disc_fit.hidden_background import compare_rims, refit_before, take_behind
+from mosca.detection.disc_fit.gauss_newton import DiscFit, DiscPrior, Model, Workspace, first_fit, fit_disc
+from mosca.detection.disc_fit.hidden_background import compare_rims, is_known, refit_before, take_behind
 from mosca.detection.disc_fit.light_offset import (
     N_TARGETS,
     N_TERMS,
@@ -61,6 +61,7 @@ from mosca.detection.disc_fit.row import (
     write_diameter,
     write_row,
 )
+from mosca.detection.disc_fit.surroundings import refit_around
 from mosca.detection.images import ImageSet, behind_of, image_of
 from mosca.detection.search import (
     DARK,
@@ -162,6 +163,36 @@ def may_have_shape(n: int, fit: DiscFit, light: Light, tries: bool) -> bool:
 
 
 @bare_step(fastmath=FAST)
+def refit_uneven(
+    n: int,
+    pixels: Array,
+    behind: Array,
+    light: Light,
+    fits: tuple[DiscFit, DiscFit],
+    prior: DiscPrior,
+    model: Model,
+    usual: float,
+    buffers: Buffers,
+) -> tuple[DiscFit, bool]:
+    """Fit a disc to n pixels again before what was subtracted, or before what lies around it where that fails.
+
+    Returns the fit, and whether its background is known from its surroundings. ``behind``: what was subtracted from
+    the image; ``fits``, ``usual``: as in ``refit_around``.
+    """
+    fit, padded, symmetric = fits[0], (n + 7) // 8 * 8, not light.crowded and not light.saturated
+    if len(behind) > 0:
+        fit = refit_before(padded, pixels, buffers.behind, light.shape, fit, prior, model, symmetric, buffers.fit)
+        if is_known(padded, buffers.behind, model.dark_dn2):
+            return fit, False
+    if light.saturated or (fit.converged and fit.chi2 <= (n - 6) * misfit_by_chance(n)):
+        return fit, False
+    fit, uneven = refit_around(
+        padded, pixels, len(behind) > 0, light.shape, (fit, fits[1]), prior, model, symmetric, usual, buffers
+    )
+    return fit, uneven
+
+
+@bare_step(fastmath=FAST)
 def gather_whole(
     image: Array, middle: tuple[int, int], size: int, reach: float, region: Region, buffers: Buffers
 ) -> tuple[int, Array]:
@@ -233,16 +264,17 @@ def refine_region(
         if m > 0:
             pixels, n, padded = buffers.pixels, m, (m + 7) // 8 * 8
         prior = with_profile(prior, fit.profile)
-    if len(behind) > 0:
-        fit = refit_before(padded, pixels, buffers.behind, light.shape, fit, prior, model, symmetric, buffers.fit)
-        if symmetric and takes_light and fit.converged:
-            compare_rims(padded, pixels, buffers.behind, light.shape, fit, prior, model, buffers.fit, sums.tallies[k])
+    fits = fit, first_fit((x0, y0, amplitude, light.background, radius), prior)
+    fit, uneven = refit_uneven(n, pixels, behind, light, fits, prior, model, priors.roughness[k], buffers)
+    if len(behind) > 0 and not uneven and symmetric and takes_light and fit.converged:
+        compare_rims(padded, pixels, buffers.behind, light.shape, fit, prior, model, buffers.fit, sums.tallies[k])
     even = write_even(padded, pixels, fit, even_prior(k, priors, prior, fit), model, light, buffers.fit, out)
     centre = centre_of(middle, light, fit)
     tally, usual, good = sums.tallies[k], priors.roughness[k], is_good(region, light, fit, centre)
     odd, excess = write_row(region, light, fit, centre, (good, n, usual), model, out)
     widen(excess, symmetric and not odd, n, pixels, fit, model, light.shape, buffers.fit, out)
-    if good and symmetric:
+    teaches = good and symmetric and not uneven
+    if teaches:
         tally[N_TARGETS] += 1.0
         tally[ROUGH_SUM] += min(out[ROUGH], ROUGH_FACTOR * usual + ROUGH_FLOOR)
         if takes_profile and plain:
@@ -250,7 +282,7 @@ def refine_region(
         if takes_light and not odd:
             add_residuals(padded, pixels, fit, prior, model, light.shape, buffers.fit, tally)
     # an ellipse teaches where its edge is sharp: others may be smeared by motion
-    if good and symmetric and (plain or ((parts_of(fit.blur) > 1 or is_smeared(fit.profile)) and not odd)):
+    if teaches and (plain or ((parts_of(fit.blur) > 1 or is_smeared(fit.profile)) and not odd)):
         out[BLUR], out[BLUR_INFO] = add_learned(even, amplitude, float(light_sums[0]), prior, tally)
         if takes_light and (plain or is_smeared(fit.profile)) and not odd:
             add_light(image, region, most, fit, centre.radius, buffers.pixels, buffers.terms, sums)
@@ -290,7 +322,7 @@ def buffers_for(largest: int, blurs: Array) -> Buffers:
     return Buffers(
         side, np.empty((5, side * side + OVER), f32), windows, np.empty((4, side * side), np.uint8), np.full(2, -1),
         Workspace(np.zeros((12, side * side + OVER), f32), np.empty((7, 8))), np.empty(N_TERMS),
-        np.empty((4, side * side + OVER), f32),
+        np.empty((9, side * side + OVER), f32),
     )  # fmt: skip
 
 

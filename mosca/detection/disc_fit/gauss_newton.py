@@ -109,6 +109,16 @@ class Workspace(NamedTuple):
 
 
 @bare_step(fastmath=FAST)
+def first_fit(first: tuple[float, float, float, float, float], prior: DiscPrior) -> DiscFit:
+    """Return the disc x, y, amplitude, background, radius from which a fit starts, with the blur of its prior."""
+    x, y, amplitude, background, radius = first
+    none, own = (0.0, 0.0, 0.0), (0.0, math.inf)
+    return DiscFit(
+        x, y, amplitude, background, radius, prior.blur, none, 0.0, math.inf, math.inf, own, prior.profile, False
+    )  # fmt: skip
+
+
+@bare_step(fastmath=FAST)
 def amplitude_prior(start: float, saturated: bool, blur: float, prior: DiscPrior) -> tuple[float, float]:
     """Return mean [DN] and information [DN^-2] of the amplitude where all unknowns are solved for at once.
 

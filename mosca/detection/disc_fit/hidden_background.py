@@ -139,6 +139,17 @@ def is_even(n: int, behind: Array, dark_dn2: float) -> bool:
 
 
 @bare_step(fastmath=FAST)
+def is_known(n: int, behind: Array, dark_dn2: float) -> bool:
+    """Return whether something was subtracted at n pixels, with less error than their dark noise."""
+    error = count = ZERO
+    for i in range(n):
+        error += behind[2, i] * behind[3, i]
+        count += behind[2, i]
+    result: bool = float(error) < float(count) and not is_even(n, behind, dark_dn2)
+    return result
+
+
+@bare_step(fastmath=FAST)
 def refit_before(
     n: int,
     pixels: Array,

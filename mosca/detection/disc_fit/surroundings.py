@@ -1,0 +1,178 @@
+"""Compiled fit of a disc before an uneven background that is known from the image itself alone.
+
+A marker on a lit body, or beside its edge, stands before something that neither the planes between cells nor an image
+without it tell. What its disc leaves free tells it: pixels around, less the disc's own skirts, are the background; at
+pixels that the disc covers in part it is their mean, weighted by the inverse fourth power of the distance. The disc
+is fitted before that (``mosca.detection.disc_fit.hidden_background``), which moves the skirts, until it rests.
+"""
+
+from typing import Any
+
+from mosca.data.arrays import Array
+from mosca.detection.disc_fit.disc_image import FAST, ONE, ZERO, disc_image, even_as, f32
+from mosca.detection.disc_fit.gauss_newton import DiscFit, DiscPrior, Model, Workspace
+from mosca.detection.disc_fit.hidden_background import CLOSE_2, MOST_FITS, refit_before, uncover
+from mosca.detection.disc_fit.row import FIRST_ROUGHNESS, misfit_by_chance
+from mosca.numba_support.decorators import bare_step
+
+FREE, HIDDEN = f32(0.12), f32(0.99)
+"""A pixel of which the disc covers less is one of the background; from the second share on it does not matter."""
+SOFT_PX2 = f32(0.5)
+"""Added to squared distances: a pixel's own value weighs nine times one beside it."""
+LEAST_FREE = 8
+"""Fewer pixels around tell no background."""
+TEXTURE, VALUE, PRESENT, ERROR, TEXTURE_BEFORE, VALUE_BEFORE, ERROR_BEFORE, AROUND, LIGHT = range(9)
+"""Rows of ``Buffers.behind``: the first four as ``take_behind`` writes them, then three of them as they were, what
+free pixels are above the background [DN], and the disc's light for a brightness of 1."""
+
+
+@bare_step(fastmath=FAST)
+def free_pixels(
+    n: int, pixels: Array, shape: tuple[float, float, float], fit: DiscFit, work: Workspace, behind: Array
+) -> tuple[Any, Any]:
+    """Write how far free pixels are above the background [DN], without the disc's light; return their number.
+
+    And the mean square of that about its mean [DN^2]. ``work.image[0]`` holds the disc's coverage then.
+    """
+    light, coverage, around = behind[LIGHT], work.image[0], behind[AROUND]
+    disc = (f32(fit.x), f32(fit.y), f32(fit.radius), f32(fit.blur))
+    disc_image(n, pixels, disc, fit.profile, shape, work.image)
+    for i in range(n):
+        light[i] = coverage[i]
+    disc_image(n, pixels, disc, even_as(fit.profile), shape, work.image)
+    amplitude, level, mean, count = f32(fit.amplitude), f32(fit.background), ZERO, ZERO
+    for i in range(n):
+        mean += behind[TEXTURE_BEFORE, i]
+        count += behind[PRESENT, i]
+    mean /= max(count, ONE)
+    total = square = count = ZERO
+    for i in range(n):
+        free = ONE - coverage[i]
+        hidden = coverage[i] * (behind[TEXTURE_BEFORE, i] - mean)
+        around[i] = (behind[VALUE_BEFORE, i] + hidden - level - amplitude * light[i]) / max(free, ONE - HIDDEN)
+        known = behind[PRESENT, i] if coverage[i] < FREE else ZERO
+        total += known * around[i]
+        square += known * around[i] * around[i]
+        count += known
+    mean = total / max(count, ONE)
+    return count, square / max(count, ONE) - mean * mean
+
+
+@bare_step(fastmath=FAST)
+def take_around(n: int, pixels: Array, dark_dn2: float, coverage: Array, behind: Array) -> None:
+    """Add the background that free pixels tell to the texture behind n pixels, and take it from their grey values.
+
+    Its error is the mean square by which free pixels differ from what the others tell there, less their noise.
+    """
+    x, y, around, present = pixels[0], pixels[1], behind[AROUND], behind[PRESENT]
+    texture, error, wrong, count = behind[TEXTURE], behind[ERROR], ZERO, ZERO
+    for i in range(n):
+        texture[i] = ZERO
+        if coverage[i] >= HIDDEN or present[i] == ZERO:
+            continue
+        total = weights = squares = ZERO
+        for j in range(n):
+            dx, dy = x[i] - x[j], y[i] - y[j]
+            near = ONE / (dx * dx + dy * dy + SOFT_PX2)
+            weight = near * near * present[j] if coverage[j] < FREE and j != i else ZERO
+            total += weight * around[j]
+            weights += weight
+            squares += weight * weight
+        if coverage[i] < FREE:
+            off = around[i] - total / weights
+            wrong += off * off - f32(dark_dn2) * (ONE + squares / (weights * weights))
+            count += ONE
+            total += around[i] / (SOFT_PX2 * SOFT_PX2)
+            weights += ONE / (SOFT_PX2 * SOFT_PX2)
+        texture[i] = total / weights
+    variance = max(wrong / count, ZERO) / f32(dark_dn2)
+    for i in range(n):
+        behind[VALUE, i] = behind[VALUE_BEFORE, i] - texture[i] * present[i]
+        texture[i] += behind[TEXTURE_BEFORE, i]
+        error[i] = behind[ERROR_BEFORE, i] + variance * present[i]
+
+
+@bare_step(fastmath=FAST)
+def keep_before(n: int, pixels: Array, subtracted: bool, behind: Array) -> None:
+    """Write what ``take_around`` starts from; ``subtracted``: ``behind`` holds what ``take_behind`` wrote."""
+    for i in range(n):
+        if not subtracted:
+            behind[TEXTURE, i], behind[VALUE, i], behind[ERROR, i] = ZERO, pixels[4, i], ZERO
+            behind[PRESENT, i] = pixels[3, i]
+        behind[TEXTURE_BEFORE, i], behind[VALUE_BEFORE, i] = behind[TEXTURE, i], behind[VALUE, i]
+        behind[ERROR_BEFORE, i] = behind[ERROR, i]
+
+
+@bare_step(fastmath=FAST)
+def fit_around(
+    n: int,
+    pixels: Array,
+    shape: tuple[float, float, float],
+    fit: DiscFit,
+    prior: DiscPrior,
+    model: Model,
+    symmetric: bool,
+    buffers: Any,
+) -> tuple[DiscFit, bool]:
+    """Fit a disc and its surroundings in turn, from ``fit`` on; return the last fit, and whether chance explains it.
+
+    The others as in ``refit_around``.
+    """
+    behind, work, told = buffers.behind, buffers.fit, ZERO
+    for _ in range(MOST_FITS):
+        if free_pixels(n, pixels, shape, fit, work, behind)[0] < LEAST_FREE:
+            return fit, False
+        take_around(n, pixels, model.dark_dn2, work.image[0], behind)
+        before = fit
+        fit = refit_before(n, pixels, behind, shape, fit, prior, model, symmetric, work)
+        dx, dy = fit.x - before.x, fit.y - before.y
+        if not fit.converged or dx * dx + dy * dy < CLOSE_2 * (fit.covariance[0] + fit.covariance[2]):
+            break
+    if not fit.converged:
+        return fit, False
+    free_pixels(n, pixels, shape, fit, work, behind)
+    for i in range(n):
+        told += behind[PRESENT, i] if work.image[0, i] >= FREE else ZERO
+    inner = float(told) - 6.0
+    good: bool = inner > 0.0 and fit.chi2 < inner * misfit_by_chance(inner + 6.0)
+    return fit, good
+
+
+@bare_step(fastmath=FAST)
+def refit_around(
+    n: int,
+    pixels: Array,
+    subtracted: bool,
+    shape: tuple[float, float, float],
+    fits: tuple[DiscFit, DiscFit],
+    prior: DiscPrior,
+    model: Model,
+    symmetric: bool,
+    usual: float,
+    buffers: Any,
+) -> tuple[DiscFit, bool]:
+    """Fit a disc to n pixels again before the background that the free ones among them tell, if that is uneven.
+
+    ``n``: with padding; ``subtracted``: whether something was subtracted from the image, which ``buffers.behind``
+    holds; ``fits``: the one so far, and the disc that the region's brightest pixels suggest, which is not drawn to a
+    bright side; ``usual``: the camera's usual misfit, as ``ROUGH``, by skirts that its lens causes. Returns the fit,
+    and whether it is another one, which chance explains; the pixels are left as they were where it is not.
+    """
+    behind, work = buffers.behind, buffers.fit
+    keep_before(n, pixels, subtracted, behind)
+    seen = fits[0] if fits[0].converged else fits[1]
+    count, square = free_pixels(n, pixels, shape, seen, work, behind)
+    lens = min(usual, FIRST_ROUGHNESS) * seen.amplitude * seen.amplitude
+    if count >= LEAST_FREE and square > model.dark_dn2 * misfit_by_chance(count) + lens:
+        for start in fits:
+            fit, good = fit_around(n, pixels, shape, start, prior, model, symmetric, buffers)
+            if good:
+                return fit, True
+    for i in range(n):
+        behind[TEXTURE, i], behind[VALUE, i] = behind[TEXTURE_BEFORE, i], behind[VALUE_BEFORE, i]
+        behind[ERROR, i] = behind[ERROR_BEFORE, i]
+        if not subtracted:
+            pixels[3, i], pixels[4, i] = behind[PRESENT, i], behind[VALUE, i]
+    if subtracted:
+        uncover(n, pixels, behind, shape, fits[0], prior.rim, work)
+    return fits[0], False
