@@ -20,6 +20,7 @@ from mosca.data.frames import CameraInfo, FrameSet, FrameSource
 from mosca.data.rays import Predicted, RayTable
 from mosca.data.rig import Rig
 from mosca.data.tracks import Points, Samples
+from mosca.detection.cut_targets.mend import CutTargets
 from mosca.detection.detect import DetectionSettings
 from mosca.detection.scheduler import LOOK_SETS, FrameSetDetector, detect_ahead, most_ahead
 from mosca.diagnostics.camera_health import Health
@@ -163,7 +164,7 @@ def run_seen(
     low, high = settings.volume or ((-np.inf,) * 3, (np.inf,) * 3)
     volume = np.asarray(low, dtype=float), np.asarray(high, dtype=float)
     tracker = Tracker(settings.track) if settings.nearest is None else NearestTracker(settings.nearest)
-    field_width, matcher = FieldWidth(rig), _Matcher(settings.match, volume)
+    field_width, matcher, cut = FieldWidth(rig), _Matcher(settings.match, volume), CutTargets()
     if settings.lookahead > 0 and keeper is None:
         seen = _errors_first(seen, rig, matcher, health)
 
@@ -173,6 +174,10 @@ def run_seen(
         predicted = tracker.predict(frame_set.time_ns * 1e-9)
         timer.lap("predict")
         bundle, points = matcher.match(rig, detections, predicted, health.noise)
+        mended = cut.mended(frame_set, detections, rig, bundle, points, predicted, matcher.typical_m)
+        if mended is not None:
+            detections = mended
+            bundle, points = matcher.match(rig, detections, predicted, health.noise, learn=False)
         timer.lap("match")
         if (width_m := field_width.learn(points)) is not None:
             tracker.scale_to(width_m)
@@ -224,14 +229,25 @@ class _Matcher:
         self._settings, self._unjudged = settings, replace(settings, judge_sizes=False)
         self._volume, self._sizes = volume, TypicalSize()
 
+    @property
+    def typical_m(self) -> float:
+        """Diameter of the targets [m]; 0 where they are not of one size, or it is not known."""
+        return self._sizes.diameter_m if self._settings.judge_sizes and self._sizes.alike else 0.0
+
     def match(
-        self, rig: Rig, detections: Mapping[str, Detections], predicted: Predicted, noise: ImageNoise
+        self,
+        rig: Rig,
+        detections: Mapping[str, Detections],
+        predicted: Predicted,
+        noise: ImageNoise,
+        learn: bool = True,
     ) -> tuple[RayTable, Points]:
-        """Return the rays of a frame set and the points that they make."""
+        """Return the rays of a frame set and the points that they make; sizes are learned from them."""
         table, sizes = make_ray_table(rig, detections, noise.sigma_px, self._settings.target), self._sizes
         first, settings = not sizes.known, self._settings if sizes.alike else self._unjudged
         points = match(table, predicted, settings, self._volume, sizes.diameter_m)
-        sizes.learn(points)
+        if learn:
+            sizes.learn(points)
         if first and not sizes.alike:
             points = match(table, predicted, self._unjudged, self._volume, sizes.diameter_m)
         return table, points

@@ -27,6 +27,8 @@ from mosca.data.rig import Camera, MoscaLens, Pose, Rig
 from mosca.data.sightings import Sightings
 from mosca.data.target_codes import SECTORS, code_bits
 from mosca.data.targets import CodedTarget, PlacedTarget, TestField
+from mosca.detection.cut_targets.disc import fit_discs
+from mosca.detection.cut_targets.pair import fit_pairs
 from mosca.detection.detect import DetectionSettings
 from mosca.detection.disc_fit.camera_statistics import NO_STATISTICS
 from mosca.detection.scheduler import FrameSetDetector
@@ -109,6 +111,9 @@ def points() -> int:
         frame_set = FrameSet(pulse, round(pulse * 1e9 / RATE_HZ), {})
         samples += len(tracker.update(made, pulse, frame_set.time_ns))
         health.attend(rig, frame_set, found, made, bundle)
+    patch = np.zeros((1, 5, 5)), np.ones((1, 5, 5), bool), np.ones((1, 8))
+    fit_discs(*patch, False, np.zeros(1))
+    fit_pairs(*patch, np.zeros(1))
     return samples
 
 

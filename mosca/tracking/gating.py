@@ -7,7 +7,7 @@ import numpy as np
 from mosca.numba_support.decorators import bare_step, inlined_step, step
 from mosca.numba_support.linalg3 import mahalanobis3, plus_identity3, sum3, symmetric3
 from mosca.tracking.neighbour_model import distance_evidence
-from mosca.tracking.state import CONFIRMED, SLOTS_USED, UNPREDICTED
+from mosca.tracking.state import BY_MOTION, CONFIRMED, SLOTS_USED, UNPREDICTED
 
 SEEN_BONUS = 16.0
 """-2 log of the probability that a track seen last is not seen now."""
@@ -25,7 +25,7 @@ class Gate(NamedTuple):
     reach: float
     """Euclidean radius [m]."""
     manoeuvre: float
-    """Variance [m^2] that a sudden manoeuvre adds to the prediction; 0 for a track not seen last."""
+    """Variance [m^2] that a sudden manoeuvre adds to the prediction; 0 for a track predicted by its neighbours."""
     offset: float
     """Score of a point at the prediction whose innovation has a covariance of determinant 1."""
 
@@ -36,7 +36,8 @@ def gated_pairs(bank, neighbours, points, used, state, rules, time_s):
 
     Score: log-likelihood ratio (times 2) of "this track's point" against "a new target's", new targets being as
     dense as one in a gate; greater than 0. A sudden manoeuvre (``rules.manoeuvre_mps2``) is the alternative
-    hypothesis of each track seen at the instant before; the likelier of the two counts.
+    hypothesis of each track that its own motion predicts; the likelier of the two counts. A hidden track's point by a
+    manoeuvre must also fit its distances.
     """
     xyz, covariance = points.xyz, points.covariance
     top, m = bank.counters[SLOTS_USED], xyz.shape[0]
@@ -56,7 +57,9 @@ def gated_pairs(bank, neighbours, points, used, state, rules, time_s):
         if bank.state[i] != state or bank.source[i] == UNPREDICTED:
             continue
         p, expected = bank.predicted_covariance[i], bank.predicted[i]
-        manoeuvre = (0.5 * rules.manoeuvre_mps2 * (time_s - bank.seen_s[i]) ** 2) ** 2 if bank.missed[i] == 0 else 0.0
+        manoeuvre = 0.0
+        if bank.source[i] == BY_MOTION:
+            manoeuvre = min(0.5 * rules.manoeuvre_mps2 * (time_s - bank.seen_s[i]) ** 2, rules.gate_m) ** 2
         spread = np.sqrt(p[0, 0] + p[1, 1] + p[2, 2] + 3.0 * manoeuvre + loosest)
         gate = Gate(min(rules.gate_m, rules.gate_sigma * spread), manoeuvre, offset)
         for k in range(np.searchsorted(along, expected[axis] - gate.reach), m):
@@ -124,6 +127,8 @@ def _score(bank, neighbours, i, points, r, gate, rules, time_s):
         fits = distance_evidence(bank, neighbours, i, points.xyz[r], covariance, hidden_s, rules.gate_m)
         score += min(2.0 * fits, 0.0)
         if fits < CONTRADICTED and trusted < rules.reliable_from:
+            return -1.0
+        if away > rules.gate_sigma**2 and fits <= 0.0:
             return -1.0
     return score
 

@@ -81,6 +81,9 @@ def update(bank, slot_of, points, jitter_s, time_s, rules, scratch):
             for a in range(3):
                 for b in range(3):
                     points.covariance[row, a, b] += share * bank.mean[i, 3 + a] * bank.mean[i, 3 + b]
+            if bank.source[i] == BY_NEIGHBOURS and time_s - bank.seen_s[i] > rules.coast_s:
+                for a in range(3):
+                    bank.mean[i, 3 + a] = 0.0  # a velocity of so long ago says nothing
             _update_track(bank, i, points.xyz[row], points.covariance[row], rules, scratch)
         else:
             i = _begin(bank, points.xyz[row], points.covariance[row], rules)

@@ -27,6 +27,8 @@ REPLACED_FROM, USED_UP_TO = 0.05, 0.15
 is evidence for a track."""
 RELAXED_S = 0.5
 """Correlation time of a distance's deviation from its mean [s]."""
+RATE_WINDOW_S = 2.0
+"""Time over which it is averaged how fast a distance changes [s]: movements differ from one to the next."""
 WINDOW_S = 20.0
 """Time over which distances are averaged [s]."""
 UPDATE_EVERY, SEARCH_EVERY, EXCHANGED = 1, 16, 3
@@ -60,6 +62,9 @@ def learn_distances(bank, neighbours, step_s, reach_m):
             _search(bank, neighbours, i, reach_m, instant // (UPDATE_EVERY * SEARCH_EVERY))
         if not bank.reliable[i]:
             continue
+        for k in range(NEIGHBOURS):
+            if due and neighbours.valid[i, k] and observed_now(bank, neighbours, i, k):
+                _learn_rate(bank, neighbours, i, k, update_s)
         # index scalars; slicing costs a reference-count update
         for a in range(3):
             neighbours.own_xyz_last_seen[i, a] = bank.mean[i, a]
@@ -91,6 +96,15 @@ def _learn_one(neighbours: Neighbours, i: int, k: int, measured: float, update_s
     neighbours.variance[i, k] = (1.0 - rate) * (variance + rate * away * away)
     neighbours.distance[i, k] = mean + rate * away
     neighbours.observed_s[i, k] = observed_s + update_s
+
+
+@bare_step
+def _learn_rate(bank, neighbours, i, k, update_s):
+    """Update how fast a distance changes, by its value when both were last seen."""
+    before = _distance(neighbours.own_xyz_last_seen[i], neighbours.xyz_last_seen[i, k])
+    change = (_track_distance(bank, i, neighbours.slot[i, k]) - before) / update_s
+    rate = min(update_s / min(neighbours.observed_s[i, k] + update_s, RATE_WINDOW_S), 1.0)
+    neighbours.rate2[i, k] += rate * (change * change - neighbours.rate2[i, k])
 
 
 @step
@@ -174,22 +188,30 @@ def distance_evidence(bank, neighbours, i, point, noise, hidden_s, range_m):
     targets are as dense as one in this range.
     """
     own = (noise[0, 0] + noise[1, 1] + noise[2, 2]) / 3.0
-    # a distance returns from its last value to its mean, and its variance grows (Ornstein-Uhlenbeck)
     kept = np.exp(-hidden_s / RELAXED_S)
     total = 0.0
     for k in range(NEIGHBOURS):
-        if neighbours.observed_s[i, k] > OBSERVED_HALF_S and observed_now(bank, neighbours, i, k):
+        # a distance that was last seen may be used at once: how little is known of it, its variance says
+        known = neighbours.observed_s[i, k] > OBSERVED_HALF_S or neighbours.valid[i, k]
+        if known and observed_now(bank, neighbours, i, k):
             expected, variance = neighbours.distance[i, k], neighbours.variance[i, k]
             spread2 = distance_variance(expected, variance, neighbours.observed_s[i, k])
             if neighbours.valid[i, k]:
+                # a distance returns from its last value to its mean, and its variance grows (Ornstein-Uhlenbeck), at
+                # first as fast as it was seen to change
                 last = _distance(neighbours.own_xyz_last_seen[i], neighbours.xyz_last_seen[i, k])
-                expected += kept * (last - expected)
-                spread2 -= kept * kept * variance
+                away = last - expected
+                grown = min(neighbours.rate2[i, k] * hidden_s * hidden_s, max(variance, away * away))
+                spread2 += max(grown, (1.0 - kept * kept) * variance) - variance
+                expected += kept * away
             spread2 += own
             if spread2 > (USED_UP_TO * expected) ** 2:
                 continue
             away = _distance(point, bank.mean[neighbours.slot[i, k]]) - expected
-            ratio = np.exp(-0.5 * away * away / spread2) * range_m / np.sqrt(2.0 * np.pi * spread2)
+            # Student's t, with as many degrees of freedom as there were postures: few say little of the next one
+            freedom = max(neighbours.observed_s[i, k] / RELAXED_S, 1.0)
+            ratio = (1.0 + away * away / (freedom * spread2)) ** (-0.5 * (freedom + 1.0))
+            ratio *= range_m / np.sqrt(2.0 * np.pi * spread2)
             total += np.log((1.0 - FOREIGN) * min(ratio, LARGEST_RATIO) + FOREIGN)
     return total
 
@@ -201,7 +223,8 @@ def _has_distances(neighbours: Neighbours, i: int) -> bool:
     for k in range(NEIGHBOURS):
         distance, observed_s = neighbours.distance[i, k], neighbours.observed_s[i, k]
         spread2 = distance_variance(distance, neighbours.variance[i, k], observed_s)
-        known += observed_s > OBSERVED_HALF_S and spread2 < (USED_UP_TO * distance) ** 2
+        seen = observed_s > OBSERVED_HALF_S or neighbours.valid[i, k]
+        known += seen and spread2 < (USED_UP_TO * distance) ** 2
     return known >= 2
 
 
@@ -229,7 +252,7 @@ def _search(bank, neighbours, i, reach_m, round_number):
             return
         neighbours.slot[i, at], neighbours.serial[i, at] = found, bank.serial[found]
         neighbours.distance[i, at], neighbours.variance[i, at] = np.sqrt(nearest2), 0.0
-        neighbours.observed_s[i, at] = 0.0
+        neighbours.rate2[i, at] = neighbours.observed_s[i, at] = 0.0
         neighbours.valid[i, at] = False
 
 

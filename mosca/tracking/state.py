@@ -113,6 +113,8 @@ class Neighbours(NamedTuple):
     """(n, k) mean [m]."""
     variance: Array
     """(n, k) of the distance [m^2]."""
+    rate2: Array
+    """(n, k) mean square of its change in time [m^2/s^2]."""
     observed_s: Array
     """(n, k) how long the distance was observed [s]."""
     xyz_last_seen: Array
@@ -142,7 +144,7 @@ def new_neighbours(slots: int) -> Neighbours:
     each = (slots, NEIGHBOURS)
     return Neighbours(
         slot=np.full(each, -1, np.int64), serial=np.zeros(each, np.int64), distance=np.zeros(each),
-        variance=np.zeros(each), observed_s=np.zeros(each), xyz_last_seen=np.zeros((*each, 3)),
+        variance=np.zeros(each), rate2=np.zeros(each), observed_s=np.zeros(each), xyz_last_seen=np.zeros((*each, 3)),
         valid=np.zeros(each, np.bool_), own_xyz_last_seen=np.zeros((slots, 3)), rotation=np.zeros((slots, 3, 3)),
     )  # fmt: skip
 

@@ -39,7 +39,7 @@ SUBJECTS = {
         "a walking person",
         'kind = "actor"\naction = "walk"         # or "run" | "boxing" | "dance" | "jump" | "range_of_motion"\n'
         "markers = 50\nmarker_diameter_m = 0.016\n"
-        'skin = "off"            # markers slide on the skin: "moderate" | "strong"\n',
+        'skin = "moderate"       # markers slide on the skin: "off" | "moderate" | "strong"\n',
         (0.0, 0.0, 1.25), (2.5, 2.5, 2.5), 4.0, (0.8, 2.6), 8.0,
     ),
     "drone": StartingPoint(

@@ -37,7 +37,7 @@ class ActorScene(Table):
         description="where they are; 'anatomical': 53, with one on both sides of each knee, ankle and elbow",
     )
     skin: Literal["off", "moderate", "strong"] = Field(
-        "off", description="how far the markers slide on the bones (soft tissue; docs/people.md has millimetres)"
+        "moderate", description="how far the markers slide on the bones (soft tissue; docs/people.md has millimetres)"
     )
     seat_sigma_m: float = Field(
         0.0,

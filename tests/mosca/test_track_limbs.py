@@ -92,6 +92,34 @@ def test_a_marker_that_leaves_its_limb_and_is_hidden_for_a_moment_is_still_itsel
     assert identity_at(tracks, 130, path[130, 3]) == identity_at(tracks, 50, path[50, 3])
 
 
+def punch(push, reach):
+    """An arm before a trunk: still for a second, then pushed forward while its elbow opens (140, 9, 3).
+
+    ``push`` [m/s^2] for 30 ms, ``reach``: how fast the forearm leaves the upper arm [m/s]. Marker 4 is on the upper
+    arm, 5 beside the elbow, 6 to 8 on the forearm.
+    """
+    t = np.arange(140) * 0.01
+    sway = 0.01 * np.sin(5 * t)
+    since = np.maximum(t - 1.0, 0.0)
+    forward = np.where(since < 0.03, 0.5 * push * since**2, push * 0.03 * (since - 0.015))
+    trunk = [[-0.2, 0.1, 0.3], [-0.25, -0.1, 0.3], [-0.3, 0.1, 0.0], [-0.3, -0.1, 0.05]]
+    arm = [[0, 0, 0.2], [0.14, 0, 0.1], [0.2, 0.02, 0.25], [0.26, -0.03, 0.28], [0.25, 0.03, 0.33]]
+    path = np.tile(np.array(trunk + arm), (len(t), 1, 1))
+    path[:, 4:, 0] += forward[:, None]
+    path[:, 6:, 0] += (sway + reach * np.minimum(since, 0.2))[:, None]
+    return path + np.random.default_rng(0).normal(0, 2e-4, path.shape)
+
+
+@pytest.mark.parametrize("push", [60.0, 80.0, 100.0])
+def test_a_marker_that_is_hidden_when_its_limb_is_pushed_is_still_itself(push):
+    # in a second of rest distances across the elbow hardly change; in the punch they do by centimetres
+    path = punch(push, 1.0)
+    frames = [points(np.delete(x, 4, axis=0) if k == 101 else x) for k, x in enumerate(path)]
+    tracks = follow(frames)
+    assert len(np.unique(tracks.track)) == 9
+    assert identity_at(tracks, 130, path[130, 4]) == identity_at(tracks, 50, path[50, 4])
+
+
 def test_a_poor_sighting_off_its_limb_is_not_the_hidden_marker():
     path = leaving_its_limb(20.0)
     frames = [points(x[:3] if k == 110 else x) for k, x in enumerate(path)]
