@@ -18,8 +18,8 @@ from mosca.data.settings import TrackSettings
 from mosca.data.tracks import Points
 
 PERSON_SPACE_M = 2.5
-"""Longest edge [m] of the space for which the lengths and speeds of ``PERSON`` are meant. The benchmark's actor: no name
-is exchanged with 1.25, one with 2.5, three with 5, where completeness falls from 0.997 to 0.973."""
+"""Longest edge [m] of the space for which the lengths and speeds of ``PERSON`` are meant. The benchmark's actor: no
+name is exchanged with 1.25, one with 2.5, three with 5, where completeness falls from 0.997 to 0.973."""
 LEARNED_FROM = 100
 """Frame sets with points from which the field's width is learned."""
 

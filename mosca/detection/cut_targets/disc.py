@@ -37,12 +37,17 @@ CLEARLY_WORSE = 300.0
 LEAST_CUT, LARGEST_STEP = -0.8, 0.5
 """Least c that is tried, and largest step of a length, over the radius."""
 NUMERIC = 1e-3
+"""Step [px] of radius and blur in derivatives by differences."""
 FEWEST_PX = 20
 """Pixels that a fit needs."""
 _DENSITY = 1.0 / math.sqrt(2.0 * math.pi)
+"""Of the normal distribution at 0."""
 _ONE, _HALF = f32(1.0), f32(0.5)
+"""In the type of the pixels."""
 _E = (f32(1.0 / 16.0), f32(0.5), f32(1.0 / 6.0), f32(1.0 / 24.0))
+"""Terms of the exponential's series, and what its argument is divided by."""
 _PHI = (f32(0.33267), f32(0.4361836), f32(-0.1201676), f32(0.9372980))
+"""Abramowitz and Stegun 26.2.16."""
 
 
 @inlined_step(fastmath=FAST)

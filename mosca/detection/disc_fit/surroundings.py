@@ -16,9 +16,12 @@ from mosca.detection.disc_fit.row import FIRST_ROUGHNESS, misfit_by_chance
 from mosca.numba_support.decorators import bare_step
 
 FREE, HIDDEN = f32(0.12), f32(0.99)
-"""A pixel of which the disc covers less is one of the background; from the second share on it does not matter."""
+"""A pixel of which the disc covers less is one of the background; from the second share on it does not matter.
+Eighty images of markers beside edges, fitted in vain before an even background: rms 0.049 px with 0.05, 0.046 with
+0.12, 0.053 with 0.25."""
 SOFT_PX2 = f32(0.5)
-"""Added to squared distances: a pixel's own value weighs nine times one beside it."""
+"""Added to squared distances: a pixel's own value weighs nine times one beside it. The inverse third, fourth and
+sixth power of the distance leave 0.051, 0.046 and 0.042 px in those images."""
 LEAST_FREE = 8
 """Fewer pixels around tell no background."""
 TEXTURE, VALUE, PRESENT, ERROR, TEXTURE_BEFORE, VALUE_BEFORE, ERROR_BEFORE, AROUND, LIGHT = range(9)
