@@ -333,7 +333,7 @@ def test_curves_have_the_slopes_of_their_closed_forms() -> None:
 @pytest.mark.parametrize("words", ["action='boxing'", "gait='in_place'", "gait='back_and_forth'"])
 def test_a_scenario_file_is_obeyed(words: str) -> None:
     path = find("actor")
-    chosen = load_scenario(path, (f"scene.{words}", "capture.duration_s=1"))
+    chosen = load_scenario(path, (f"scene.{words}", "scene.skin='off'", "capture.duration_s=1"))
     moved = build_scene(chosen, path.parent).configuration_at
     assert isinstance(moved, BuiltInConfiguration)
     assert isinstance(moved.moved, Action) if "boxing" in words else getattr(moved.moved, "path", "") in words

@@ -61,6 +61,8 @@ SURE, AMBIGUOUS, SAME_PX = 60.0, 12.0, 0.1
 centre is as near as that: odds of 400. The first: whatever a track expects."""
 TWO_TARGETS, MOST_OF_TWO = 1.2, 2.6
 """Areas over a target's of images that may be of two grown together."""
+ENOUGH_WHOLE = 2
+"""Whole images of a point beside which others are not mended: they would tell little more."""
 LEAST_APART = 0.2
 """How far apart two targets' centres are at least, over the radius."""
 COLUMNS = tuple(name for name in Detections.__dataclass_fields__ if name != "camera")
@@ -176,6 +178,8 @@ class CutTargets:
         if cut.sum() > MOST_CUT * seen.sum():
             cut[:] = False
         grown = seen & (flags & SATURATED == 0) & (share > TWO_TARGETS) & (share < MOST_OF_TWO)
+        few = (whole.sum(axis=1) < ENOUGH_WHOLE)[:, None]
+        cut, grown = cut & few, grown & few
         changed = False
         for c, name in enumerate(names):
             frame = frame_set.frames.get(name)

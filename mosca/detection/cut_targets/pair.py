@@ -32,8 +32,8 @@ from mosca.detection.cut_targets.disc import (
 from mosca.detection.disc_fit.disc_image import f32
 from mosca.numba_support.decorators import bare_step, kernel
 
-STEP_PX = 0.02
-"""Step of numeric derivatives."""
+TOUCHING_PX = 1e-6
+"""Least distance of two centres of which a direction is taken."""
 PAIR_X, PAIR_MISFIT, PAIR_AMPLITUDE, PAIR_COVARIANCE, PAIR_RESULT = 0, 4, 5, 6, 12
 """Columns of a pair's fit: both centres [px], squared residuals a degree of freedom over the squared amplitude,
 amplitude [DN], and (xx, xy, yy) of either centre [px^2]."""
@@ -45,8 +45,8 @@ TURNS, APART = 4, (0.5, 1.0, 1.5, 2.0)
 def _pair_image(pixels, pair, disc, image, other, nodes):
     """Fill the first row of ``image`` with the light of two discs of one size, of which one hides part of the other.
 
-    Their common chord divides what they cover into two cut discs. ``pair`` (4,): both centres; ``disc`` (8,): RADIUS
-    and BLUR, the rest is overwritten.
+    Their common chord divides what they cover into two cut discs; the further rows of ``image`` and ``other`` are the
+    derivatives of either. ``pair`` (4,): both centres; ``disc`` (8,): RADIUS and BLUR, the rest is overwritten.
     """
     dx, dy = pair[2] - pair[0], pair[3] - pair[1]
     disc[CUT] = min(0.5 * math.sqrt(dx * dx + dy * dy), disc[RADIUS])
@@ -62,27 +62,33 @@ def _pair_image(pixels, pair, disc, image, other, nodes):
 
 
 @bare_step
-def _pair_columns(pixels, pair, disc, image, more, other, nodes, by):
-    """Fill ``by`` (6, n): derivatives by both centres, amplitude and background."""
-    for k in range(4):
-        kept = pair[k]
-        pair[k] = kept + STEP_PX
-        _pair_image(pixels, pair, disc, more, other, nodes)
-        pair[k] = kept
-        for i in range(pixels.shape[1]):
-            by[k, i] = disc[AMPLITUDE] * (more[0, i] - image[0, i]) / STEP_PX
+def _pair_columns(pixels, pair, amplitude, radius, image, other, by):
+    """Fill ``by`` (6, n): derivatives by both centres, amplitude and background.
+
+    A centre moves its own disc, and turns and moves the chord that cuts both.
+    """
+    dx, dy = pair[2] - pair[0], pair[3] - pair[1]
+    apart = max(math.sqrt(dx * dx + dy * dy), TOUCHING_PX)
+    cosine, sine = dx / apart, dy / apart
+    moves = 0.5 if 0.5 * apart < radius else 0.0
     for i in range(pixels.shape[1]):
+        edge, turn = amplitude * moves * (image[3, i] + other[3, i]), amplitude * (image[4, i] + other[4, i]) / apart
+        along_x, along_y = cosine * edge - sine * turn, sine * edge + cosine * turn
+        by[0, i] = amplitude * (sine * image[2, i] - cosine * image[1, i]) - along_x
+        by[1, i] = -amplitude * (sine * image[1, i] + cosine * image[2, i]) - along_y
+        by[2, i] = amplitude * (cosine * other[1, i] - sine * other[2, i]) + along_x
+        by[3, i] = amplitude * (sine * other[1, i] + cosine * other[2, i]) + along_y
         by[4, i], by[5, i] = image[0, i], 1.0
 
 
 @bare_step
 def _settle_pair(pixels, pair, disc, work):
     """Improve a pair by Levenberg-Marquardt steps; return its squared residuals."""
-    image, more, other, nodes, by, normal, right, tried = work
+    image, other, image_then, other_then, nodes, by, normal, right, tried = work
     _pair_image(pixels, pair, disc, image, other, nodes)
     least, damping = levels(pixels, image, disc), 1e-3
     for _ in range(STEPS):
-        _pair_columns(pixels, pair, disc, image, more, other, nodes, by)
+        _pair_columns(pixels, pair, disc[AMPLITUDE], disc[RADIUS], image, other, by)
         normal_equations(pixels, disc, image, by, damping, normal, right)
         if not solve(normal, right[:, :1], 6):
             break
@@ -93,8 +99,8 @@ def _settle_pair(pixels, pair, disc, work):
         for k in range(4):
             tried[k] = pair[k] + held * right[k, 0]
         amplitude, level = disc[AMPLITUDE], disc[LEVEL]
-        _pair_image(pixels, tried, disc, more, other, nodes)
-        error = levels(pixels, more, disc)
+        _pair_image(pixels, tried, disc, image_then, other_then, nodes)
+        error = levels(pixels, image_then, disc)
         if not error <= least:
             disc[AMPLITUDE], disc[LEVEL] = amplitude, level
             damping *= 10.0
@@ -105,8 +111,9 @@ def _settle_pair(pixels, pair, disc, work):
         least, damping = error, damping / 8.0
         for k in range(4):
             pair[k] = tried[k]
-        for i in range(pixels.shape[1]):
-            image[0, i] = more[0, i]
+        for row in range(5):
+            for i in range(pixels.shape[1]):
+                image[row, i], other[row, i] = image_then[row, i], other_then[row, i]
         if held * far < SETTLED_PX or gained < LEAST_GAIN * least:
             break
     return least
@@ -122,11 +129,11 @@ def fit_pairs(patches, there, discs, usual):
     out = np.full((n, PAIR_RESULT), np.inf)
     pixels, disc, pair, at = np.empty((3, h * w), f32), np.empty(8), np.empty(4), np.empty(4)
     work = (
-        np.empty((7, h * w), f32), np.empty((7, h * w), f32), np.empty((7, h * w), f32),
+        np.empty((7, h * w), f32), np.empty((7, h * w), f32), np.empty((7, h * w), f32), np.empty((7, h * w), f32),
         np.empty((3, PANEL * MOST_PANELS), f32), np.empty((6, h * w), f32), np.empty((6, 6)), np.empty((6, 6)),
         np.empty(4),
     )  # fmt: skip
-    image, more, other, nodes, by, normal, right, _ = work
+    image, other, _, _, nodes, by, normal, right, _ = work
     for r in range(n):
         count = gather(patches[r], there[r], pixels)
         if count < FEWEST_PX:
@@ -145,7 +152,7 @@ def fit_pairs(patches, there, discs, usual):
                 if error < least:
                     least, pair[:] = error, at
         least = _settle_pair(seen, pair, disc, work)
-        _pair_columns(seen, pair, disc, image, more, other, nodes, by)
+        _pair_columns(seen, pair, disc[AMPLITUDE], disc[RADIUS], image, other, by)
         normal_equations(seen, disc, image, by, 0.0, normal, right)
         for a in range(6):
             for b in range(6):

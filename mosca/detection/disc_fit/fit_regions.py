@@ -184,7 +184,8 @@ def refit_uneven(
         fit = refit_before(padded, pixels, buffers.behind, light.shape, fit, prior, model, symmetric, buffers.fit)
         if is_known(padded, buffers.behind, model.dark_dn2):
             return fit, False
-    if light.saturated or (fit.converged and fit.chi2 <= (n - 6) * misfit_by_chance(n)):
+    # what is left of a neighbour's light is no background
+    if not symmetric or (fit.converged and fit.chi2 <= (n - 6) * misfit_by_chance(n)):
         return fit, False
     fit, uneven = refit_around(
         padded, pixels, len(behind) > 0, light.shape, (fit, fits[1]), prior, model, symmetric, usual, buffers

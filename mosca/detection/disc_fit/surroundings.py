@@ -11,9 +11,9 @@ from typing import Any
 from mosca.data.arrays import Array
 from mosca.detection.disc_fit.disc_image import FAST, ONE, ZERO, disc_image, even_as, f32
 from mosca.detection.disc_fit.gauss_newton import DiscFit, DiscPrior, Model, Workspace
-from mosca.detection.disc_fit.hidden_background import CLOSE_2, MOST_FITS, refit_before, uncover
+from mosca.detection.disc_fit.hidden_background import CLOSE_2, refit_before, uncover
 from mosca.detection.disc_fit.row import FIRST_ROUGHNESS, misfit_by_chance
-from mosca.numba_support.decorators import bare_step
+from mosca.numba_support.decorators import bare_step, step
 
 FREE, HIDDEN = f32(0.12), f32(0.99)
 """A pixel of which the disc covers less is one of the background; from the second share on it does not matter.
@@ -22,6 +22,8 @@ Eighty images of markers beside edges, fitted in vain before an even background:
 SOFT_PX2 = f32(0.5)
 """Added to squared distances: a pixel's own value weighs nine times one beside it. The inverse third, fourth and
 sixth power of the distance leave 0.051, 0.046 and 0.042 px in those images."""
+TURNS = 4
+"""Most fits in turn with the surroundings: three are as good as six."""
 LEAST_FREE = 8
 """Fewer pixels around tell no background."""
 TEXTURE, VALUE, PRESENT, ERROR, TEXTURE_BEFORE, VALUE_BEFORE, ERROR_BEFORE, AROUND, LIGHT = range(9)
@@ -122,7 +124,7 @@ def fit_around(
     The others as in ``refit_around``.
     """
     behind, work, told = buffers.behind, buffers.fit, ZERO
-    for _ in range(MOST_FITS):
+    for _ in range(TURNS):
         if free_pixels(n, pixels, shape, fit, work, behind)[0] < LEAST_FREE:
             return fit, False
         take_around(n, pixels, model.dark_dn2, work.image[0], behind)
@@ -141,7 +143,7 @@ def fit_around(
     return fit, good
 
 
-@bare_step(fastmath=FAST)
+@step(fastmath=FAST)
 def refit_around(
     n: int,
     pixels: Array,
