@@ -22,7 +22,7 @@ Eighty images of markers beside edges, fitted in vain before an even background:
 SOFT_PX2 = f32(0.5)
 """Added to squared distances: a pixel's own value weighs nine times one beside it. The inverse third, fourth and
 sixth power of the distance leave 0.051, 0.046 and 0.042 px in those images."""
-TURNS = 4
+TURNS = 3
 """Most fits in turn with the surroundings: three are as good as six."""
 LEAST_FREE = 8
 """Fewer pixels around tell no background."""
@@ -159,8 +159,8 @@ def refit_around(
     """Fit a disc to n pixels again before the background that the free ones among them tell, if that is uneven.
 
     ``n``: with padding; ``subtracted``: whether something was subtracted from the image, which ``buffers.behind``
-    holds; ``fits``: the one so far, and the disc that the region's brightest pixels suggest, which is not drawn to a
-    bright side; ``usual``: the camera's usual misfit, as ``ROUGH``, by skirts that its lens causes. Returns the fit,
+    holds; ``fits``: the one so far, and the disc that the region's brightest pixels suggest, where that did not
+    converge; ``usual``: the camera's usual misfit, as ``ROUGH``, by skirts that its lens causes. Returns the fit,
     and whether it is another one, which chance explains; the pixels are left as they were where it is not.
     """
     behind, work = buffers.behind, buffers.fit
@@ -169,10 +169,9 @@ def refit_around(
     count, square = free_pixels(n, pixels, shape, seen, work, behind)
     lens = min(usual, FIRST_ROUGHNESS) * seen.amplitude * seen.amplitude
     if count >= LEAST_FREE and square > model.dark_dn2 * misfit_by_chance(count) + lens:
-        for start in fits:
-            fit, good = fit_around(n, pixels, shape, start, prior, model, symmetric, buffers)
-            if good:
-                return fit, True
+        fit, good = fit_around(n, pixels, shape, seen, prior, model, symmetric, buffers)
+        if good:
+            return fit, True
     for i in range(n):
         behind[TEXTURE, i], behind[VALUE, i] = behind[TEXTURE_BEFORE, i], behind[VALUE_BEFORE, i]
         behind[ERROR, i] = behind[ERROR_BEFORE, i]
