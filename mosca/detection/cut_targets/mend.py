@@ -331,7 +331,7 @@ def _divided(camera: _Camera, image: Array, seen: Detections, rows: Array, radiu
 def _replaced(seen: Detections, rows: Array, xy: Array, covariance: Array, diameter: Array) -> Detections:
     """Return detections with whole discs in ``rows`` (n,); those beyond the last are added."""
     more = int(rows.max(initial=0)) + 1 - len(seen)
-    at = np.concatenate([np.arange(len(seen)), rows[rows >= len(seen)] * 0 + rows[0]]) if more > 0 else slice(None)
+    at = np.concatenate([np.arange(len(seen)), np.full(more, rows[0])]) if more > 0 else slice(None)
     columns = {name: getattr(seen, name)[at].copy() for name in COLUMNS}
     columns["xy_px"][rows], columns["covariance_px2"][rows], columns["diameter_px"][rows] = xy, covariance, diameter
     columns["flags"][rows], columns["elongation"][rows], columns["ellipticity"][rows] = 0, 1.0, 0.0

@@ -34,8 +34,8 @@ from mosca.numba_support.decorators import bare_step, kernel
 
 TOUCHING_PX = 1e-6
 """Least distance of two centres of which a direction is taken."""
-PAIR_X, PAIR_MISFIT, PAIR_AMPLITUDE, PAIR_COVARIANCE, PAIR_RESULT = 0, 4, 5, 6, 12
-"""Columns of a pair's fit: both centres [px], squared residuals a degree of freedom over the squared amplitude,
+PAIR_MISFIT, PAIR_AMPLITUDE, PAIR_COVARIANCE, PAIR_RESULT = 4, 5, 6, 12
+"""Columns of a pair's fit after both centres [px]: squared residuals a degree of freedom over the squared amplitude,
 amplitude [DN], and (xx, xy, yy) of either centre [px^2]."""
 TURNS, APART = 4, (0.5, 1.0, 1.5, 2.0)
 """Directions and distances, over the radius, at which two centres are tried."""

@@ -188,7 +188,7 @@ def refit_uneven(
     if not symmetric or (fit.converged and fit.chi2 <= (n - 6) * misfit_by_chance(n)):
         return fit, False
     fit, uneven = refit_around(
-        padded, pixels, len(behind) > 0, light.shape, (fit, fits[1]), prior, model, symmetric, usual, buffers
+        padded, pixels, len(behind) > 0, light.shape, (fit, fits[1]), prior, model, usual, buffers
     )
     return fit, uneven
 

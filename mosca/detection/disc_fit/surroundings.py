@@ -9,7 +9,7 @@ is fitted before that (``mosca.detection.disc_fit.hidden_background``), which mo
 from typing import Any
 
 from mosca.data.arrays import Array
-from mosca.detection.disc_fit.disc_image import FAST, ONE, ZERO, disc_image, even_as, f32
+from mosca.detection.disc_fit.disc_image import FAST, ONE, ZERO, disc_image, even_as, f32, is_profiled
 from mosca.detection.disc_fit.gauss_newton import DiscFit, DiscPrior, Model, Workspace
 from mosca.detection.disc_fit.hidden_background import CLOSE_2, refit_before, uncover
 from mosca.detection.disc_fit.row import FIRST_ROUGHNESS, misfit_by_chance
@@ -44,7 +44,8 @@ def free_pixels(
     disc_image(n, pixels, disc, fit.profile, shape, work.image)
     for i in range(n):
         light[i] = coverage[i]
-    disc_image(n, pixels, disc, even_as(fit.profile), shape, work.image)
+    if is_profiled(fit.profile):
+        disc_image(n, pixels, disc, even_as(fit.profile), shape, work.image)
     amplitude, level, mean, count = f32(fit.amplitude), f32(fit.background), ZERO, ZERO
     for i in range(n):
         mean += behind[TEXTURE_BEFORE, i]
@@ -116,7 +117,6 @@ def fit_around(
     fit: DiscFit,
     prior: DiscPrior,
     model: Model,
-    symmetric: bool,
     buffers: Any,
 ) -> tuple[DiscFit, bool]:
     """Fit a disc and its surroundings in turn, from ``fit`` on; return the last fit, and whether chance explains it.
@@ -129,7 +129,7 @@ def fit_around(
             return fit, False
         take_around(n, pixels, model.dark_dn2, work.image[0], behind)
         before = fit
-        fit = refit_before(n, pixels, behind, shape, fit, prior, model, symmetric, work)
+        fit = refit_before(n, pixels, behind, shape, fit, prior, model, True, work)
         dx, dy = fit.x - before.x, fit.y - before.y
         if not fit.converged or dx * dx + dy * dy < CLOSE_2 * (fit.covariance[0] + fit.covariance[2]):
             break
@@ -152,14 +152,13 @@ def refit_around(
     fits: tuple[DiscFit, DiscFit],
     prior: DiscPrior,
     model: Model,
-    symmetric: bool,
     usual: float,
     buffers: Any,
 ) -> tuple[DiscFit, bool]:
     """Fit a disc to n pixels again before the background that the free ones among them tell, if that is uneven.
 
-    ``n``: with padding; ``subtracted``: whether something was subtracted from the image, which ``buffers.behind``
-    holds; ``fits``: the one so far, and the disc that the region's brightest pixels suggest, where that did not
+    ``n``: with padding, all around it; ``subtracted``: whether something was subtracted from the image, which
+    ``buffers.behind`` holds; ``fits``: the one so far, and the disc of the region's brightest pixels, where that did not
     converge; ``usual``: the camera's usual misfit, as ``ROUGH``, by skirts that its lens causes. Returns the fit,
     and whether it is another one, which chance explains; the pixels are left as they were where it is not.
     """
@@ -169,7 +168,7 @@ def refit_around(
     count, square = free_pixels(n, pixels, shape, seen, work, behind)
     lens = min(usual, FIRST_ROUGHNESS) * seen.amplitude * seen.amplitude
     if count >= LEAST_FREE and square > model.dark_dn2 * misfit_by_chance(count) + lens:
-        fit, good = fit_around(n, pixels, shape, seen, prior, model, symmetric, buffers)
+        fit, good = fit_around(n, pixels, shape, seen, prior, model, buffers)
         if good:
             return fit, True
     for i in range(n):
