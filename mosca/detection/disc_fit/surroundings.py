@@ -158,9 +158,10 @@ def refit_around(
     """Fit a disc to n pixels again before the background that the free ones among them tell, if that is uneven.
 
     ``n``: with padding, all around it; ``subtracted``: whether something was subtracted from the image, which
-    ``buffers.behind`` holds; ``fits``: the one so far, and the disc of the region's brightest pixels, where that did not
-    converge; ``usual``: the camera's usual misfit, as ``ROUGH``, by skirts that its lens causes. Returns the fit,
-    and whether it is another one, which chance explains; the pixels are left as they were where it is not.
+    ``buffers.behind`` holds; ``fits``: the one so far, and the disc of the region's brightest pixels, which is begun
+    with where that did not converge; ``usual``: the camera's usual misfit, as ``ROUGH``, by skirts that its lens
+    causes. Returns the fit, and whether it is another one, which chance explains; the pixels are left as they were
+    where it is not.
     """
     behind, work = buffers.behind, buffers.fit
     keep_before(n, pixels, subtracted, behind)
