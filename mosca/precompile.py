@@ -28,6 +28,7 @@ from mosca.data.sightings import Sightings
 from mosca.data.target_codes import SECTORS, code_bits
 from mosca.data.targets import CodedTarget, PlacedTarget, TestField
 from mosca.detection.cut_targets.disc import fit_discs
+from mosca.detection.cut_targets.kinds import kinds_of, own_pixels
 from mosca.detection.cut_targets.pair import fit_pairs
 from mosca.detection.detect import DetectionSettings
 from mosca.detection.disc_fit.camera_statistics import NO_STATISTICS
@@ -111,7 +112,10 @@ def points() -> int:
         frame_set = FrameSet(pulse, round(pulse * 1e9 / RATE_HZ), {})
         samples += len(tracker.update(made, pulse, frame_set.time_ns))
         health.attend(rig, frame_set, found, made, bundle)
-    patch = np.zeros((1, 5, 5)), np.ones((1, 5, 5), bool), np.ones((1, 8))
+    kinds_of(made.rays, made.xyz, bundle.rays, bundle.start, bundle.views, 0.1)
+    seen = found[rig.names[0]]
+    there = own_pixels(5, np.zeros((1, 2), np.int64), np.zeros(1, np.int64), np.ones(1), seen.xy_px, np.ones(n))
+    patch = np.zeros((1, 5, 5)), there, np.ones((1, 8))
     fit_discs(*patch, False, np.zeros(1))
     fit_pairs(*patch, np.zeros(1))
     return samples

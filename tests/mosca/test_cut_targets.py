@@ -4,8 +4,16 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
+from mosca.camera.ray_table import make_ray_table
+from mosca.data.arrays import read_only_image
+from mosca.data.detections import Detections
+from mosca.data.frames import Frame, FrameSet
+from mosca.data.rays import Predicted
+from mosca.data.rig import Camera, OpenCVLens, Pose, Rig
+from mosca.data.tracks import Points
 from mosca.detection.cut_targets.disc import BLUR, CUT, MISFIT, OTHER_MISFIT, OTHER_X, RADIUS, XX, XY, YY, fit_discs
-from mosca.detection.cut_targets.mend import cut_of
+from mosca.detection.cut_targets.kinds import own_pixels
+from mosca.detection.cut_targets.mend import CutTargets, cut_of
 from mosca.detection.cut_targets.pair import PAIR_COVARIANCE, fit_pairs
 
 SIDE, FINE, LIGHT, READ = 15, 10, 12_000.0, 10.0
@@ -129,3 +137,80 @@ def test_too_few_pixels_are_no_fit():
     start = start_at(np.zeros(2), 2.0, 1.0)
     assert np.isinf(fit_discs(patch, there, start, False, np.zeros(1))[0, MISFIT])
     assert np.isinf(fit_pairs(patch, there, start, np.zeros(1))).all()
+
+
+WIDE, HIGH, STEP = 200, 160, 20
+RADIUS_PX, AWAY_M, TARGET_M = 2.5, 2.0, 0.01
+
+
+def drawn(shapes, rng):
+    """Draw (centre, radius, edge along x) into an image of uint16, with the light's centroids."""
+    fine = np.zeros((HIGH * FINE, WIDE * FINE), np.float32)
+    half = 8
+    for x, y, radius, edge in shapes:
+        left, up = round(x) - half, round(y) - half
+        at = (np.arange((2 * half + 1) * FINE) + 0.5) / FINE - 0.5
+        gx, gy = np.meshgrid(at + left, at + up)
+        one = np.clip((radius - np.hypot(gx - x, gy - y)) * FINE + 0.5, 0.0, 1.0)
+        one *= np.clip((edge - (gx - x)) * FINE + 0.5, 0.0, 1.0)
+        part = fine[up * FINE : (up + 2 * half + 1) * FINE, left * FINE : (left + 2 * half + 1) * FINE]
+        np.maximum(part, one, out=part)
+    image = LIGHT * gaussian_filter(fine, FOCUS * FINE, truncate=5.0)
+    image = image.reshape(HIGH, FINE, WIDE, FINE).mean(axis=(1, 3))
+    image += rng.normal(size=image.shape) * np.sqrt(READ**2 + image) + 100.0
+    return np.rint(image).astype(np.uint16)
+
+
+def test_images_are_mended_by_their_points():
+    """One camera, forty-five whole targets, one half hidden, two images of two each: as detection gives them."""
+    rng = np.random.default_rng(2)
+    grid_xy = np.array([(x, y) for y in range(20, 140, STEP) for x in range(20, 180, STEP)], dtype=float)
+    places = grid_xy + rng.uniform(-0.5, 0.5, grid_xy.shape)
+    cut, ones, others = places[10], places[[20, 30]], places[[20, 30]] + [(3.2, 1.1), (-1.0, 3.0)]
+    shapes = [(*xy, RADIUS_PX, 9.0) for xy in (*places, *others)]
+    shapes[10] = (*cut, RADIUS_PX, 0.0)
+    image = drawn(shapes, rng)
+    # half a disc's centroid lies 4 r / (3 pi) from its middle; the covered area of both is 1.75 of one's
+    seen, diameter = places.copy(), np.full(len(places), 2 * RADIUS_PX)
+    seen[10] += (-4 * RADIUS_PX / (3 * np.pi), 0.0)
+    seen[[20, 30]] = 0.5 * (ones + others)
+    diameter[10], diameter[[20, 30]] = 2 * RADIUS_PX * np.sqrt(0.5), 2 * RADIUS_PX * np.sqrt(1.75)
+    n = len(places)
+    lens = OpenCVLens(RADIUS_PX * 2 * AWAY_M / TARGET_M, RADIUS_PX * 2 * AWAY_M / TARGET_M, WIDE / 2, HIGH / 2)
+    camera = Camera("a", WIDE, HIGH, lens, Pose(np.eye(3), np.zeros(3)))
+    rig = Rig((camera,))
+    found = Detections("a", seen, np.tile(1e-4 * np.eye(2), (n, 1, 1)), diameter, 1000.0 + np.arange(n), np.ones(n))
+    rays = make_ray_table(rig, {"a": found}, 0.03)
+    away = AWAY_M / rays.direction[:, 2:]
+    points = Points(
+        rays.direction * away, np.tile(1e-8 * np.eye(3), (n, 1, 1)), np.ones(n), np.zeros(n),
+        np.arange(n)[:, None], np.full(n, TARGET_M), np.ones(n),
+    )  # fmt: skip
+    frames = FrameSet(0, 0, {"a": Frame("a", 0, 0, 1, read_only_image(image))})
+    mending, mended = CutTargets(), None
+    for _ in range(4):
+        mended = mending.mended(frames, {"a": found}, rig, rays, points, Predicted.nothing(), TARGET_M)
+    assert mended is not None
+    new = mended["a"]
+    assert len(new) == n + 2
+    np.testing.assert_allclose(new.xy_px[10], cut, atol=0.06)
+    for k, row in enumerate((20, 30)):
+        pair = new.xy_px[[row, n + k]]
+        pair = pair if np.linalg.norm(pair[0] - ones[k]) < 1.0 else pair[::-1]
+        np.testing.assert_allclose(pair, [ones[k], others[k]], atol=0.06)
+        # what was added is of the image that it was part of
+        assert new.peak[n + k] == new.peak[row] == 1000.0 + row
+    kept = np.setdiff1d(np.arange(n), [10, 20, 30])
+    np.testing.assert_array_equal(new.xy_px[kept], found.xy_px[kept])
+
+
+def test_pixels_of_a_disc_and_not_of_its_neighbour():
+    side, reach = 11, 4.0
+    xy, near = np.array([[5.2, 5.1], [9.0, 6.0], [40.0, 40.0]]), np.array([3.0, 2.5, 3.0])
+    y, x = np.mgrid[:side, :side] + 2.0
+    xy = xy + 2.0
+    wanted = (np.hypot(x - 7.2, y - 7.1) <= reach) & (np.hypot(x - 11.0, y - 8.0) > 2.5)
+    corner, rows = np.array([[2, 2]]), np.array([0])
+    np.testing.assert_array_equal(own_pixels(side, corner, rows, np.array([reach]), xy, near)[0], wanted)
+    everything = own_pixels(side, corner, rows, np.array([reach]), xy, np.full(3, -1.0))[0]
+    np.testing.assert_array_equal(everything, np.hypot(x - 7.2, y - 7.1) <= reach)

@@ -15,10 +15,8 @@ import numpy as np
 
 from mosca.camera.projection import project
 from mosca.data.arrays import Array
-from mosca.data.detections import MERGED, PARTIAL, SATURATED, UNREFINED, Detections
+from mosca.data.detections import Detections
 from mosca.data.frames import FrameSet
-from mosca.data.rays import ANGLE as SUBTENDED
-from mosca.data.rays import RADIUS as IMAGE_RADIUS
 from mosca.data.rays import Predicted, RayTable
 from mosca.data.rig import Camera, Rig, principal_distances_px
 from mosca.data.tracks import Points
@@ -37,11 +35,11 @@ from mosca.detection.cut_targets.disc import (
     YY,
     fit_discs,
 )
+from mosca.detection.cut_targets.kinds import CUT as CUT_ONE
+from mosca.detection.cut_targets.kinds import GROWN, WHOLE, kinds_of, own_pixels
 from mosca.detection.cut_targets.pair import PAIR_AMPLITUDE, PAIR_COVARIANCE, PAIR_MISFIT, fit_pairs
 
-MISSING = 0.07
-"""Share of its area that an image lacks from which its target may be hidden in part; whole ones lack less."""
-LEARNED_FROM, LEARNED_UP_TO, AT_ONCE = 20, 60, 3
+LEARNED_FROM, LEARNED_UP_TO, AT_ONCE = 20, 60, 10
 """Whole discs of a camera: from which on its cut ones are fitted, with which learning ends, most of an image."""
 LEAST_BLUR_PX = 0.4
 """Blur from which on a pixel is small enough beside it to be part of it."""
@@ -52,17 +50,11 @@ MOST_MISFIT, LEAST_MISFIT = 4.0, 4e-4
 """A cut disc is taken where its misfit is at most so many times that of whole discs, or (2 %)^2 of the amplitude."""
 AMPLITUDE_SIGMAS, LEAST_LOG_AMPLITUDE = 4.0, 0.3
 """And where its amplitude is that of whole discs, to so many of their standard deviations or as the logarithm."""
-MOST_CUT = 0.4
-"""Share of images that are too small from which they are of flat targets at a slant."""
 LEAST_LIGHT = 0.4
 """Share of a whole disc's light from which an image that is not mended is judged by its size; below, by its light."""
 SURE, AMBIGUOUS, SAME_PX = 60.0, 12.0, 0.1
 """Chi-square by which a disc cut on the other side must fit worse, its track's prediction counted in, unless its
 centre is as near as that: odds of 400. The first: whatever a track expects."""
-TWO_TARGETS, MOST_OF_TWO = 1.2, 2.6
-"""Areas over a target's of images that may be of two grown together."""
-ENOUGH_WHOLE = 2
-"""Whole images of a point beside which others are not mended: they would tell little more."""
 LEAST_APART = 0.2
 """How far apart two targets' centres are at least, over the radius."""
 COLUMNS = tuple(name for name in Detections.__dataclass_fields__ if name != "camera")
@@ -162,44 +154,30 @@ class CutTargets:
         """
         if len(points) == 0 or not typical_m > 0.0:
             return None
-        found, names = dict(detections), rig.names
-        at = np.where(points.rays >= 0, points.rays + table.start[:-1], 0)
-        rays, away = table.rays[at], np.linalg.norm(points.xyz[:, None] - table.views[:, :3], axis=2)
-        share = (rays[..., SUBTENDED] * away / typical_m) ** 2
-        radius = rays[..., IMAGE_RADIUS] * typical_m / (rays[..., SUBTENDED] * away)
-        flags = np.zeros(points.rays.shape, np.uint8)
-        for c, name in enumerate(names):
-            if name in found and len(found[name]):
-                flags[:, c] = np.where(points.rays[:, c] >= 0, found[name].flags[points.rays[:, c]], MERGED)
-        seen = points.rays >= 0
-        whole = seen & (flags == 0) & (np.abs(share - 1.0) < MISSING)
-        cut = seen & (flags & (MERGED | SATURATED) == 0)
-        cut &= (share < 1.0 - MISSING) | (flags & (PARTIAL | UNREFINED) > 0)
-        if cut.sum() > MOST_CUT * seen.sum():
-            cut[:] = False
-        grown = seen & (flags & SATURATED == 0) & (share > TWO_TARGETS) & (share < MOST_OF_TWO)
-        few = (whole.sum(axis=1) < ENOUGH_WHOLE)[:, None]
-        cut, grown = cut & few, grown & few
-        changed = False
-        for c, name in enumerate(names):
+        found, changed = dict(detections), False
+        at = table.rays, table.start, table.views
+        kinds, share, radius = kinds_of(points.rays, points.xyz, *at, typical_m)
+        for c, name in enumerate(rig.names):
             frame = frame_set.frames.get(name)
             image = None if frame is None else frame.image
             if image is None or name not in found:
                 continue
-            camera = self._cameras.setdefault(name, _Camera())
-            if camera.n < LEARNED_UP_TO and whole[:, c].any():
-                self._learn(camera, image, found[name], points.rays[whole[:, c], c], radius[whole[:, c], c])
+            camera, own = self._cameras.setdefault(name, _Camera()), kinds[:, c]
+            if camera.n < LEARNED_UP_TO:
+                whole = np.flatnonzero(own == WHOLE)
+                self._learn(camera, image, found[name], points.rays[whole, c], radius[whole, c])
             if camera.n < LEARNED_FROM or camera.blur < LEAST_BLUR_PX:
                 continue
-            if cut[:, c].any():
-                rows = points.rays[cut[:, c], c]
-                tracks = _Tracks(rig.cameras[c], points.xyz[cut[:, c]], predicted, SAME_TARGET * typical_m)
-                new = _mended(camera, image, found[name], rows, radius[cut[:, c], c], share[cut[:, c], c], tracks)
+            cut, grown = np.flatnonzero(own == CUT_ONE), np.flatnonzero(own == GROWN)
+            if len(cut):
+                tracks = _Tracks(rig.cameras[c], points.xyz[cut], predicted, SAME_TARGET * typical_m)
+                rows = points.rays[cut, c]
+                new = _mended(camera, image, found[name], rows, radius[cut, c], share[cut, c], tracks)
                 changed |= new is not None
                 found[name] = found[name] if new is None else new
-            if grown[:, c].any():
-                rows, first = np.unique(points.rays[grown[:, c], c], return_index=True)
-                new = _divided(camera, image, found[name], rows, radius[grown[:, c], c][first])
+            if len(grown):
+                rows, first = np.unique(points.rays[grown, c], return_index=True)
+                new = _divided(camera, image, found[name], rows, radius[grown[first], c])
                 changed |= new is not None
                 found[name] = found[name] if new is None else new
         return found if changed else None
@@ -208,7 +186,7 @@ class CutTargets:
         rows, radius = rows[:AT_ONCE], radius[:AT_ONCE]
         apart = _apart(seen, rows, radius)
         rows, radius = rows[apart], radius[apart]
-        patches, there, corner, inside = _patches(image, seen.xy_px[rows], radius, camera.blur)
+        patches, there, corner, inside = _patches(image, seen, rows, radius, camera.blur, False)
         rows, radius = rows[inside], radius[inside]
         if not len(rows):
             return
@@ -229,8 +207,7 @@ def _mended(
     ``tracks``: of the points that the ``rows`` (n,) belong to.
     """
     radius = radius * math.exp(camera.log_size)
-    patches, there, corner, inside = _patches(image, seen.xy_px[rows], radius, camera.blur)
-    _leave_out_others(there, corner, seen, rows[inside], camera.blur)
+    patches, there, corner, inside = _patches(image, seen, rows, radius, camera.blur)
     rows, radius, share = rows[inside], radius[inside], share[inside]
     if not len(rows):
         return None
@@ -296,8 +273,7 @@ def _told_apart(fits: Array, pixels: Array, corner: Array, inside: Array, tracks
 def _divided(camera: _Camera, image: Array, seen: Detections, rows: Array, radius: Array) -> Detections | None:
     """Return a camera's detections with two targets for each of those ``rows`` that are two; None where none is."""
     radius = radius * math.exp(camera.log_size)
-    patches, there, corner, inside = _patches(image, seen.xy_px[rows], 2.0 * radius, camera.blur)
-    _leave_out_others(there, corner, seen, rows[inside], camera.blur)
+    patches, there, corner, inside = _patches(image, seen, rows, 2.0 * radius, camera.blur)
     rows, radius = rows[inside], radius[inside]
     if not len(rows):
         return None
@@ -305,9 +281,11 @@ def _divided(camera: _Camera, image: Array, seen: Detections, rows: Array, radiu
     start[:, :2] = seen.xy_px[rows] - corner
     start[:, RADIUS], start[:, BLUR] = radius, camera.blur
     fits = fit_pairs(patches, there, start, np.full(len(rows), camera.misfit))
-    fitted = np.isfinite(fits).all(axis=1)
-    fits[~fitted] = 1.0
-    good = fitted & (fits[:, PAIR_MISFIT] < max(MOST_MISFIT * camera.misfit, LEAST_MISFIT))
+    good = fits[:, PAIR_MISFIT] < max(MOST_MISFIT * camera.misfit, LEAST_MISFIT)
+    if not good.any():
+        return None
+    good &= np.isfinite(fits).all(axis=1)
+    fits[~good] = 1.0
     good &= camera.usual(fits[:, PAIR_AMPLITUDE])
     good &= np.linalg.norm(fits[:, :2] - fits[:, 2:4], axis=1) > LEAST_APART * radius
     rows, fits, radius, corner = rows[good], fits[good], radius[good], corner[good]
@@ -329,9 +307,9 @@ def _divided(camera: _Camera, image: Array, seen: Detections, rows: Array, radiu
 
 
 def _replaced(seen: Detections, rows: Array, xy: Array, covariance: Array, diameter: Array) -> Detections:
-    """Return detections with whole discs in ``rows`` (n,); those beyond the last are added."""
+    """Return detections with whole discs in ``rows`` (n,); those beyond the last are added, as the first."""
     more = int(rows.max(initial=0)) + 1 - len(seen)
-    at = np.concatenate([np.arange(len(seen)), np.full(more, rows[0])]) if more > 0 else slice(None)
+    at = np.concatenate([np.arange(len(seen)), rows[:more]]) if more > 0 else slice(None)
     columns = {name: getattr(seen, name)[at].copy() for name in COLUMNS}
     columns["xy_px"][rows], columns["covariance_px2"][rows], columns["diameter_px"][rows] = xy, covariance, diameter
     columns["flags"][rows], columns["elongation"][rows], columns["ellipticity"][rows] = 0, 1.0, 0.0
@@ -352,33 +330,21 @@ def _apart(seen: Detections, rows: Array, radius: Array) -> Array:
     return np.asarray(gap.min(axis=1, initial=np.inf) > APART_PX)
 
 
-def _leave_out_others(there: Array, corner: Array, seen: Detections, rows: Array, blur: float) -> None:
-    """Clear from ``there`` (n, h, h) the pixels that other detections of the camera light."""
-    reach = 0.5 * seen.diameter_px + OTHERS_BLURS * blur
-    gap = np.linalg.norm(seen.xy_px[rows, None] - seen.xy_px[None], axis=2) - reach
-    gap[np.arange(len(rows)), rows] = np.inf
-    off = np.arange(there.shape[2])
-    for k, other in np.argwhere(gap < there.shape[2]).tolist():
-        x, y = seen.xy_px[other] - corner[k]
-        there[k] &= (off - x) ** 2 + (off[:, None] - y) ** 2 > reach[other] ** 2
+def _patches(
+    image: Array, seen: Detections, rows: Array, radius: Array, blur: float, others: bool = True
+) -> tuple[Array, Array, Array, Array]:
+    """Return patches (n, h, h) about detections, which of their pixels count, their first pixels (n, 2), and which.
 
-
-def _patches(image: Array, xy: Array, radius: Array, blur: float) -> tuple[Array, Array, Array, Array]:
-    """Return patches (n, h, h) about places, which of their pixels count, their first pixels (n, 2), and the places.
-
-    Of those inside the image.
+    Of those of the ``rows`` that are inside the image; ``others``: pixels that other detections light do not count.
     """
     half = math.ceil(float(radius.max(initial=0.0)) + REACH_BLURS * blur) + 1
-    middle = np.round(xy).astype(int)
+    middle = np.round(seen.xy_px[rows]).astype(int)
     height, width = image.shape
     inside = np.flatnonzero(((middle >= half) & (middle < np.array([width, height]) - half)).all(axis=1))
-    xy, corner = xy[inside], middle[inside] - half
-    side = 2 * half + 1
+    corner, side = middle[inside] - half, 2 * half + 1
     patches = np.empty((len(inside), side, side))
     for k, (x, y) in enumerate(corner.tolist()):
         patches[k] = image[y : y + side, x : x + side]
-    off = np.arange(side)
-    column = off[None, None, :] + corner[:, 0, None, None] - xy[:, 0, None, None]
-    row = off[None, :, None] + corner[:, 1, None, None] - xy[:, 1, None, None]
-    there = column**2 + row**2 <= (radius[inside] + REACH_BLURS * blur)[:, None, None] ** 2
-    return patches, there, corner, inside
+    others_px = 0.5 * seen.diameter_px + OTHERS_BLURS * blur if others else np.full(len(seen), -1.0)
+    reach = radius[inside] + REACH_BLURS * blur
+    return patches, own_pixels(side, corner, rows[inside], reach, seen.xy_px, others_px), corner, inside

@@ -37,7 +37,7 @@ TOUCHING_PX = 1e-6
 PAIR_MISFIT, PAIR_AMPLITUDE, PAIR_COVARIANCE, PAIR_RESULT = 4, 5, 6, 12
 """Columns of a pair's fit after both centres [px]: squared residuals a degree of freedom over the squared amplitude,
 amplitude [DN], and (xx, xy, yy) of either centre [px^2]."""
-TURNS, APART = 4, (0.5, 1.0, 1.5, 2.0)
+TURNS, APART = 4, (1.5, 1.0, 0.5, 2.0)
 """Directions and distances, over the radius, at which two centres are tried."""
 
 
@@ -140,17 +140,17 @@ def fit_pairs(patches, there, discs, usual):
             continue
         seen = pixels[:, :count]
         disc[:] = discs[r]
-        least = np.inf
-        for turn in range(TURNS):
-            for apart in APART:
-                x = 0.5 * apart * disc[RADIUS] * math.cos(turn * math.pi / TURNS)
-                y = 0.5 * apart * disc[RADIUS] * math.sin(turn * math.pi / TURNS)
-                at[0], at[1] = discs[r, 0] - x, discs[r, 1] - y
-                at[2], at[3] = discs[r, 0] + x, discs[r, 1] + y
-                _pair_image(seen, at, disc, image, other, nodes)
-                error = levels(seen, image, disc)
-                if error < least:
-                    least, pair[:] = error, at
+        least, best = np.inf, 0.0
+        for k in range(TURNS + len(APART) - 1):
+            # all directions at the first distance, then the best of them at the others
+            turn, apart = (k * math.pi / TURNS, APART[0]) if k < TURNS else (best, APART[k - TURNS + 1])
+            x, y = 0.5 * apart * disc[RADIUS] * math.cos(turn), 0.5 * apart * disc[RADIUS] * math.sin(turn)
+            at[0], at[1] = discs[r, 0] - x, discs[r, 1] - y
+            at[2], at[3] = discs[r, 0] + x, discs[r, 1] + y
+            _pair_image(seen, at, disc, image, other, nodes)
+            error = levels(seen, image, disc)
+            if error < least:
+                least, best, pair[:] = error, turn, at
         least = _settle_pair(seen, pair, disc, work)
         _pair_columns(seen, pair, disc[AMPLITUDE], disc[RADIUS], image, other, by)
         normal_equations(seen, disc, image, by, 0.0, normal, right)

@@ -24,6 +24,9 @@ SOFT_PX2 = f32(0.5)
 sixth power of the distance leave 0.051, 0.046 and 0.042 px in those images."""
 TURNS = 3
 """Most fits in turn with the surroundings: three are as good as six."""
+HOPELESS = 4.0
+"""A fit that leaves more chi-square a pixel is not tried again: of 1,900 that chance explained in the end all but one
+left less than 1.1 at first, of merged targets 95 % more than 4.7."""
 LEAST_FREE = 8
 """Fewer pixels around tell no background."""
 TEXTURE, VALUE, PRESENT, ERROR, TEXTURE_BEFORE, VALUE_BEFORE, ERROR_BEFORE, AROUND, LIGHT = range(9)
@@ -130,11 +133,11 @@ def fit_around(
         take_around(n, pixels, model.dark_dn2, work.image[0], behind)
         before = fit
         fit = refit_before(n, pixels, behind, shape, fit, prior, model, True, work)
+        if not fit.converged or fit.chi2 > HOPELESS * n:
+            return fit, False
         dx, dy = fit.x - before.x, fit.y - before.y
-        if not fit.converged or dx * dx + dy * dy < CLOSE_2 * (fit.covariance[0] + fit.covariance[2]):
+        if dx * dx + dy * dy < CLOSE_2 * (fit.covariance[0] + fit.covariance[2]):
             break
-    if not fit.converged:
-        return fit, False
     free_pixels(n, pixels, shape, fit, work, behind)
     for i in range(n):
         told += behind[PRESENT, i] if work.image[0, i] >= FREE else ZERO
