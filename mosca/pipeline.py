@@ -174,7 +174,8 @@ def run_seen(
         predicted = tracker.predict(frame_set.time_ns * 1e-9)
         timer.lap("predict")
         bundle, points = matcher.match(rig, detections, predicted, health.noise)
-        mended = cut.mended(frame_set, detections, rig, bundle, points, predicted, matcher.typical_m)
+        typical_m = matcher.typical_m if settings.match.mend else 0.0
+        mended = cut.mended(frame_set, detections, rig, bundle, points, predicted, typical_m)
         if mended is not None:
             detections = mended
             bundle, points = matcher.match(rig, detections, predicted, health.noise, learn=False)

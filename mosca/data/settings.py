@@ -127,6 +127,10 @@ class MatchSettings:
     judge_sizes: bool = True
     """Whether an image of odd size is taken as partly hidden or merged and trusted less, where targets are found to
     be of one size (``mosca.correspondence.typical_size``)."""
+    mend: bool = True
+    """Whether images of targets that something hides in part, or that have grown together, are fitted again with the
+    size that their points tell (``mosca.detection.cut_targets.mend``); needs pixels: without them, as where stations
+    or recordings give detections alone, they stay as they are."""
     target: Literal["auto", "point", "ball"] = "auto"
     """'ball' frees images of a ball's eccentricity; 'point' leaves them (small targets, discs); 'auto' frees
     round images of a ball's, and a point's ellipses that are images of one circle of this circle's."""
