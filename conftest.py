@@ -85,9 +85,10 @@ class ScenarioItem(pytest.Item):
         from scenarios.spec.catalog import scenario_name
         from scenarios.spec.scenario import load_scenario
         from scenarios.suite.suite import BASELINES, Outcome, compared, complaints
+        from scenarios.types import RunOptions
 
         name = scenario_name(self.path)
-        result = run_scenario(load_scenario(self.path), name, self.path.parent)
+        result = run_scenario(load_scenario(self.path), name, self.path.parent, RunOptions(page=False))
         (outcome,) = compared([Outcome(name, result.record, "", 0.0)], BASELINES)
         if not outcome.passed:
             raise ScenarioFailed("; ".join(complaints(outcome)))

@@ -60,6 +60,8 @@ class RunOptions:
     progress: Progress | None = None
     stage: Callable[[str], None] | None = None
     """Told the name of each stage that begins."""
+    page: bool = True
+    """Keep the images that the run's page shows; they take longer than a short run's measurements."""
 
 
 class TruthSource(FrameSource, Protocol):

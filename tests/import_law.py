@@ -76,7 +76,7 @@ LAW: dict[str, tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]] = {
         (),
         ("numpy", "matplotlib", "mpl_toolkits", "jinja2", "markupsafe", "rich"),
     ),
-    "reports.playback.keeper": (("reports", "mosca.data", "mosca.errors"), (), ("numpy", "cv2")),
+    "reports.playback.keeper": (("reports", "mosca.data", "mosca.errors"), (), ("numpy", "PIL")),
     "reports.viewer": (("reports", "mosca.data", "mosca.errors"), (), ("numpy", "rerun", "cv2")),
     "reports.fidelity_page": (("reports", "mosca.data", "mosca.errors"), (), ("cv2",)),
     # a certificate as PDF: the library that writes it is known here alone

@@ -7,7 +7,9 @@ allocated it, would compile, and would free memory in use, or leak it.
 
 import importlib
 import pkgutil
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numba
@@ -15,11 +17,13 @@ import numpy as np
 import pytest
 from numba.core.compiler import Flags
 from numba.core.dispatcher import Dispatcher
+from numba.core.registry import cpu_target
 
 import mosca
 import twin
-from mosca.numba_support.decorators import kernel, step
-from mosca.numba_support.libraries import QuickFlags
+from mosca.numba_support import libraries
+from mosca.numba_support.decorators import bare_step, callable_bare_step, kernel, step
+from mosca.numba_support.front_end import QuickFlags
 
 
 def everything() -> dict[str, Dispatcher]:
@@ -110,3 +114,41 @@ def test_quick_flags_are_equal_where_flags_of_numba_are() -> None:
         setattr(other, name, value)
         assert other != usual != other
         assert other != quick
+
+
+def code_of_sums(dtype: type) -> list[str]:
+    """Return LLVM's instructions of a kernel whose two steps differ in nothing but their flags."""
+
+    def one(values: np.ndarray) -> float:
+        return np.sum(values) + max(values[0], values[1])
+
+    strict, quick = bare_step(one), bare_step(fastmath=True)(one)
+
+    @callable_bare_step
+    def sums(values: np.ndarray) -> float:
+        return strict(values) - quick(values)
+
+    sums(np.arange(7, dtype=dtype))
+    (text,) = sums.inspect_llvm().values()
+    # symbols hold the number of what was compiled so far
+    return [re.sub(r"_ZN[\w.$]+", "step", line) for line in text.splitlines() if line.startswith("  ")]
+
+
+@contextmanager
+def nothing_remembered(*_contexts: object) -> Iterator[None]:
+    yield
+
+
+def test_what_is_remembered_changes_no_code(monkeypatch: pytest.MonkeyPatch) -> None:
+    remembered = [code_of_sums(np.float32) for _again in range(2)]
+    monkeypatch.setattr(libraries, "remembering", nothing_remembered)
+    found_out = code_of_sums(np.float32)
+    assert {"fast", "float"} <= {line.split("fadd ")[1].split()[0] for line in found_out if "fadd " in line}
+    assert remembered == [found_out, found_out]
+
+
+def test_contexts_of_numba_are_as_they_were() -> None:
+    code_of_sums(np.float32)
+    typing, target = cpu_target.typing_context, cpu_target.target_context
+    assert "resolve_function_type" not in vars(typing)
+    assert not {"load_additional_registries", "get_abi_sizeof"} & set(vars(target))

@@ -27,6 +27,7 @@ from mosca.correspondence.spatial_index import buckets, within
 from mosca.data.rays import EDGES, SIGMA
 from mosca.numba_support.decorators import bare_step, step
 from mosca.numba_support.linalg3 import Symmetric3, mahalanobis3
+from mosca.numba_support.order import stable_order
 from mosca.triangulation.triangulate import TRUST, WHOLE
 
 CLEARLY_WORSE = 9.0
@@ -64,7 +65,7 @@ def choose(kept, data, xyz, covariance):
                 worth[g] = values[g, GAIN] + density + gained + missing * lost + seen_share * seen
         waiting = np.flatnonzero(state == OPEN)
         changed = False
-        for g in waiting[np.argsort(-worth[waiting], kind="mergesort")]:
+        for g in waiting[stable_order(-worth[waiting])]:
             # clutter explains it as well, and no track predicts it
             if worth[g] < 0.0 and track[g] < 0:
                 state[g] = GONE

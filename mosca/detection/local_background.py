@@ -19,6 +19,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from mosca.data.arrays import Array
 from mosca.detection.static_background import MOST_VOTES, StaticBackground
 from mosca.numba_support.decorators import bare_step, kernel
+from mosca.numba_support.order import median_in_place
 
 CELL_SIDE, CELL_PX, LARGEST_CELL_PX, STRIDE_PX = 1.6, 64, 256, 5
 """Side of a cell, in units of the largest target's, so that targets side by side cover less than half of it; up to so
@@ -218,13 +219,14 @@ def measure_cells(image: Array, rows: int, columns: int) -> tuple[Array, Array]:
     height, width = image.shape
     level, variance = np.empty((rows, columns)), np.empty((rows, columns))
     room = (height // rows // STRIDE_PX + 2) * (width // columns // STRIDE_PX + 2)
-    samples = np.empty((room, 2))
+    samples, first, differences = np.empty((room, 2)), np.empty(room), np.empty(room)
     for i in range(rows):
         for j in range(columns):
             box = (width * j // columns, height * i // rows, width * (j + 1) // columns, height * (i + 1) // rows)
             n = cell_samples(image, box, samples)
-            middle = np.median(samples[:n, 0])
-            apart = np.median(np.abs(samples[:n, 0] - samples[:n, 1]))
+            for k in range(n):
+                first[k], differences[k] = samples[k, 0], abs(samples[k, 0] - samples[k, 1])
+            middle, apart = median_in_place(first[:n]), median_in_place(differences[:n])
             # the median of |a - b| is 0.954 standard deviations; 1 DN more, since grey values are whole
             reach = CLIP_SIGMAS * apart / 0.954 + 1.0
             total = squares = count = 0.0
@@ -283,7 +285,7 @@ def measure_spread(image: Array, level: Array, rows: int, columns: int) -> Array
                 for x in range(width * j // columns, width * (j + 1) // columns, STRIDE_PX):
                     off[n] = abs(image[y, x] - plane_at(level, float(x), float(y), (height, width))[0])
                     n += 1
-            spread[i, j] = np.median(off[:n]) / 0.6745
+            spread[i, j] = median_in_place(off[:n]) / 0.6745
     return spread
 
 

@@ -42,6 +42,7 @@ from mosca.detection.search import (
 )  # fmt: skip
 from mosca.detection.threshold_regions import blobs_of, passes_below, runs_above, survey, write_grown, write_whole
 from mosca.numba_support.decorators import bare_step, step
+from mosca.numba_support.order import median_in_place
 
 CUT_SHARE = 1 / 16
 """Share of a blob's contrast below which its pixels are left out: the skirts of a lens' point spread function, which
@@ -302,7 +303,7 @@ def examine(
     least, gain = noise.sigmas * blob.spread, noise.gains[place.image]
     if part.peak - blob.level <= NEAR_LIMIT * least:
         around = ring_values(place.pixels, box, max(part.longer, LEAST_MARGIN_PX))
-        if len(around) > 0 and part.peak - np.median(around) <= least:
+        if len(around) > 0 and part.peak - median_in_place(around) <= least:
             place.left_out[UNEVEN] += 1.0
             return n, r
     contrast = contrast_of(float(part.peak), blob.level, blob.variance, gain, noise.sigmas)
@@ -314,7 +315,9 @@ def examine(
         n, r = write_target(runs, blob, gain, place, n, r)
         return n, r
     step = max(1, int(0.5 * math.sqrt(blob.variance)))
-    finer = Search(search.highest, blob.cut, step, contrast, search.smallest_px, search.largest_px, blob.level)
+    # of the types of ``search``: else all of the growth is compiled twice
+    cut: Any = np.int64(blob.cut)
+    finer = Search(search.highest, cut, step, contrast, search.smallest_px, search.largest_px, blob.level)
     grown_thresholds, grown_runs = grow_regions(runs, values, falling_thresholds(part.peak, blob.cut, step), finer)
     first = r
     n, r = write_grown(grown_thresholds, grown_runs, (place.image, blob.cut), place.found, place.regions, n, r)

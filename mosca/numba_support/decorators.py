@@ -32,9 +32,10 @@ class Decorator(Protocol):
     def __call__(self, *, fastmath: FastMath) -> Callable[[Callable[..., Any]], Compiled]: ...
 
 
-_COMMON: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
-_ONLY_COMPILED: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-"""Without the wrappers that Python would need, which take a tenth of the time to compile."""
+_COMMON: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+"""No kernel is handed to C, which would need a wrapper of its own."""
+_ONLY_COMPILED: dict[str, Any] = {"no_cpython_wrapper": True}
+"""Without the wrapper that Python would need, which takes a tenth of the time to compile."""
 
 
 def _decorator(cached: bool, **options: Any) -> Decorator:

@@ -4,11 +4,11 @@ By default Numba optimises and emits machine code for each function, and again f
 weak symbol: whichever copy is loaded first answers for all. Copies of a ``fastmath`` function may round differently,
 so that results depended on whether kernels were compiled in this process or loaded from the cache, and in which
 order. Here steps are only linked, and the copies in a kernel are internal to it, under names of their own. This also
-saves a third of the time to compile (images to tracks, one core: 122 to 83 s); ``QuickFlags`` and seldom garbage
-collection save another eighth (another machine: correspondence and tracking 56 to 49 s).
+saves a third of the time to compile (images to tracks, one core: 122 to 83 s); seldom garbage collection and what
+``mosca.numba_support.front_end`` remembers save more.
 
 ``pipeline_class`` is Numba's documented way to change how it compiles; ``finalize`` and ``_optimize_final_module`` of
-its code libraries are private (0.61 to 0.68 have them), as are the flags' ``_values``.
+its code libraries are private (0.61 to 0.68 have them).
 ``tests/test_compiled.py`` shows that it works.
 """
 
@@ -18,7 +18,8 @@ from typing import Any
 
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler, Flags
-from numba.core.targetconfig import TargetConfig
+
+from mosca.numba_support.front_end import QuickFlags, remembering
 
 
 class StepLibrary(JITCodeLibrary):
@@ -72,31 +73,6 @@ class _WithoutEnvironments:
         return getattr(self._codegen, name)
 
 
-class QuickFlags(Flags):
-    """Numba's compiler flags, compared by what was set; Numba compares all 25 by attribute, for each call it types.
-
-    Equal where Numba's own are, which all have one hash.
-    """
-
-    __slots__ = ()
-
-    def values(self) -> dict[str, Any]:
-        """Return all flags by their names."""
-        return {**_DEFAULTS, **self._values}
-
-    def __eq__(self, other: object) -> bool:
-        if not isinstance(other, TargetConfig):
-            return NotImplemented
-        return self._values == other._values or self.values() == other.values()
-
-    def __hash__(self) -> int:
-        return _HASH
-
-
-_DEFAULTS = {name: option.default for name, option in Flags.options.items()}
-_HASH = hash(Flags())
-
-
 class StepCompiler(Compiler):
     """Numba's compiler, whose code goes into a ``StepLibrary``."""
 
@@ -109,13 +85,15 @@ class StepCompiler(Compiler):
             library = self.library_class(target.codegen(), self.library_class.__name__)
             library.enable_object_caching()
         super().__init__(typing, target, library, arguments, result, QuickFlags(flags), locals_)  # type: ignore[no-untyped-call]
+        self._contexts = typing, target
 
     def compile_extra(self, func: Any) -> Any:
         """Compile, and collect garbage more seldom meanwhile: what is made is a great many objects that live on."""
         thresholds = gc.get_threshold()
         gc.set_threshold(100_000, *thresholds[1:])
         try:
-            return super().compile_extra(func)  # type: ignore[no-untyped-call]
+            with remembering(*self._contexts):
+                return super().compile_extra(func)  # type: ignore[no-untyped-call]
         finally:
             gc.set_threshold(*thresholds)
 

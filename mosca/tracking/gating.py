@@ -6,6 +6,7 @@ import numpy as np
 
 from mosca.numba_support.decorators import bare_step, inlined_step, step
 from mosca.numba_support.linalg3 import mahalanobis3, plus_identity3, sum3, symmetric3
+from mosca.numba_support.order import stable_order
 from mosca.tracking.neighbour_model import distance_evidence
 from mosca.tracking.state import BY_MOTION, CONFIRMED, SLOTS_USED, UNPREDICTED
 
@@ -47,7 +48,7 @@ def gated_pairs(bank, neighbours, points, used, state, rules, time_s):
         return slots[:0], rows[:0], scores[:0]
     axis = _widest_axis(xyz)
     along = np.ascontiguousarray(xyz[:, axis])
-    order = np.argsort(along, kind="mergesort")
+    order = stable_order(along)
     along = along[order]
     loosest = 0.0
     for r in range(m):

@@ -1,9 +1,10 @@
 """What a run keeps for its page: small images of some frame sets, and which cameras measured what."""
 
+import io
 from collections.abc import Mapping
 
-import cv2
 import numpy as np
+from PIL import Image
 
 from mosca.data.arrays import Array
 from mosca.data.detections import Detections
@@ -21,19 +22,20 @@ LONGEST_PX = 720
 """Longest side of a kept image; targets of a few pixels survive, since it is thinned by block maxima."""
 QUALITY = 45
 """Of WebP, 1 to 100: targets stay sharp, and an image takes 1 to 20 kB."""
+SEARCHED = 0
+"""How far WebP searches for a small file, 0 to 6 (OpenCV's 4: 25 ms an image, 34 kB; 0: 7 ms, 32 kB)."""
 
 
 class PageKeeper:
     """Gathers images and rays of a running pipeline; ``attend`` takes each frame set.
 
     ``pulses``: of the run. ``cameras``: of the rig, in the order of the columns of ``Points.rays``; 0 where these are
-    not the rig's.
+    not the rig's. ``images``: whether images are kept.
     """
 
-    def __init__(self, pulses: int, cameras: int) -> None:
-        self._image_pulses = set(
-            np.unique(np.linspace(0, max(pulses - 1, 0), MOST_SETS).round().astype(int)).tolist()
-        )
+    def __init__(self, pulses: int, cameras: int, images: bool = True) -> None:
+        shown = np.unique(np.linspace(0, max(pulses - 1, 0), MOST_SETS).round().astype(int))
+        self._image_pulses = set(shown.tolist()) if images else set()
         self._stride, self._cameras = frame_stride(pulses), cameras
         self._sets: dict[int, KeptSet] = {}
         self._frames: list[Array] = []
@@ -78,7 +80,5 @@ def kept_image(image: Array, found: Detections) -> KeptImage:
     counts = np.bincount(small.ravel())
     median = float(np.searchsorted(np.cumsum(counts), small.size / 2))
     table = np.round(255 * stretched(np.arange(len(counts)), 0.5 * median)).astype(np.uint8)
-    grey = table[small]
-    done, file = cv2.imencode(".webp", grey, [cv2.IMWRITE_WEBP_QUALITY, QUALITY])
-    assert done
-    return KeptImage(found.camera, file.tobytes(), (width, height), found.xy_px, found.diameter_px)
+    Image.fromarray(table[small]).save(file := io.BytesIO(), "WEBP", quality=QUALITY, method=SEARCHED)
+    return KeptImage(found.camera, file.getvalue(), (width, height), found.xy_px, found.diameter_px)

@@ -59,7 +59,7 @@ def predict(
     central = run_scenario(spec, name, folder, options)
     found: dict[str, list[float]] = {}
     for k in range(draws):
-        one = run_scenario(drawn_spec(spec, lab, k), name, folder, options).record
+        one = run_scenario(drawn_spec(spec, lab, k), name, folder, replace(options, page=False)).record
         for metric in one.metrics:
             found.setdefault(metric.name, []).append(metric.value)
         if progress is not None:

@@ -63,7 +63,7 @@ def collected_of(
     keeper = RigKeeper(rig) if spec.pipeline.watch else None
     zones = zones_of(spec, rig)
     healths = [Health.of(one, settings.match) for one in ([zone.rig for zone in zones] or [rig])]
-    kept = PageKeeper(pulses, 0 if zones else len(rig.cameras))
+    kept = PageKeeper(pulses, 0 if zones else len(rig.cameras), options.page)
     sensors = Sensors(read.cameras, settings.detection)
     if zones:
         steps = zone_steps(read, zones, rig, settings, assembly, healths, sensors)

@@ -33,7 +33,7 @@ def project(tmp_path: Path) -> Path:
     package = tmp_path / "mosca"
     support = package / "numba_support"
     support.mkdir(parents=True)
-    for name in ("__init__", "cache", "decorators", "libraries"):
+    for name in ("__init__", "cache", "decorators", "front_end", "libraries"):
         text = (ROOT / "mosca" / "numba_support" / f"{name}.py").read_text(encoding="utf-8")
         (support / f"{name}.py").write_text(text, encoding="utf-8")
     (package / "__init__.py").write_text("")

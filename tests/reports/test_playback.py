@@ -138,6 +138,14 @@ def test_images_are_kept_evenly_over_a_run() -> None:
     assert measured_by.cameras.tolist() == [[True, False]] * 500
 
 
+def test_images_are_left_out_where_no_page_is_made() -> None:
+    keeper = PageKeeper(40, 2, images=False)
+    points = Points(np.ones((1, 3)), np.eye(3)[None], [2], [0.1], [[3, -1]], [0.01], [2.0])
+    keeper.attend(0, {"a": np.zeros((40, 60), np.uint8)}, {"a": Detections.none("a")}, points)
+    assert keeper.sets() == ()
+    assert keeper.measured_by() is not None
+
+
 @pytest.mark.parametrize(("cameras", "size", "kept"), [(4, 5_000, 40), (24, 5_000, 10), (4, 20_000, 14)])
 def test_images_fit_the_page(cameras: int, size: int, kept: int) -> None:
     image = KeptImage("a", b"0" * size, (64, 48), np.empty((0, 2)), np.empty(0))

@@ -123,7 +123,8 @@ def _settle_pair(pixels, pair, disc, work):
 def fit_pairs(patches, there, discs, usual):
     """Fit two discs of one size to ``patches`` (n, h, w); return (n, PAIR_RESULT), inf where there is no fit.
 
-    As ``fit_discs``: ``discs`` (n, 8) start with the centre of the light, RADIUS and BLUR.
+    As ``fit_discs``: ``discs`` (n, 8) start with the centre of the light, RADIUS and BLUR. (Copied by element: for a
+    slice Numba compiles the message of a shape that does not fit, a third of the time.)
     """
     n, h, w = patches.shape
     out = np.full((n, PAIR_RESULT), np.inf)
@@ -139,18 +140,21 @@ def fit_pairs(patches, there, discs, usual):
         if count < FEWEST_PX:
             continue
         seen = pixels[:, :count]
-        disc[:] = discs[r]
+        for k in range(8):
+            disc[k] = discs[r, k]
         least, best = np.inf, 0.0
-        for k in range(TURNS + len(APART) - 1):
+        for t in range(TURNS + len(APART) - 1):
             # all directions at the first distance, then the best of them at the others
-            turn, apart = (k * math.pi / TURNS, APART[0]) if k < TURNS else (best, APART[k - TURNS + 1])
+            turn, apart = (t * math.pi / TURNS, APART[0]) if t < TURNS else (best, APART[t - TURNS + 1])
             x, y = 0.5 * apart * disc[RADIUS] * math.cos(turn), 0.5 * apart * disc[RADIUS] * math.sin(turn)
             at[0], at[1] = discs[r, 0] - x, discs[r, 1] - y
             at[2], at[3] = discs[r, 0] + x, discs[r, 1] + y
             _pair_image(seen, at, disc, image, other, nodes)
             error = levels(seen, image, disc)
             if error < least:
-                least, best, pair[:] = error, turn, at
+                least, best = error, turn
+                for k in range(4):
+                    pair[k] = at[k]
         least = _settle_pair(seen, pair, disc, work)
         _pair_columns(seen, pair, disc[AMPLITUDE], disc[RADIUS], image, other, by)
         normal_equations(seen, disc, image, by, 0.0, normal, right)
@@ -162,7 +166,9 @@ def fit_pairs(patches, there, discs, usual):
         a2 = disc[AMPLITUDE] * disc[AMPLITUDE]
         misfit = least / max(count - 6, 1) / a2
         variance = max(misfit, usual[r]) * a2
-        out[r, :4], out[r, PAIR_MISFIT], out[r, PAIR_AMPLITUDE] = pair, misfit, disc[AMPLITUDE]
+        for k in range(4):
+            out[r, k] = pair[k]
+        out[r, PAIR_MISFIT], out[r, PAIR_AMPLITUDE] = misfit, disc[AMPLITUDE]
         for k in range(2):
             m = PAIR_COVARIANCE + 3 * k
             out[r, m], out[r, m + 1] = variance * right[2 * k, 2 * k], variance * right[2 * k, 2 * k + 1]

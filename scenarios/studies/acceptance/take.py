@@ -77,9 +77,8 @@ def _scenario_take(options: AcceptOptions, told: Told) -> Take:
     own = beside(spec.acceptance.file, path.parent)
     given = read_acceptance(own)
     source = options.source or "twin"
-    made = run_scenario(
-        spec, name, path.parent, RunOptions(source, options.workers or os.cpu_count() or 1, progress=told)
-    )
+    workers = options.workers or os.cpu_count() or 1
+    made = run_scenario(spec, name, path.parent, RunOptions(source, workers, progress=told, page=False))
     files = [("scenario", path)]
     named = gathered(spec.model_dump(mode="json"), path.parent)
     root = path.parent.resolve().parents[len(Path(named.folder).parts) - 1] if named.folder != "." else path.parent

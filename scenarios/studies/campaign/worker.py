@@ -52,11 +52,13 @@ def run_task(task: RunTask, contents: Mapping[str, bytes]) -> RunOutcome:
     from mosca.data.files.toml import check
     from scenarios.run.scenario import run_scenario
     from scenarios.spec.scenario import Scenario
+    from scenarios.types import RunOptions
 
     try:
         with tempfile.TemporaryDirectory(prefix="mosca-claim-") as root:
             folder = laid_out(task.files, contents, Path(root))
-            record = run_scenario(check(Scenario, dict(task.document), task.name), task.name, folder).record
+            spec = check(Scenario, dict(task.document), task.name)
+            record = run_scenario(spec, task.name, folder, RunOptions(page=False)).record
     except MoscaError as error:
         return RunOutcome(task.number, failed=str(error))
     except Exception as error:  # a bug is a result of this run, and no reason to lose the others
