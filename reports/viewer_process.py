@@ -2,9 +2,11 @@
 
 import os
 import tempfile
+import threading
 import time
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from mosca.data.rig import Rig
 from mosca.errors import InputError
@@ -13,11 +15,58 @@ from reports.viewer_program import viewer_program
 
 SHOWN_HZ = 10.0
 """So often something live is shown."""
+LOOKED_AT_S = 0.1
+"""So often it is looked whether the viewer is still there."""
 VIEWER_STARTS_S = 0.3
 """A viewer without a display has ended by then."""
 
 
-def log_in_viewer(rig: Rig, arguments: Sequence[str] = ("--port", "auto", "--bind", "127.0.0.1")) -> RerunLog:
+class ViewerClosedError(Exception):
+    """The viewer has ended, closed by a person or for want of a window."""
+
+
+class ViewerLog(RerunLog):
+    """A log that the process ``viewer`` reads from the pipe ``path``, of which ``reading`` is the reading end.
+
+    Once the viewer has ended, the pipe is read here: rerun waits for ever for what it could not write.
+    """
+
+    def __init__(self, path: Path, rig: Rig, viewer: int, reading: int) -> None:
+        super().__init__(path, rig)
+        self.viewer = viewer
+        self._ended, self._over = threading.Event(), threading.Event()
+        self._watching = threading.Thread(target=self._watch, args=(os.dup(reading),), name="viewer", daemon=True)
+        self._watching.start()
+
+    @property
+    def ended(self) -> bool:
+        """Whether the viewer has ended before the log."""
+        return self._ended.is_set()
+
+    def log_step(self, *step: Any, **more: Any) -> None:
+        """Log one pulse as ``RerunLog`` does; ViewerClosedError where nobody would see it."""
+        if self.ended:
+            raise ViewerClosedError("the viewer was closed, or could not open its window")
+        super().log_step(*step, **more)
+
+    def close(self) -> None:
+        """Write what is left; the viewer stays open. May be called twice."""
+        super().close()
+        self._over.set()
+        self._watching.join()
+
+    def _watch(self, reading: int) -> None:
+        while not _has_ended(self.viewer):
+            if self._over.wait(LOOKED_AT_S):
+                break
+        else:
+            self._ended.set()
+            while os.read(reading, 1 << 16):
+                pass
+        os.close(reading)
+
+
+def log_in_viewer(rig: Rig, arguments: Sequence[str] = ("--port", "auto", "--bind", "127.0.0.1")) -> ViewerLog:
     """Start the Rerun viewer and return a log that it reads from a pipe; the viewer stays open afterwards.
 
     ``arguments``: for the viewer; tests have it save what it gets. InputError where there is no viewer, or no pipes.
@@ -35,13 +84,18 @@ def log_in_viewer(rig: Rig, arguments: Sequence[str] = ("--port", "auto", "--bin
             viewer = _started((program, "-", *arguments), reading)
             until = time.monotonic() + VIEWER_STARTS_S
             while time.monotonic() < until:
-                if os.waitpid(viewer, os.WNOHANG)[0]:
+                if _has_ended(viewer):
                     raise InputError("--view: the Rerun viewer ended at once; is there a display?")
                 time.sleep(0.02)
-            return RerunLog(pipe, rig)
+            return ViewerLog(pipe, rig, viewer, reading)
         finally:
             os.close(reading)
             os.close(both)
+
+
+def _has_ended(process: int) -> bool:
+    """Return whether a child process has ended; to be asked no more after that."""
+    return os.waitpid(process, os.WNOHANG)[0] != 0
 
 
 def _started(command: Sequence[str], reading: int) -> int:

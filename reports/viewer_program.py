@@ -18,6 +18,12 @@ def viewer_program(wanted_by: str) -> str:
     return program
 
 
+def check_window(wanted_by: str, otherwise: str) -> None:
+    """Raise InputError, that begins with ``wanted_by``, where there is no display; ``otherwise``: what to do then."""
+    if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise InputError(f"{wanted_by}: there is no display for a window; {otherwise}")
+
+
 def show(run: Path, web: bool = False) -> None:
     """Show a run's Rerun recording until the viewer is closed; ``web``: in a browser, served on this machine alone.
 
@@ -28,8 +34,8 @@ def show(run: Path, web: bool = False) -> None:
     if not path.is_file():
         raise InputError(f"{path}: no such file; a run writes it with --rrd: mosca run SCENARIO --rrd")
     program = viewer_program("mosca view")
-    if not web and sys.platform == "linux" and not ({"DISPLAY", "WAYLAND_DISPLAY"} & set(os.environ)):
-        raise InputError(f"{path}: there is no display for a window; add --web for a browser, or copy the file")
+    if not web:
+        check_window(str(path), "add --web for a browser, or copy the file")
     how = ("--web-viewer", "--bind", "127.0.0.1") if web else ("--port", "auto", "--bind", "127.0.0.1")
     ended = subprocess.run([program, str(path), *how], check=False)
     if ended.returncode:

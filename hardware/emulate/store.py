@@ -55,7 +55,7 @@ class FrameStore:
     def fill(self, progress: Callable[[int, int | None], None] | None = None) -> None:
         """Wait until ``ahead`` pulses are there, or all of them; raise what the source raised.
 
-        ``progress``: called with pulses done and to do.
+        ``progress``: called with pulses done and to do; at the end both are those that are there.
         """
         with self._changed:
             while self._failed is None and self._length is None and self._newest < self._ahead - 1:
@@ -63,6 +63,8 @@ class FrameStore:
                 if progress is not None:
                     progress(max(self._newest, 0), self._ahead)
         self.check()
+        if progress is not None:
+            progress(self._newest + 1, self._newest + 1)
 
     def check(self) -> None:
         """Raise what the source raised."""

@@ -147,18 +147,22 @@ def _not_judged(observed: PointImages, rig: Rig) -> tuple[str, ...]:
 
 def diagnose_tracks(tracks: Tracks | None, bodies: BodyPoses | None) -> ClinicReport:
     """Return what labels, stamps and poses of bodies show, of a run or of what a client recorded of a stream."""
-    found, told = [], []
+    found, told, unseen = [], [], []
     if tracks is not None:
+        if not np.isfinite(tracks.xyz).all(axis=1).any():
+            unseen.append("no marker has a position in the tracks")
         found += label_causes(tracks, ALPHA)
         found += track_stamp_causes(tracks, ALPHA)
         told.append(f"{len(set(tracks.label.tolist()) - {''})} labels in {len(tracks)} samples")
     if bodies is not None:
         known = np.isfinite(bodies.position).all(axis=1)
+        if not known.any():
+            unseen.append("no body has a pose")
         found += swap_causes(
             places_of(bodies.body[known], bodies.frame[known], bodies.position[known]), ALPHA, bodies=True
         )
         told.append(f"{len(set(bodies.body.tolist()))} bodies")
-    return ClinicReport(tuple(in_order(found)), tuple(told))
+    return ClinicReport(tuple(in_order(found)), tuple(told), tuple(unseen))
 
 
 def joined(one: ClinicReport, other: ClinicReport) -> ClinicReport:

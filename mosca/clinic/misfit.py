@@ -153,4 +153,4 @@ def fit(residuals: Residuals, design: Array, searched: int = 1) -> Fit:
     rank = int(np.linalg.matrix_rank(normal, hermitian=True, tol=1e-9 * max(np.trace(normal), 1e-300)))
     chance = min(1.0, searched * float(chi2.sf(wald, max(rank, 1))))
     score = score_of(squares, residuals, rank) + 2 * np.log(searched)
-    return Fit(values / scale, covariance / np.outer(scale, scale), squares, float(score), chance, rms)
+    return Fit(values / scale, covariance / scale[:, None] / scale, squares, float(score), chance, rms)

@@ -90,9 +90,13 @@ class Progress:
             self._bar.update(self._task, completed=done, total=total)
 
     def _tell(self) -> None:
+        said: tuple[int, int | None] | None = None
         while not self._over.wait(max(EVERY_S, LATER * (time.monotonic() - self._begun_s))):
             if self._bar is None:
-                click.echo(self.line(time.monotonic()), err=True)
+                done, total = moved = self._moved
+                if moved != said or total is None or done < total:  # all done is said once
+                    click.echo(self.line(time.monotonic()), err=True)
+                said = moved
             else:
                 self._bar.update(self._task, description=self._title + self._stage + self._compiling())
 

@@ -103,6 +103,8 @@ def run_live_command(options: LiveOptions, report: Callable[[str], None]) -> lis
             lines += more
         if stream is not None:
             lines += stream.finish()
+        if show is not None:
+            lines += show.finish()
         lines += [*health.findings(), *sensors.lines(), *sensors.findings()]
         if options.record is not None:
             record = _record(options, steps.count, elapsed, stages, assembly, (health, sensors), log)

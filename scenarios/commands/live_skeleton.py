@@ -19,7 +19,8 @@ from mosca.skeleton.live import LivePose, LiveSkeleton
 from mosca.skeleton.model import Kinematics
 from mosca.skeleton.track import SkeletonTracker
 from reports.viewer import RerunLog, check_rrd
-from reports.viewer_process import SHOWN_HZ, log_in_viewer
+from reports.viewer_process import SHOWN_HZ, ViewerClosedError, log_in_viewer
+from reports.viewer_program import check_window, viewer_program
 from scenarios.commands.live_sources import LiveOptions
 from scenarios.commands.skeleton_words import check_bodies
 
@@ -93,6 +94,7 @@ class LiveShow:
         self._file = None if options.rrd is None else stack.enter_context(RerunLog(options.rrd, rig))
         self._viewer = stack.enter_context(log_in_viewer(rig)) if options.view else None
         self._due = 0.0
+        self._closed: str | None = None
         self._images_each_ns = 1e9 / options.images if options.images else np.inf
         self._images_due_ns = -np.inf
 
@@ -107,16 +109,24 @@ class LiveShow:
         """Log the samples of one frame, and the poses; of ``step`` images and detections where they are due."""
         logs = [] if self._file is None else [self._file]
         now = time.monotonic()
-        if self._viewer is not None and now >= self._due:
+        if self._viewer is not None and self._closed is None and now >= self._due:
             self._due = now + 1 / SHOWN_HZ
             logs.append(self._viewer)
         tracked = samples.select(samples.frame == frame)
         images, detections = self._images_of(step, time_ns) if logs else (None, None)
         sigma_m = np.sqrt(np.trace(tracked.covariance, axis1=1, axis2=2))
         for log in logs:
-            log.log_step(frame, time_ns, images, detections, tracked.xyz, tracked.track, sigma_m)
+            try:
+                log.log_step(frame, time_ns, images, detections, tracked.xyz, tracked.track, sigma_m)
+            except ViewerClosedError as why:
+                self._closed = f"view: ended early at frame set {frame} ({why})"
+                continue
             for pose in poses:
                 log.log_skeleton(pose.frame, pose.time_ns, pose.joints)
+
+    def finish(self) -> list[str]:
+        """Return a line where the viewer ended before the run did."""
+        return [] if self._closed is None else [self._closed]
 
     def _images_of(
         self, step: Step | None, time_ns: int
@@ -139,4 +149,7 @@ def check_show(options: LiveOptions) -> None:
         raise InputError(f"--joints {options.joints}: whose joints? give --skeleton with what 'skeleton fit' wrote")
     if options.images and options.rrd is None and not options.view:
         raise InputError("--images: where are they to be shown? add --rrd FILE.rrd or --view")
+    if options.view:
+        viewer_program("--view")
+        check_window("--view", "give --rrd FILE.rrd, which 'mosca view FILE.rrd --web' shows, or leave it out")
     check_rrd(options.rrd)

@@ -130,7 +130,8 @@ def tracks_as_bag(
 
     ``take``: file of tracks or run folder, whose poses of bodies and rig are taken, too; ``rig_file``: another rig;
     without both that of the recording; ``most_px``: how far off ROS's model of a lens may be, None: no cameras.
-    InputError for files that cannot be read or written, and for images whose stamps are not of the session's clock.
+    InputError for files that cannot be read or written, for images whose stamps are not of the session's clock, and
+    where there is nothing of the take or no image of the recording to write.
     """
     files = take_files(take)
     tracks = read_tracks(files.tracks)
@@ -144,6 +145,8 @@ def tracks_as_bag(
         bag.add_markers(tracks)
         if files.bodies is not None:
             bag.add_bodies(read_bodies_csv(files.bodies))
+        if not bag.counts:
+            raise InputError(f"{take}: no marker and no pose of a body: there is nothing to write")
         if rig is not None and most_px is not None:
             options = RigFileOptions(max_residual_px=most_px)
             for camera in rig.cameras:
@@ -160,4 +163,7 @@ def _add_images(bag: Bag, recording: Path, rig: Rig | None) -> int:
                     f"{recording}: camera '{info.name}' stamps by the {info.clock}'s clock, tracks by the session's; "
                     "leave --recording out"
                 )
-        return sum(bag.add_image(frame) for frame in source)
+        images = sum(bag.add_image(frame) for frame in source)
+    if not images:
+        raise InputError(f"{recording}: no image: there is nothing to write; leave --recording out")
+    return images

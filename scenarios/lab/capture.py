@@ -20,7 +20,7 @@ from mosca.data.files.whole_file import check_folder
 from mosca.data.rig import Rig
 from mosca.errors import InputError
 from mosca.recording import RecordingWriter
-from reports.viewer_program import viewer_program
+from reports.viewer_program import check_window, viewer_program
 from scenarios.lab.intake import Intake
 from scenarios.lab.priority import before_others, prompt
 from scenarios.lab.recorder import WAITING_BYTES, Recorder
@@ -130,6 +130,7 @@ def _captured(
     settings = _settings(request)
     if request.view and request.view_log is None:
         viewer_program("--view")  # a missing one is told before cameras are opened
+        check_window("--view", "leave it out")
     pulses = pulses_of(request, hardware)
     with ExitStack() as stack:
         stack.enter_context(before_others())

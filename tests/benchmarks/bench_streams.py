@@ -51,11 +51,13 @@ def the_take(seconds):
 def serve(seconds, group, wanted, bare=""):
     """Play once so many clients are there; print the ports, then what it cost."""
     from hardware.streams.content import TakeFrames
+    from hardware.streams.natnet.settings import NatNetSettings
     from hardware.streams.play import StreamPlayer
     from scenarios.lab.priority import before_others, prompt
 
     frames = TakeFrames(*the_take(seconds))
-    with before_others(), prompt(), clients.server(frames.model, group=group or None) as served:
+    settings = {"group": group or None, "forget_s": NatNetSettings().forget_s}
+    with before_others(), prompt(), clients.server(frames.model, **settings) as served:
         print(served.command_port, served.data_port, flush=True)
         clients.until(lambda: served.connected() >= wanted)
         time.sleep(1.5)

@@ -31,8 +31,20 @@ def until(met, told=lambda: ""):
 
 
 def server(model=(), **settings):
-    """Return a server on free ports of loopback."""
-    return NatNetServer(model, NatNetSettings(**{"command_port": 0, "data_port": 0, **settings}))
+    """Return a server on free ports of loopback, which lets no client go that a busy computer keeps silent."""
+    return NatNetServer(model, NatNetSettings(**{"command_port": 0, "data_port": 0, "forget_s": 1e6, **settings}))
+
+
+def listening(served, count=1):
+    """Wait until so many clients get frames: an answer may reach a client before the server has noted that."""
+    until(lambda: served.connected() == count)
+
+
+def read_by(client, frames, most=50):
+    """Yield frames, at most so many before what a client has read: its socket holds no more after a stall."""
+    for k, frame in enumerate(frames):
+        until(lambda k=k: len(client.messages) > k - most)
+        yield frame
 
 
 class Received:
@@ -76,7 +88,7 @@ class PlainClient:
             assert time.monotonic() < deadline
             self.send(0, b"Ping\0")
             time.sleep(0.02)
-        self.ask(12, bytes(8), 13)  # frames come from now on
+        self.ask(12, bytes(8), 13)  # frames come once the server is done with it
 
     def of(self, kind):
         """Return (payload, time) of the messages of a kind."""

@@ -46,6 +46,13 @@ def test_a_source_that_fits_is_read_once(stores):
     assert (store.length, store.last_pulse, source.iterations) == (5, 4, 1)
 
 
+def test_reading_ahead_ends_with_what_there_is():
+    store, told = FrameStore(ArraySource(2, 5), 10), []
+    store.fill(lambda *pulses: told.append(pulses))
+    store.close()
+    assert told[-1] == (5, 5)
+
+
 def test_a_loop_begins_again(stores):
     store = stores(ArraySource(1, 5), 10, loop=True)
     assert same(store, 0, 13, 3)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from natnet_clients import PERIOD_S, PlainClient, server, take_frames, until, witness
+from natnet_clients import PATIENT_S, PERIOD_S, PlainClient, listening, server, take_frames, until, witness
 
 from hardware.streams.fault_line import FaultLine
 from hardware.streams.faults import KINDS, StreamFault, StreamFaults, fault_of, read_faults
@@ -29,8 +29,9 @@ def played(*faults, seconds=SECONDS, expect, seed=0, **settings):
     line = line_of(frames, *faults, seed=seed)
     with server(frames.model, **settings) as served, PlainClient(served.command_port) as client:
         player = StreamPlayer(served, line)
+        listening(served)
         player.play(frames, PERIOD_S)
-        until(lambda: len(client.frames) == expect)
+        until(lambda: len(client.frames) == expect, lambda: (numbers(client.frames), served.lines()))
         assert player.played == len(frames)
         return client.frames, line.accounts
 
@@ -120,7 +121,9 @@ def test_the_clock_that_answers_echoes_is_the_same():
     line = line_of(frames, fault_of("clock-offset=100"))
     with server(frames.model) as served:
         StreamPlayer(served, line).play(frames, PERIOD_S)
-        assert served.clock_ns() - time.monotonic_ns() == pytest.approx(100e9, abs=1e9)
+        before = time.monotonic_ns()
+        ahead = served.clock_ns() - 100 * 10**9
+        assert before <= ahead <= time.monotonic_ns()
 
 
 def test_the_connection_is_lost_and_comes_back():
@@ -144,21 +147,21 @@ def test_the_server_starts_again_without_clients_and_with_frames_from_0():
     line = line_of(frames, fault_of("restart@0.2+0.1"))
     with server(frames.model) as served, PlainClient(served.command_port) as client:
         player = StreamPlayer(served, line)
+        listening(served)
         port = served.command_port
         thread = threading.Thread(target=player.play, args=(looped(frames, PERIOD_S), PERIOD_S))
         thread.start()
         until(lambda: line.accounts[0].count == 10 and served.command_port == port and served.clients()[0].left)
-        before = len(client.frames)
+        until(lambda: len(client.frames) == 20)
         client.connect()  # until then nothing comes
-        until(lambda: len(client.frames) >= before + 20)
+        until(lambda: len(client.frames) >= 40)
         player.stop()
         thread.join()
         assert served.clients()[0].left == ""
-    got = [one.number for one in client.frames]
-    assert got[:20] == list(range(START, START + 20))
-    after = got[20:]
-    assert after == list(range(after[0], after[0] + len(after)))
-    assert after[0] < START
+    got = client.frames
+    assert [one.number for one in got[:20]] == list(range(START, START + 20))
+    # time stamps go on: the 31st frame of the take is the first one of the server that started again
+    assert [one.number for one in got[20:]] == [round((one.timestamp - 5.0) / PERIOD_S) - 30 for one in got[20:]]
     between(line.accounts[0], 10, 0.2, 0.29)
 
 
@@ -172,6 +175,7 @@ def witnessed():
         with server(frames.model) as served, witness(served) as (client, got, models):
             client.request_modeldef()
             until(lambda: models)
+            listening(served)
             StreamPlayer(served, line).play(frames, PERIOD_S)
             until(lambda: len(got) == len(frames))
         return got, models[0], line.accounts[0]
@@ -282,6 +286,7 @@ def test_the_account_names_frames_clients_commands_and_faults():
     line = line_of(frames, fault_of("duplicate=10"))
     with server(frames.model) as served, PlainClient(served.command_port) as client:
         player = StreamPlayer(served, line)
+        listening(served)
         player.play(frames, PERIOD_S)
         until(lambda: len(client.frames) == 22, lambda: (account_lines(player, 0.2, line), client.frames))
         told = account_lines(player, 0.2, line)
@@ -303,11 +308,11 @@ def test_playing_stops_at_once_and_after_seconds():
     frames = take_frames(seconds=0.05)
     with server(frames.model) as served:
         player = StreamPlayer(served)
-        thread = threading.Thread(target=player.play, args=(looped(frames, 100.0), 100.0))
-        thread.start()  # the second round is due in 100 s
+        thread = threading.Thread(target=player.play, args=(looped(frames, 1e5), 1e5))
+        thread.start()  # the second round is due in a day
         until(lambda: player.played == 5)
         player.stop()
-        thread.join(60)
+        thread.join(PATIENT_S)
         assert not thread.is_alive()
         other = StreamPlayer(served)
         other.play(looped(frames, PERIOD_S), PERIOD_S, seconds=0.095)

@@ -1,24 +1,31 @@
 """The live view of a capture: into a file, through the viewer's pipe, and never at the capture's expense."""
 
+import os
 import shutil
+import signal
 import subprocess
 import sys
 import time
+from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 from capture_rig import Line, ctrl_c, openers, write_rig
+from command_line import refusal
 from test_capture_detections import NAMES, RATE, SIZE, picture, rig_file
 
 from mosca.data.files.rig_file import read_rig
 from mosca.data.frames import CameraInfo, Frame
+from mosca.data.tracks import Samples
 from mosca.errors import InputError
 from mosca.pipeline import PipelineSettings
 from reports import viewer_process, viewer_program
 from reports.viewer import RerunLog
 from reports.viewer_process import log_in_viewer
+from scenarios.commands.live_skeleton import LiveShow
+from scenarios.commands.live_sources import LiveOptions
 from scenarios.lab.capture import CaptureRequest, capture
 from scenarios.lab.live_view import LiveView, uncalibrated
 
@@ -108,6 +115,40 @@ def test_a_viewer_that_cannot_start_is_one_line(monkeypatch):
     monkeypatch.setattr(viewer_program.shutil, "which", lambda name: None)
     with pytest.raises(InputError, match="pip install rerun-sdk"):
         log_in_viewer(rig)
+
+
+@pytest.mark.parametrize("verb", ["live any_source --view", "capture --rig rig.toml --out take --view"])
+def test_without_a_display_there_is_no_view(tmp_path, monkeypatch, verb):
+    """The viewer takes longer to find out than it is waited for; without it the run would go on unseen."""
+    if not Path(RERUN).is_file():
+        pytest.skip("the program 'rerun' is not beside this Python")
+    write_rig(tmp_path / "rig.toml", ("only",), SIZE, RATE)
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(viewer_program.sys, "platform", "linux")
+    assert "--view: there is no display for a window; " in refusal(*verb.split(), cwd=tmp_path)
+
+
+def test_a_viewer_that_is_closed_is_told_and_the_run_goes_on(tmp_path, monkeypatch):
+    program = tmp_path / "viewer"
+    program.write_text("#!/bin/sh\nexec cat > /dev/null\n")
+    program.chmod(0o755)
+    monkeypatch.setattr(viewer_process, "viewer_program", lambda wanted_by: str(program))
+    monkeypatch.setattr("scenarios.commands.live_skeleton.SHOWN_HZ", 1e9)
+    rig = uncalibrated([CameraInfo("a", *SIZE, 8, RATE)])
+    with ExitStack() as stack:
+        show = LiveShow(LiveOptions("", view=True), rig, stack)
+        show.show(0, 0, Samples.none(), [])
+        assert show.finish() == []
+        (log,) = show.logs
+        os.kill(log.viewer, signal.SIGTERM)
+        while not log.ended:
+            time.sleep(0.01)
+        for frame in (1, 2):
+            show.show(frame, frame, Samples.none(), [])
+        (told,) = show.finish()
+    # closing has not waited for a viewer that is gone
+    assert told == "view: ended early at frame set 1 (the viewer was closed, or could not open its window)"
 
 
 class SlowLog:

@@ -78,6 +78,18 @@ def test_lines_come_without_a_terminal_and_end_with_the_work(monkeypatch, capsys
     assert capsys.readouterr().err == ""
 
 
+def test_what_is_done_is_said_once(monkeypatch, capsys):
+    """What is served goes on after its frames were rendered; lines about these do not."""
+    monkeypatch.setattr(progress, "EVERY_S", 0.001)
+    with Progress("frames") as moved:
+        moved(3, 3)
+        written = ""
+        while "3 of 3 (100 %)" not in written:
+            written += capsys.readouterr().err
+        time.sleep(0.1)
+        assert "3 of 3" not in capsys.readouterr().err + written.partition("3 of 3")[2]
+
+
 def test_the_teller_ends_where_the_work_fails(monkeypatch):
     shown = Progress("take")
     with pytest.raises(ZeroDivisionError), shown:

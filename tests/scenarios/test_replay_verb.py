@@ -14,7 +14,7 @@ from command_line import MOSCA, refusal
 from tiny_scenario import write_tiny
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "hardware"))
-from natnet_clients import PlainClient, body, take, until, witness
+from natnet_clients import PATIENT_S, PlainClient, body, take, until, witness
 from natnet_witness import natnet
 
 from hardware.streams.natnet.settings import NatNetSettings
@@ -27,7 +27,8 @@ from scenarios.commands.live import run_live_command
 from scenarios.commands.live_sources import LiveOptions
 from scenarios.lab.replay import ReplayRequest, replay_tracks
 
-FREE = NatNetSettings(command_port=0, data_port=0)
+FREE = NatNetSettings(command_port=0, data_port=0, forget_s=1e6, settle_s=1e6)
+"""However long a computer stalls, a client is kept, and no take begins before the client has had its answers."""
 
 
 @pytest.fixture
@@ -57,7 +58,7 @@ class Replay:
             self.port = int(found[1])
 
     def end(self):
-        self._thread.join(60)
+        self._thread.join(PATIENT_S)
         assert self.lines is not None
         return self.lines
 
@@ -111,12 +112,15 @@ def test_joints_beside_the_tracks_are_a_skeleton(run_folder):
     frame, none = 1000 + np.arange(n), np.zeros((n, 2, 3, 3))
     motion = JointMotion(frame, 5 * 10**9 + np.arange(n) * 10**7, ("pelvis", "l_hip"), centre, none, rotation, none)
     write_joints_csv(motion, run_folder / "joints.csv")
-    replay = Replay(replay_tracks, ReplayRequest(run_folder, (FREE,), wait=1))
+    # the second client comes once the first has the model: the take is over, and the server gone, after 0.3 s
+    replay = Replay(replay_tracks, ReplayRequest(run_folder, (FREE,), wait=2))
     served = type("Served", (), {"command_port": replay.port, "data_port": 1, "settings": FREE})
     with witness(served) as (client, frames, models):
         client.request_modeldef()
-        until(lambda: models and len(frames) > 20)
-        replay.end()
+        until(lambda: models)
+        with PlainClient(replay.port):
+            until(lambda: len(frames) == n)
+            replay.end()
     assert ", 2 bones, bodies: drone, cup" in replay.told[1]
     (described,) = models[0].skeletons
     pelvis, thigh = described.rigid_body_descriptions
@@ -134,12 +138,13 @@ def test_joints_beside_the_tracks_are_a_skeleton(run_folder):
 def test_a_live_run_is_streamed(tmp_path):
     """The drone of a small scenario, live: each frame set is a frame."""
     scenario = write_tiny(tmp_path, duration_s=0.4)
-    options = LiveOptions(str(scenario), rate=20.0, queued=100, stream=(replace(FREE, forget_s=1e6),))
+    options = LiveOptions(str(scenario), rate=20.0, queued=100, stream=(FREE,))
     found = []
 
     def hear(line):
         if at := re.search(r"commands at port (\d+)", line):
             found.append(PlainClient(int(at[1])))
+            found[0].ask(12, bytes(8), 13)  # the server is done with what connected the client
 
     lines = run_live_command(options, hear)
     (client,) = found
@@ -162,16 +167,23 @@ def test_ctrl_c_ends_a_replay_with_its_account(run_folder):
         try:
             port = int(re.search(r"commands at port (\d+)", process.stdout.readline())[1])
             with PlainClient(port) as client:
-                until(lambda: len(client.frames) > 40)  # it goes on after the last
+
+                def more():
+                    client.send(0, b"Ping\0")  # a client that a stall of 10 s kept silent is let go
+                    return len(client.frames) > 40  # it goes on after the last
+
+                until(more)
                 process.send_signal(signal.SIGINT)
-                out, errors = process.communicate(timeout=60)
+                out, errors = process.communicate(timeout=PATIENT_S)
         finally:
             process.kill()
     assert process.returncode == 0
     assert errors == ""
     numbers = [one.number for one in client.frames]
-    assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
-    assert f"127.0.0.1:{client.address[1]}: {len(numbers)} frames sent, 0 dropped" in out
+    # on a computer that stalls some are lost in the socket, or while the client was let go
+    assert numbers == sorted(set(numbers))
+    sent = int(re.search(rf"127.0.0.1:{client.address[1]}: (\d+) frames sent, 0 dropped", out)[1])
+    assert len(numbers) <= sent
 
 
 @pytest.mark.parametrize(

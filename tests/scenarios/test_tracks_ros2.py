@@ -1,15 +1,19 @@
 """``mosca tracks ros2``: what of a run folder gets into the bag, and what is told where it cannot."""
 
 import json
+import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from command_line import mosca, refusal
 
 from mosca.data.files.rig_file import write_rig
+from mosca.data.frames import CameraInfo, Frame
 from mosca.data.rig import Camera, OpenCVLens, Pose, Rig
-from mosca.data.tracks import Tracks
-from mosca.formats.tracks.tracks_file import write_tracks
+from mosca.data.tracks import Tracks, table
+from mosca.formats.tracks.tracks_file import read_tracks, write_tracks
+from mosca.recording import RecordingWriter
 
 
 @pytest.fixture
@@ -50,5 +54,29 @@ def test_a_run_folder_becomes_a_bag(run_folder):
     ],
 )
 def test_wrong_inputs(run_folder, words, told):
+    assert told in refusal("tracks", "ros2", *words.split(), cwd=run_folder)
+    assert not (run_folder / "bag").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ("empty bag", "empty: no marker and no pose of a body: there is nothing to write"),
+        ("empty/tracks.npz bag --no-cameras", "empty/tracks.npz: no marker and no pose of a body"),
+        ("nowhere bag", "nowhere: no marker and no pose of a body"),
+        ("run bag --recording black", "black: no image: there is nothing to write; leave --recording out"),
+    ],
+)
+def test_what_did_not_happen_is_no_bag(run_folder, words, told):
+    """A run without a sample, one whose positions are all withheld, and a recording whose frames are all lost."""
+    run = run_folder / "run"
+    tracks = read_tracks(run / "tracks.npz")
+    withheld = replace(tracks, xyz=np.full_like(tracks.xyz, np.nan))
+    for name, written in (("empty", table([])), ("nowhere", withheld)):
+        shutil.copytree(run, run_folder / name)
+        write_tracks(written, run_folder / name / "tracks.npz", 100.0)
+    info = CameraInfo("left", 64, 48, 8, 100.0, clock="session")
+    with RecordingWriter(run_folder / "black", (info,)) as writer:
+        writer.write(Frame("left", 0, 5, 1_000_000, None, "dropped"))
     assert told in refusal("tracks", "ros2", *words.split(), cwd=run_folder)
     assert not (run_folder / "bag").exists()

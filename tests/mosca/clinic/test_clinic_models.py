@@ -99,6 +99,17 @@ def test_a_turned_camera_is_named():
     assert (first.code, first.camera) == ("camera-moved", "cam3")
 
 
+def test_what_no_image_shows_is_not_found():
+    """A fault of a camera that saw nothing at that time: no parameter, and no division of nothing by nothing."""
+    residuals = residuals_of(observations(true), RIG, RATE)
+    design = np.stack([residuals.flow, np.zeros_like(residuals.flow)], axis=-1)
+    with np.errstate(all="raise", under="ignore"):
+        found = fit(residuals, design)
+        nothing = fit(residuals, design[..., 1:])
+    assert np.isfinite(found.covariance).all()
+    assert (found.values[1], nothing.values[0], nothing.p_value, nothing.moved_px) == (0.0, 0.0, 1.0, 0.0)
+
+
 def test_images_of_few_markers_that_are_off_are_no_fault_of_the_rig():
     """Three of eight markers are half hidden in one camera: their images are off along a lens's field."""
 
