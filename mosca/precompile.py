@@ -27,6 +27,7 @@ from mosca.data.rig import Camera, MoscaLens, Pose, Rig
 from mosca.data.sightings import Sightings
 from mosca.data.target_codes import SECTORS, code_bits
 from mosca.data.targets import CodedTarget, PlacedTarget, TestField
+from mosca.detection.cut_targets.cut_pair import fit_cut_pairs
 from mosca.detection.cut_targets.disc import fit_discs
 from mosca.detection.cut_targets.kinds import kinds_of, own_pixels
 from mosca.detection.cut_targets.pair import fit_pairs
@@ -114,10 +115,19 @@ def points() -> int:
         health.attend(rig, frame_set, found, made, bundle)
     kinds_of(made.rays, made.xyz, bundle.rays, bundle.start, bundle.views, 0.1)
     seen = found[rig.names[0]]
-    there = own_pixels(5, np.zeros((1, 2), np.int64), np.zeros(1, np.int64), np.ones(1), seen.xy_px, np.ones(n))
+    there = own_pixels(
+        5,
+        np.zeros((1, 2), np.int64),
+        np.zeros((1, 1), np.int64),
+        np.zeros((1, 2)),
+        np.ones(1),
+        seen.xy_px,
+        np.ones(n),
+    )
     patch = np.zeros((1, 5, 5)), there, np.ones((1, 8))
     fit_discs(*patch, False, np.zeros(1))
     fit_pairs(*patch, np.zeros(1))
+    fit_cut_pairs(*patch, np.zeros(1))
     return samples
 
 

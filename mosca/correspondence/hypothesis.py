@@ -263,7 +263,7 @@ def trust2_of(ray, size, whole, rays, judge):
         share = (size / whole) ** 2
         odd = min(MOST_ODD, 1.0 - share) if share < 1.0 else min(MOST_LARGE, share - 1.0)
         usual = SIZE_DEADBAND if share < 1.0 and not flags & SATURATED else SIZE_NOISE
-        if odd <= max(usual, SIZE_SIGMAS * rays[ray, SHARE_SIGMA]):
+        if odd <= max(usual, SIZE_SIGMAS * rays[ray, SHARE_SIGMA] * min(share, 1.0)):
             odd = 0.0
     if judge != AREAS and flags & PARTIAL:
         odd = max(odd, PARTIAL_ODD)

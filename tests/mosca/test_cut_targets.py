@@ -11,10 +11,11 @@ from mosca.data.frames import Frame, FrameSet
 from mosca.data.rays import Predicted
 from mosca.data.rig import Camera, OpenCVLens, Pose, Rig
 from mosca.data.tracks import Points
+from mosca.detection.cut_targets.cut_pair import fit_cut_pairs
 from mosca.detection.cut_targets.disc import BLUR, CUT, MISFIT, OTHER_MISFIT, OTHER_X, RADIUS, XX, XY, YY, fit_discs
 from mosca.detection.cut_targets.kinds import own_pixels
-from mosca.detection.cut_targets.mend import CutTargets, cut_of
-from mosca.detection.cut_targets.pair import PAIR_COVARIANCE, fit_pairs
+from mosca.detection.cut_targets.mend import CutTargets, _replaced, cut_of
+from mosca.detection.cut_targets.pair import PAIR_COVARIANCE, PAIR_MISFIT, fit_pairs
 
 SIDE, FINE, LIGHT, READ = 15, 10, 12_000.0, 10.0
 FOCUS = 0.7
@@ -132,11 +133,54 @@ def test_centres_of_two_discs_grown_together(radius, apart):
         assert (fit[PAIR_COVARIANCE : PAIR_COVARIANCE + 6 : 3] > 0).all()
 
 
+@pytest.mark.parametrize("towards", [0.0, 1.6, 3.1])
+@pytest.mark.parametrize("hidden", [0.3, 0.6])
+@pytest.mark.parametrize("apart", [2.3, 2.9, 4.0])
+def test_centres_of_a_whole_disc_and_of_one_beside_it_that_an_edge_cuts(apart, hidden, towards):
+    """``towards``: direction of what is hidden, from that away from the whole disc."""
+    rng, radius = np.random.default_rng(6), 1.45
+    x, y = grid()
+    off = []
+    for _ in range(12):
+        middle, turn = rng.uniform(-0.5, 0.5, 2), rng.uniform(0.0, 2 * np.pi)
+        half = 0.5 * apart * np.array([np.cos(turn), np.sin(turn)])
+        edge = radius * float(cut_of(np.array([hidden]))[0])
+        away = (x - (middle + half)[0]) * np.cos(turn + towards) + (y - (middle + half)[1]) * np.sin(turn + towards)
+        cut = disc(middle + half, radius) * np.clip((edge - away) * FINE + 0.5, 0.0, 1.0)
+        light = np.array([(cut * x).sum(), (cut * y).sum()]) / cut.sum()
+        given = np.concatenate([middle - half, light]) + rng.normal(0.0, 0.15, 4) + SIDE // 2
+        image = photographed(np.maximum(disc(middle - half, radius), cut), rng)
+        there = near(middle, 0.5 * apart + radius + 3 * SEEN_BLUR)
+        start = np.concatenate([given, [radius, radius, SEEN_BLUR, 1.0]])[None]
+        fits = fit_cut_pairs(image[None], there, start, np.array([1e-5]))[0]
+        best = fits[fits[:, PAIR_MISFIT].argmin()]
+        found = best[:4].reshape(2, 2) - SIDE // 2
+        off.append(np.linalg.norm(found - [middle - half, middle + half], axis=1))
+        assert np.linalg.norm(light - middle - half) > 0.8 * hidden * radius
+        assert (best[PAIR_COVARIANCE : PAIR_COVARIANCE + 6 : 3] > 0).all()
+    # an edge that nearly touches the overlap, or hides most of a disc, lets two in a dozen end elsewhere
+    assert np.median(off, axis=0).max() < 0.08
+    assert (np.max(off, axis=1) < 0.2).sum() >= 10
+
+
+def test_what_else_is_known_of_two_targets_is_as_of_the_image_that_they_made():
+    seen = Detections(
+        "a", np.zeros((3, 2)), np.ones((3, 2, 2)), np.ones(3), np.array([50.0, 90.0, 200.0]), np.ones(3),
+        diameter_sigma_px=np.array([0.1, 0.2, 0.3]),
+    )  # fmt: skip
+    xy, covariance = np.arange(8.0).reshape(4, 2), np.tile(np.eye(2), (4, 1, 1))
+    new = _replaced(seen, np.array([0, 2, 3, 4]), xy, covariance, np.full(4, 3.0))
+    np.testing.assert_array_equal(new.peak, [50.0, 90.0, 200.0, 50.0, 200.0])
+    np.testing.assert_array_equal(new.diameter_sigma_px, [0.1, 0.2, 0.3, 0.1, 0.3])
+    np.testing.assert_array_equal(new.xy_px, [[0, 1], [0, 0], [2, 3], [4, 5], [6, 7]])
+
+
 def test_too_few_pixels_are_no_fit():
     patch, there = np.ones((1, SIDE, SIDE)), np.zeros((1, SIDE, SIDE), bool)
     start = start_at(np.zeros(2), 2.0, 1.0)
     assert np.isinf(fit_discs(patch, there, start, False, np.zeros(1))[0, MISFIT])
     assert np.isinf(fit_pairs(patch, there, start, np.zeros(1))).all()
+    assert np.isinf(fit_cut_pairs(patch, there, start, np.zeros(1))).all()
 
 
 WIDE, HIGH, STEP = 200, 160, 20
@@ -211,6 +255,8 @@ def test_pixels_of_a_disc_and_not_of_its_neighbour():
     xy = xy + 2.0
     wanted = (np.hypot(x - 7.2, y - 7.1) <= reach) & (np.hypot(x - 11.0, y - 8.0) > 2.5)
     corner, rows = np.array([[2, 2]]), np.array([0])
-    np.testing.assert_array_equal(own_pixels(side, corner, rows, np.array([reach]), xy, near)[0], wanted)
-    everything = own_pixels(side, corner, rows, np.array([reach]), xy, np.full(3, -1.0))[0]
+    np.testing.assert_array_equal(
+        own_pixels(side, corner, rows[:, None], xy[rows], np.array([reach]), xy, near)[0], wanted
+    )
+    everything = own_pixels(side, corner, rows[:, None], xy[rows], np.array([reach]), xy, np.full(3, -1.0))[0]
     np.testing.assert_array_equal(everything, np.hypot(x - 7.2, y - 7.1) <= reach)

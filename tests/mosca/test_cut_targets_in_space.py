@@ -103,6 +103,23 @@ def test_two_balls_grown_together_in_one_of_two_cameras():
     assert nees.mean() < 6.0
 
 
+def test_a_ball_that_is_hidden_in_part_beside_another_one_in_one_of_two_cameras():
+    def beside(apart):
+        def draw(shape, camera, x, y, radius):
+            if camera == 0:
+                other = np.clip((radius - np.hypot(x + apart * radius, y)) * FINE + 0.5, 0.0, 1.0)
+                return np.maximum(shape * np.clip((0.1 * radius - x - y) * FINE + 0.5, 0.0, 1.0), other)
+            return 0.0 * shape if camera == 1 else shape
+
+        return draw
+
+    for apart in (1.8, 3.0):  # grown together, side by side
+        off, nees = errors(beside(apart))
+        assert len(off) > 18
+        assert np.sqrt((off**2).sum(axis=1).mean()) < 0.0006
+        assert nees.mean() < 6.0
+
+
 def test_whole_balls():
     off, nees = errors(lambda shape, *_: shape)
     assert len(off) > 18

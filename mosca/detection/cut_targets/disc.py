@@ -244,9 +244,9 @@ def _settle(pixels, disc, whole, work):
 
 @bare_step(fastmath=FAST)
 def normal_equations(pixels, disc, image, by, damping, normal, right):
-    """Fill ``normal`` (6, 6) and ``right`` (6, 1) of a step by the derivatives ``by`` (6, n)."""
+    """Fill ``normal`` (k, k) and ``right`` (k, 1) of a step by the derivatives ``by`` (k, n)."""
     level, amplitude = f32(disc[LEVEL]), f32(disc[AMPLITUDE])
-    for a in range(6):
+    for a in range(by.shape[0]):
         for b in range(a + 1):
             total = f32(0.0)
             for i in range(pixels.shape[1]):
