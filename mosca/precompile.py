@@ -27,8 +27,9 @@ from mosca.data.rig import Camera, MoscaLens, Pose, Rig
 from mosca.data.sightings import Sightings
 from mosca.data.target_codes import SECTORS, code_bits
 from mosca.data.targets import CodedTarget, PlacedTarget, TestField
-from mosca.detection.cut_targets.cut_pair import fit_cut_pairs
+from mosca.detection.cut_targets.cut_pair import fit_cut_pairs, told_apart
 from mosca.detection.cut_targets.disc import fit_discs
+from mosca.detection.cut_targets.expected import expected_images
 from mosca.detection.cut_targets.kinds import kinds_of, own_pixels
 from mosca.detection.cut_targets.pair import fit_pairs
 from mosca.detection.detect import DetectionSettings
@@ -127,7 +128,12 @@ def points() -> int:
     patch = np.zeros((1, 5, 5)), there, np.ones((1, 8))
     fit_discs(*patch, False, np.zeros(1))
     fit_pairs(*patch, np.zeros(1))
-    fit_cut_pairs(*patch, np.zeros(1))
+    pairs, point = fit_cut_pairs(*patch, np.zeros(1)), (made.xyz, made.rays[:, 0])
+    places, errors, _ = expected_images(
+        predicted.xyz, predicted.covariance, bundle.cameras, bundle.views, np.ones(3), 0.1
+    )
+    near, tracks = np.zeros((1, 2), np.int64), (predicted.xyz, places[0], errors[0])
+    told_apart(pairs, np.ones(1, np.int64), near, near, point, tracks, 0.1, (48.0, 12.0, 0.1))
     return samples
 
 

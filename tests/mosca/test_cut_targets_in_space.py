@@ -4,8 +4,10 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from mosca.camera.projection import project
+from mosca.camera.ray_table import rig_table
 from mosca.data.frames import CameraInfo, Frame
 from mosca.data.rig import Camera, MoscaLens, Pose, Rig
+from mosca.detection.cut_targets.expected import expected_images
 from mosca.pipeline import run
 
 WIDTH, HEIGHT, FOCAL_PX, FINE, SETS, RATE_HZ = 240, 200, 400.0, 6, 66, 100.0
@@ -125,3 +127,21 @@ def test_whole_balls():
     assert len(off) > 18
     assert np.sqrt((off**2).sum(axis=1).mean()) < 0.0003
     assert nees.mean() < 6.0
+
+
+def test_images_of_predictions_are_projections():
+    rng, cameras = np.random.default_rng(8), rig().cameras
+    xyz, factor = rng.uniform(-0.2, 0.2, (5, 3)), 1e-3 * rng.normal(size=(5, 3, 3))
+    xyz[4] = cameras[0].world_from_camera.translation * 2.0  # behind the first camera
+    table = rig_table(Rig(cameras))
+    covariance = factor @ factor.swapaxes(1, 2)
+    places, errors, away = expected_images(xyz, covariance, table.cameras, table.views, np.full(3, FOCAL_PX), 0.1)
+    for c, camera in enumerate(cameras):
+        seen = project(camera, xyz)
+        np.testing.assert_array_equal(np.isfinite(places[c]), np.isfinite(seen))
+        np.testing.assert_allclose(places[c][np.isfinite(seen)], seen[np.isfinite(seen)], atol=1e-9)
+        distance = np.linalg.norm(xyz - camera.world_from_camera.translation, axis=1)
+        np.testing.assert_allclose(away[c], distance)
+        spread = np.sqrt(np.trace(covariance, axis1=1, axis2=2)) / distance * FOCAL_PX
+        np.testing.assert_allclose(errors[c], np.sqrt(spread**2 + 0.01))
+    assert np.isinf(places[0, 4]).all()

@@ -243,3 +243,68 @@ def fit_cut_pairs(patches, there, given, usual):
             if misfit < CLEAR * usual[r] and pair[EDGE] > 0.0:
                 break
     return out
+
+
+@step
+def _expected_of(near, points, tracks, reach_m, out):
+    """Write where tracks expect the points whose detections are ``near`` (2,), and their errors (k, 3); return k."""
+    (xyz, rays), (predicted, places, errors) = points, tracks
+    many = 0
+    for i in range(len(rays)):
+        if (rays[i] != near[0] and rays[i] != near[1]) or many == len(out):
+            continue
+        least, at = reach_m * reach_m, -1
+        for j in range(len(predicted)):
+            away = 0.0
+            for a in range(3):
+                away += (xyz[i, a] - predicted[j, a]) ** 2
+            if away < least:
+                least, at = away, j
+        if at >= 0 and math.isfinite(places[at, 0]):
+            out[many, 0], out[many, 1], out[many, 2] = places[at, 0], places[at, 1], errors[at]
+            many += 1
+    return many
+
+
+@kernel
+def told_apart(fits, counts, corner, near, points, tracks, reach_m, limits):
+    """Choose among the fits (n, WAYS, PAIR_RESULT) of pairs; return which way (n,), -1 where none is told.
+
+    By misfit and by how far centres are from where tracks expect them; another way whose centres differ must be
+    clearly worse. ``counts`` (n,): pixels of the fits; ``corner`` (n, 2) [px]; ``near`` (n, 2): the pairs'
+    detections; ``points``: the points (m, 3) [m] and their detections (m,); ``tracks``: predicted (k, 3) [m], their
+    places (k, 2) and errors (k,) [px]; ``limits``: largest chi-square of a place, chi-square by which others are
+    worse, and distance [px] from which on centres differ.
+    """
+    most, ambiguous, same_px = limits
+    told, score, expected = np.full(len(fits), -1), np.empty(WAYS), np.empty((8, 3))
+    for r in range(len(fits)):
+        least, best = np.inf, -1
+        for k in range(WAYS):
+            least = min(least, fits[r, k, PAIR_MISFIT])
+        if not least < np.inf:
+            continue
+        many = _expected_of(near[r], points, tracks, reach_m, expected)
+        for k in range(WAYS):
+            score[k] = (counts[r] - UNKNOWNS) * (fits[r, k, PAIR_MISFIT] / max(least, 1e-12) - 1.0)
+            for e in range(many):
+                away = np.inf
+                for disc in range(2):
+                    dx = fits[r, k, 2 * disc] + corner[r, 0] - expected[e, 0]
+                    dy = fits[r, k, 2 * disc + 1] + corner[r, 1] - expected[e, 1]
+                    away = min(away, dx * dx + dy * dy)
+                score[k] += min(away / expected[e, 2] ** 2, most)
+            if best < 0 or score[k] < score[best]:
+                best = k
+        told[r] = best
+        for k in range(WAYS):
+            apart = 0.0
+            for disc in range(2):
+                dx, dy = (
+                    fits[r, k, 2 * disc] - fits[r, best, 2 * disc],
+                    fits[r, k, 2 * disc + 1] - fits[r, best, 2 * disc + 1],
+                )
+                apart = max(apart, math.hypot(dx, dy))
+            if apart > same_px and not score[k] > score[best] + ambiguous:
+                told[r] = -1
+    return told

@@ -13,14 +13,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mosca.camera.projection import project
 from mosca.data.arrays import Array
 from mosca.data.detections import SATURATED, Detections
 from mosca.data.frames import FrameSet
 from mosca.data.rays import Predicted, RayTable
-from mosca.data.rig import Camera, Rig, principal_distances_px
+from mosca.data.rig import Rig, principal_distances_px
 from mosca.data.tracks import Points
-from mosca.detection.cut_targets.cut_pair import UNKNOWNS, fit_cut_pairs
+from mosca.detection.cut_targets.cut_pair import fit_cut_pairs, told_apart
 from mosca.detection.cut_targets.disc import (
     AMPLITUDE,
     BLUR,
@@ -36,6 +35,7 @@ from mosca.detection.cut_targets.disc import (
     YY,
     fit_discs,
 )
+from mosca.detection.cut_targets.expected import expected_images
 from mosca.detection.cut_targets.kinds import BESIDE, GROWN, WHOLE, kinds_of, own_pixels
 from mosca.detection.cut_targets.kinds import CUT as CUT_ONE
 from mosca.detection.cut_targets.pair import PAIR_AMPLITUDE, PAIR_COVARIANCE, PAIR_MISFIT, fit_pairs
@@ -113,10 +113,17 @@ class _Camera:
 class _Tracks(NamedTuple):
     """Where a camera's images of points are expected."""
 
-    camera: Camera
     xyz: Array
     """(n, 3) the points [m]."""
+    distance_m: Array
+    """(n,) of the points from the camera."""
     predicted: Predicted
+    places: Array
+    """(m, 2) images of the predictions [px], infinite where there is none."""
+    errors: Array
+    """(m,) their standard deviations [px]."""
+    distances_m: Array
+    """(m,) of the predictions from the camera."""
     reach_m: float
     """How far a prediction of the same target may be."""
     rays: Array
@@ -126,25 +133,21 @@ class _Tracks(NamedTuple):
 
     def of(self, which: Array) -> "_Tracks":
         """Return those of some of the points."""
-        return self._replace(xyz=self.xyz[which], rays=self.rays[which], radius=self.radius[which])
+        xyz, distance_m = self.xyz[which], self.distance_m[which]
+        return self._replace(xyz=xyz, distance_m=distance_m, rays=self.rays[which], radius=self.radius[which])
 
     def expected(self, rows: Array) -> tuple[Array, Array]:
         """Return where tracks expect the images (k, 2) of some points, and the standard deviation (k,) [px].
 
         Infinite where there is no track.
         """
-        xyz, predicted = self.xyz[rows], self.predicted
-        place, sigma = np.zeros((len(xyz), 2)), np.full(len(xyz), np.inf)
-        if not len(predicted.xyz):
-            return place, sigma
-        away = np.linalg.norm(xyz[:, None] - predicted.xyz[None], axis=2)
-        nearest = away.argmin(axis=1)
-        near = away.min(axis=1) < self.reach_m
-        there = predicted.xyz[nearest[near]]
-        sigma_m = np.sqrt(np.trace(predicted.covariance[nearest[near]], axis1=1, axis2=2))
-        depth = np.linalg.norm(there - self.camera.world_from_camera.translation, axis=1)
-        place[near] = np.nan_to_num(project(self.camera, there))
-        sigma[near] = np.hypot(sigma_m / depth * max(principal_distances_px(self.camera.lens)), EXPECTED_PX)
+        place, sigma = np.zeros((len(rows), 2)), np.full(len(rows), np.inf)
+        if len(self.places):
+            away = ((self.xyz[rows, None] - self.predicted.xyz[None]) ** 2).sum(axis=2)
+            nearest = away.argmin(axis=1)
+            near = away[np.arange(len(rows)), nearest] < self.reach_m**2
+            near &= np.isfinite(self.places[nearest, 0])
+            place[near], sigma[near] = self.places[nearest[near]], self.errors[nearest[near]]
         return place, sigma
 
     def two_at(self, ray: int, place: Array, radius: float, otherwise: Array) -> tuple[Array, Array, bool]:
@@ -152,16 +155,12 @@ class _Tracks(NamedTuple):
 
         ``radius``: of the detection's first point. Where fewer are expected: ``otherwise``, that radius, False.
         """
-        if len(self.predicted.xyz) >= 2:
-            centre = self.camera.world_from_camera.translation
-            expected = np.nan_to_num(project(self.camera, self.predicted.xyz), nan=np.inf)
-            away = np.linalg.norm(expected - place, axis=1)
-            two = np.argsort(away)[:2]
-            if away[two[1]] < 2.5 * radius:
-                first = int(np.argmax(self.rays == ray))
-                depth = np.linalg.norm(self.predicted.xyz[two] - centre, axis=1)
-                own = np.linalg.norm(self.xyz[first] - centre)
-                return expected[two], radius * own / depth, True
+        if len(self.places) >= 2:
+            away = ((self.places - place) ** 2).sum(axis=1)
+            two = np.argpartition(away, 1)[:2]
+            if away[two[1]] < (2.5 * radius) ** 2:
+                own = self.distance_m[int(np.argmax(self.rays == ray))]
+                return self.places[two], radius * own / self.distances_m[two], True
         return otherwise, np.full(2, radius), False
 
 
@@ -191,6 +190,8 @@ class CutTargets:
         at = table.rays, table.start, table.views
         kinds, share, radius, count = kinds_of(points.rays, points.xyz, *at, typical_m)
         many = count.tolist()
+        expected: tuple[Array, Array, Array] | None = None
+        distances = np.empty((0, 0))
         for c, name in enumerate(rig.names):
             frame = frame_set.frames.get(name)
             image = None if frame is None else frame.image
@@ -202,9 +203,18 @@ class CutTargets:
                 self._learn(camera, image, found[name], points.rays[whole, c], radius[whole, c])
             if camera.n < LEARNED_FROM or camera.blur < LEAST_BLUR_PX:
                 continue
+            if not any(many[c][kind] for kind in (CUT_ONE, BESIDE, GROWN)):
+                continue
+            if expected is None:
+                focal_px = np.array([max(principal_distances_px(camera.lens)) for camera in rig.cameras])
+                each = predicted.xyz, predicted.covariance, table.cameras, table.views
+                expected = expected_images(*each, focal_px, EXPECTED_PX)
+                distances = np.linalg.norm(points.xyz[:, None] - table.views[None, :, :3], axis=2)
+            places, errors, away = expected
             tracks = _Tracks(
-                rig.cameras[c], points.xyz, predicted, SAME_TARGET * typical_m, points.rays[:, c], radius[:, c]
-            )
+                points.xyz, distances[:, c], predicted, places[c], errors[c], away[c], SAME_TARGET * typical_m,
+                points.rays[:, c], radius[:, c],
+            )  # fmt: skip
             for kind, mend in ((CUT_ONE, _mended), (BESIDE, _mended_beside), (GROWN, _divided)):
                 if many[c][kind]:
                     which = np.flatnonzero(own == kind)
@@ -395,23 +405,19 @@ def _cut_pairs(
     blur, start = np.full(len(inside), camera.blur), (light - corner[:, None]).reshape(-1, 4)
     given = np.column_stack([start, radii, blur, 1.0 - whole[inside]])
     all_fits = fit_cut_pairs(patches, there, given, np.full(len(inside), camera.misfit))
-    for k, (fits, at) in enumerate(zip(all_fits, inside.tolist(), strict=True)):
-        fits = fits[np.isfinite(fits).all(axis=1)]
-        if not len(fits):
-            continue
-        centres = fits[:, :4].reshape(-1, 2, 2) + corner[k]
-        worse = (there[k].sum() - UNKNOWNS) * (fits[:, PAIR_MISFIT] / max(fits[:, PAIR_MISFIT].min(), TINY) - 1.0)
-        expected, sigma = tracks.expected(np.flatnonzero(np.isin(tracks.rays, near[k])))
-        away = np.linalg.norm(centres[:, :, None] - expected, axis=3).min(axis=1) / sigma
-        score = worse + np.minimum(away**2, SURE - AMBIGUOUS).sum(axis=1)
-        best = int(score.argmin())
-        others = np.linalg.norm(centres - centres[best], axis=2).max(axis=1) > SAME_PX
-        told = score[others].min(initial=np.inf) > score[best] + AMBIGUOUS
-        limit = MOST_MISFIT * camera.misfit  # eight unknowns fit much that is no pair
-        told &= bool(camera.fits(fits[best, PAIR_MISFIT], fits[best, PAIR_AMPLITUDE], limit))
-        told &= np.linalg.norm(centres[best, 0] - centres[best, 1]) > LEAST_APART_CUT * radii[k].mean()
-        good[at] = told and (np.linalg.norm(centres[best] - light[k], axis=1) < 1.5 * radii[k]).all()
-        xy[at], covariance[at] = centres[best], fits[best, PAIR_COVARIANCE + TWO_BY_TWO].reshape(2, 2, 2)
+    of_points, of_tracks = (tracks.xyz, tracks.rays), (tracks.predicted.xyz, tracks.places, tracks.errors)
+    limits, counts = (SURE - AMBIGUOUS, AMBIGUOUS, SAME_PX), there.sum(axis=(1, 2))
+    best = told_apart(all_fits, counts, corner, near, of_points, of_tracks, tracks.reach_m, limits)
+    fits, centres = all_fits[np.arange(len(best)), best], np.empty((len(best), 2, 2))
+    centres[:] = fits[:, :4].reshape(-1, 2, 2) + corner[:, None]
+    limit = MOST_MISFIT * camera.misfit  # eight unknowns fit much that is no pair
+    told = (best >= 0) & camera.fits(fits[:, PAIR_MISFIT], fits[:, PAIR_AMPLITUDE], limit)
+    apart = np.hypot(*(centres[:, 0] - centres[:, 1]).T)
+    told &= (apart > LEAST_APART_CUT * radii.mean(axis=1)) & np.isfinite(fits).all(axis=1)
+    told &= (np.linalg.norm(centres - light, axis=2) < 1.5 * radii).all(axis=1)
+    at = inside[told]
+    good[at], xy[at] = True, centres[told]
+    covariance[at] = fits[told][:, PAIR_COVARIANCE + TWO_BY_TWO].reshape(-1, 2, 2, 2)
     return good, xy, covariance
 
 
