@@ -408,12 +408,14 @@ def _cut_pairs(
     of_points, of_tracks = (tracks.xyz, tracks.rays), (tracks.predicted.xyz, tracks.places, tracks.errors)
     limits, counts = (SURE - AMBIGUOUS, AMBIGUOUS, SAME_PX), there.sum(axis=(1, 2))
     best = told_apart(all_fits, counts, corner, near, of_points, of_tracks, tracks.reach_m, limits)
-    fits, centres = all_fits[np.arange(len(best)), best], np.empty((len(best), 2, 2))
-    centres[:] = fits[:, :4].reshape(-1, 2, 2) + corner[:, None]
+    fits = all_fits[np.arange(len(best)), best]
+    known = (best >= 0) & np.isfinite(fits).all(axis=1)
+    fits[~known] = 0.0
+    centres = fits[:, :4].reshape(-1, 2, 2) + corner[:, None]
     limit = MOST_MISFIT * camera.misfit  # eight unknowns fit much that is no pair
-    told = (best >= 0) & camera.fits(fits[:, PAIR_MISFIT], fits[:, PAIR_AMPLITUDE], limit)
+    told = known & camera.fits(fits[:, PAIR_MISFIT], fits[:, PAIR_AMPLITUDE], limit)
     apart = np.hypot(*(centres[:, 0] - centres[:, 1]).T)
-    told &= (apart > LEAST_APART_CUT * radii.mean(axis=1)) & np.isfinite(fits).all(axis=1)
+    told &= apart > LEAST_APART_CUT * radii.mean(axis=1)
     told &= (np.linalg.norm(centres - light, axis=2) < 1.5 * radii).all(axis=1)
     at = inside[told]
     good[at], xy[at] = True, centres[told]
