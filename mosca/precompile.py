@@ -27,11 +27,10 @@ from mosca.data.rig import Camera, MoscaLens, Pose, Rig
 from mosca.data.sightings import Sightings
 from mosca.data.target_codes import SECTORS, code_bits
 from mosca.data.targets import CodedTarget, PlacedTarget, TestField
-from mosca.detection.cut_targets.cut_pair import fit_cut_pairs, told_apart
-from mosca.detection.cut_targets.disc import fit_discs
 from mosca.detection.cut_targets.expected import expected_images
-from mosca.detection.cut_targets.kinds import kinds_of, own_pixels
-from mosca.detection.cut_targets.pair import fit_pairs
+from mosca.detection.cut_targets.kinds import kinds_of
+from mosca.detection.cut_targets.window_fits import OfPoints, OfTracks, fit_windows
+from mosca.detection.cut_targets.windows import LEARNED, windows_of
 from mosca.detection.detect import DetectionSettings
 from mosca.detection.disc_fit.camera_statistics import NO_STATISTICS
 from mosca.detection.scheduler import FrameSetDetector
@@ -114,26 +113,15 @@ def points() -> int:
         frame_set = FrameSet(pulse, round(pulse * 1e9 / RATE_HZ), {})
         samples += len(tracker.update(made, pulse, frame_set.time_ns))
         health.attend(rig, frame_set, found, made, bundle)
-    kinds_of(made.rays, made.xyz, bundle.rays, bundle.start, bundle.views, 0.1)
-    seen = found[rig.names[0]]
-    there = own_pixels(
-        5,
-        np.zeros((1, 2), np.int64),
-        np.zeros((1, 1), np.int64),
-        np.zeros((1, 2)),
-        np.ones(1),
-        seen.xy_px,
-        np.ones(n),
-    )
-    patch = np.zeros((1, 5, 5)), there, np.ones((1, 8))
-    fit_discs(*patch, False, np.zeros(1))
-    fit_pairs(*patch, np.zeros(1))
-    pairs, point = fit_cut_pairs(*patch, np.zeros(1)), (made.xyz, made.rays[:, 0])
-    places, errors, _ = expected_images(
+    kinds, share, radius, distances = kinds_of(made.rays, made.xyz, bundle.rays, bundle.start, bundle.views, 0.1)
+    rays, learned = (bundle.rays, bundle.start, bundle.xy_px), np.ones((len(rig.cameras), LEARNED))
+    sizes = np.array([(c.width, c.height) for c in rig.cameras])
+    windows, side = windows_of(kinds, (made.rays, share, radius), rays, learned, sizes)
+    places, errors, away = expected_images(
         predicted.xyz, predicted.covariance, bundle.cameras, bundle.views, np.ones(3), 0.1
     )
-    near, tracks = np.zeros((1, 2), np.int64), (predicted.xyz, places[0], errors[0])
-    told_apart(pairs, np.ones(1, np.int64), near, near, point, tracks, 0.1, (48.0, 12.0, 0.1))
+    expected, matched = OfTracks(predicted.xyz, places, errors, away, 0.1), OfPoints(made.xyz, made.rays, distances)
+    fit_windows(np.ones((len(windows.kind), side, side)), windows, learned, rays, matched, expected)
     return samples
 
 

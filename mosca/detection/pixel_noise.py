@@ -105,7 +105,7 @@ def gains_changed(before: CameraStatistics, added: CameraStatistics, settings: D
 
     By their numbers among those of ``added``; each for itself, whichever others are detected with it.
     """
-    if settings.gain_dn_per_e is not None:
+    if settings.gain_dn_per_e is not None or not added.backgrounds:
         return []
     after, changed = before.plus(added), []
     for k, name in enumerate(added.names):

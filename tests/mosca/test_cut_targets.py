@@ -13,9 +13,10 @@ from mosca.data.rig import Camera, OpenCVLens, Pose, Rig
 from mosca.data.tracks import Points
 from mosca.detection.cut_targets.cut_pair import fit_cut_pairs
 from mosca.detection.cut_targets.disc import BLUR, CUT, MISFIT, OTHER_MISFIT, OTHER_X, RADIUS, XX, XY, YY, fit_discs
-from mosca.detection.cut_targets.kinds import own_pixels
-from mosca.detection.cut_targets.mend import CutTargets, _replaced, cut_of
+from mosca.detection.cut_targets.mend import CutTargets, _replaced
 from mosca.detection.cut_targets.pair import PAIR_COVARIANCE, PAIR_MISFIT, fit_pairs
+from mosca.detection.cut_targets.window_fits import DIMMED, FIRST, FITTED, ONE, SECOND, STATE, TWO, cut_of
+from mosca.detection.cut_targets.windows import own_pixels
 
 SIDE, FINE, LIGHT, READ = 15, 10, 12_000.0, 10.0
 FOCUS = 0.7
@@ -62,7 +63,7 @@ def cut_views(radius, hidden, count=20):
     x, y = grid()
     for _ in range(count):
         centre, turn = rng.uniform(-0.5, 0.5, 2), rng.uniform(0.0, 2 * np.pi)
-        edge = radius * float(cut_of(np.array([hidden]))[0])
+        edge = radius * cut_of(hidden)
         along = (x - centre[0]) * np.cos(turn) + (y - centre[1]) * np.sin(turn)
         image = photographed(disc(centre, radius) * np.clip((edge - along) * FINE + 0.5, 0.0, 1.0), rng)
         light = centroid(image)
@@ -73,8 +74,8 @@ def cut_views(radius, hidden, count=20):
 
 def test_share_hidden_of_a_disc_by_the_area_of_its_segment():
     # closed forms: half; a segment of half the radius's height is 1/3 - sqrt(3) / (4 pi) of the disc
-    np.testing.assert_allclose(cut_of(np.array([0.0, 0.5, 1.0])), [1.0, 0.0, -1.0], atol=1e-3)
-    np.testing.assert_allclose(cut_of(np.array([1 / 3 - np.sqrt(3) / (4 * np.pi)])), [0.5], atol=1e-3)
+    np.testing.assert_allclose([cut_of(share) for share in (0.0, 0.5, 1.0)], [1.0, 0.0, -1.0], atol=1e-3)
+    np.testing.assert_allclose(cut_of(1 / 3 - np.sqrt(3) / (4 * np.pi)), 0.5, atol=1e-3)
 
 
 @pytest.mark.parametrize("hidden", [0.1, 0.3, 0.5, 0.7])
@@ -144,7 +145,7 @@ def test_centres_of_a_whole_disc_and_of_one_beside_it_that_an_edge_cuts(apart, h
     for _ in range(12):
         middle, turn = rng.uniform(-0.5, 0.5, 2), rng.uniform(0.0, 2 * np.pi)
         half = 0.5 * apart * np.array([np.cos(turn), np.sin(turn)])
-        edge = radius * float(cut_of(np.array([hidden]))[0])
+        edge = radius * cut_of(hidden)
         away = (x - (middle + half)[0]) * np.cos(turn + towards) + (y - (middle + half)[1]) * np.sin(turn + towards)
         cut = disc(middle + half, radius) * np.clip((edge - away) * FINE + 0.5, 0.0, 1.0)
         light = np.array([(cut * x).sum(), (cut * y).sum()]) / cut.sum()
@@ -168,11 +169,22 @@ def test_what_else_is_known_of_two_targets_is_as_of_the_image_that_they_made():
         "a", np.zeros((3, 2)), np.ones((3, 2, 2)), np.ones(3), np.array([50.0, 90.0, 200.0]), np.ones(3),
         diameter_sigma_px=np.array([0.1, 0.2, 0.3]),
     )  # fmt: skip
-    xy, covariance = np.arange(8.0).reshape(4, 2), np.tile(np.eye(2), (4, 1, 1))
-    new = _replaced(seen, np.array([0, 2, 3, 4]), xy, covariance, np.full(4, 3.0))
+    fits = np.zeros((3, FITTED))
+    fits[:, STATE] = TWO, DIMMED, TWO
+    fits[:, [FIRST + 5, SECOND + 5]] = [[3.0, 4.0], [5.0, 0.0], [6.0, 7.0]]
+    fits[0, [FIRST, FIRST + 1, SECOND, SECOND + 1]] = 0.0, 1.0, 4.0, 5.0
+    fits[2, [FIRST, FIRST + 1, SECOND, SECOND + 1]] = 2.0, 3.0, 6.0, 7.0
+    rows = np.array([[0, 0], [1, 1], [2, 2]])
+    new = _replaced(seen, rows, np.array([True, False, True]), fits)
     np.testing.assert_array_equal(new.peak, [50.0, 90.0, 200.0, 50.0, 200.0])
     np.testing.assert_array_equal(new.diameter_sigma_px, [0.1, 0.2, 0.3, 0.1, 0.3])
     np.testing.assert_array_equal(new.xy_px, [[0, 1], [0, 0], [2, 3], [4, 5], [6, 7]])
+    np.testing.assert_array_equal(new.diameter_px, [3.0, 5.0, 6.0, 4.0, 7.0])
+    # one beside the other: both are there already
+    fits[1, STATE] = ONE
+    new = _replaced(seen, np.array([[0, 1], [1, 1], [2, 2]])[:1], np.array([False]), fits[:1])
+    np.testing.assert_array_equal(new.xy_px, [[0, 1], [4, 5], [0, 0]])
+    np.testing.assert_array_equal(new.covariance_px2[2], np.ones((2, 2)))
 
 
 def test_too_few_pixels_are_no_fit():
@@ -249,14 +261,19 @@ def test_images_are_mended_by_their_points():
 
 
 def test_pixels_of_a_disc_and_not_of_its_neighbour():
-    side, reach = 11, 4.0
-    xy, near = np.array([[5.2, 5.1], [9.0, 6.0], [40.0, 40.0]]), np.array([3.0, 2.5, 3.0])
-    y, x = np.mgrid[:side, :side] + 2.0
-    xy = xy + 2.0
-    wanted = (np.hypot(x - 7.2, y - 7.1) <= reach) & (np.hypot(x - 11.0, y - 8.0) > 2.5)
-    corner, rows = np.array([[2, 2]]), np.array([0])
-    np.testing.assert_array_equal(
-        own_pixels(side, corner, rows[:, None], xy[rows], np.array([reach]), xy, near)[0], wanted
-    )
-    everything = own_pixels(side, corner, rows[:, None], xy[rows], np.array([reach]), xy, np.full(3, -1.0))[0]
-    np.testing.assert_array_equal(everything, np.hypot(x - 7.2, y - 7.1) <= reach)
+    side, reach, beyond = 11, 4.0, 0.5
+    seen = np.array([[5.2, 5.1, 3.0], [9.0, 6.0, 2.0], [38.0, 38.0, 3.0]])
+    y, x = np.mgrid[:side, :side]
+    image, there, own = np.zeros((side, side)), np.empty((side, side), bool), np.array([0, 0])
+    place = np.array([5.2, 5.1, reach])
+    wanted = (np.hypot(x - 5.2, y - 5.1) <= reach) & (np.hypot(x - 9.0, y - 6.0) > 2.5)
+    assert own_pixels(image, there, place, own, seen, beyond) == wanted.sum()
+    np.testing.assert_array_equal(there, wanted)
+    # none are left out, or those that the pair's second has, or the image ends there
+    own_pixels(image, there, place, own, seen, -1.0)
+    np.testing.assert_array_equal(there, np.hypot(x - 5.2, y - 5.1) <= reach)
+    own_pixels(image, there, place, np.array([0, 1]), seen, beyond)
+    np.testing.assert_array_equal(there, np.hypot(x - 5.2, y - 5.1) <= reach)
+    image[:, :4] = np.nan
+    own_pixels(image, there, place, own, seen, beyond)
+    np.testing.assert_array_equal(there, wanted & (x >= 4))

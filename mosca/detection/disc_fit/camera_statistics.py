@@ -149,7 +149,13 @@ class CameraStatistics:
 
     def by_camera(self) -> dict[str, "CameraStatistics"]:
         """Return each camera's own statistics."""
-        return {name: self._of((name,)) for name in self.names}
+        return {name: self._one(k) for k, name in enumerate(self.names)}
+
+    def _one(self, k: int) -> "CameraStatistics":
+        """Return the statistics of camera k alone."""
+        name = self.names[k]
+        own = {name: self.backgrounds[name]} if name in self.backgrounds else {}
+        return CameraStatistics((name,), StatisticsSums(*(part[k : k + 1] for part in self.sums)), own)
 
     def backgrounds_alone(self) -> "CameraStatistics":
         """Return of these statistics the backgrounds alone, with their cameras."""
