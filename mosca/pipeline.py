@@ -72,6 +72,8 @@ class Step:
     seconds: Mapping[str, float]
     """Computing time of each stage until the step was ready; that of the health comes after
     (``mosca.diagnostics.camera_health.Health.seconds``)."""
+    noise: ImageNoise | None = None
+    """Errors of image points besides detection noise that the set was matched with; None where several rigs were."""
 
 
 class Keeper(Protocol):
@@ -173,23 +175,24 @@ def run_seen(
         timer = _StageTimer({"detect": seconds})
         predicted = tracker.predict(frame_set.time_ns * 1e-9)
         timer.lap("predict")
-        bundle, points = matcher.match(rig, detections, predicted, health.noise)
+        noise = health.noise
+        bundle, points = matcher.match(rig, detections, predicted, noise)
         typical_m = matcher.typical_m if settings.match.mend else 0.0
         mended = cut.mended(frame_set, detections, rig, bundle, points, predicted, typical_m)
         if mended is not None:
             detections = mended
-            bundle, points = matcher.match(rig, detections, predicted, health.noise, learn=False)
+            bundle, points = matcher.match(rig, detections, predicted, noise, learn=False)
         timer.lap("match")
         if (width_m := field_width.learn(points)) is not None:
             tracker.scale_to(width_m)
-        samples = tracker.update(points, frame_set.pulse, frame_set.time_ns, health.noise.jitter_s)
+        samples = tracker.update(points, frame_set.pulse, frame_set.time_ns, noise.jitter_s)
         timer.lap("track")
         measured_with = rig
         if keeper is not None:
             keeper.attend(frame_set.pulse, detections, points)
             rig = keeper.rig
             timer.lap("keep")
-        yield Step(frame_set, detections, points, samples, timer.laps)
+        yield Step(frame_set, detections, points, samples, timer.laps, noise)
         # off the latency path
         health.attend(measured_with, frame_set, detections, points, bundle)
     health.nameless = tracker.waiting

@@ -45,7 +45,7 @@ ALLOWED = {
     ("scenarios/suite/on_cluster.py", "open"): "archives in memory, packed by the same code on a worker",
     ("scenarios/run/one_writer.py", "open"): "the lock, which must be open for writing; its first bytes are read",
     ("hardware/drivers/webcam.py", "read_text"): "the operating system's names of cameras",
-    ("scenarios/lab/priority.py", "read_text"): "the operating system's list of processes",
+    ("scenarios/run/priority.py", "read_text"): "the operating system's list of processes",
     ("hardware/drivers/control_switchover.py", "open"): "the lock of a camera's key, which must be open for writing",
     ("scenarios/studies/benchmark/entrants/contract.py", "open"): "an adapter imports nothing of the project",
     ("scenarios/studies/benchmark/entrants/contract.py", "read_text"): "the same",

@@ -29,6 +29,7 @@ from scenarios.commands.live_sources import LiveOptions, LiveSource, opened_live
 from scenarios.commands.live_stream import LiveStream
 from scenarios.commands.live_virtual import LiveVirtual, check_virtual, live_virtual
 from scenarios.run.interrupt import first_ctrl_c
+from scenarios.run.priority import before_others, prompt
 from scenarios.run.provenance import provenance
 from scenarios.run.record import health_record, sensor_record
 
@@ -88,6 +89,8 @@ def run_live_command(options: LiveOptions, report: Callable[[str], None]) -> lis
         sensors = Sensors(source.frames.cameras, source.settings.detection)
         steps = stack.enter_context(_Steps(source, assembly, health, sensors, options))
         sinks = _Sinks(smoother, person, show, log, virtual, stream)
+        stack.enter_context(prompt())
+        stack.enter_context(before_others())
         if virtual is not None:
             virtual.start()
         stages, elapsed = _follow(steps, assembly, sinks, options, report)

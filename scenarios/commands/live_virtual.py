@@ -24,7 +24,7 @@ from scenarios.commands.live_sources import LiveOptions, LiveSource
 from scenarios.score.bodies import rigid_bodies
 from scenarios.score.virtual_objects import object_errors
 from scenarios.virtual.objects import SHOWN_STATUSES, BoundObjects, ShownObject, ShownPoses, bindings
-from scenarios.virtual.scene import VirtualScene
+from scenarios.virtual.scene import Placement, VirtualScene
 
 DISPLAY_HZ = 60.0
 DRAWS = 31
@@ -41,6 +41,9 @@ class _Displayed:
     """From the instant that was predicted to the hand-over."""
     statuses: dict[str, Counter[str]] = field(default_factory=dict)
     rows: list[ShownObject] = field(default_factory=list)
+    """At the instants that were predicted."""
+    handed: list[ShownObject] = field(default_factory=list)
+    """The same at those at which they were handed over."""
     displays: int = 0
 
 
@@ -120,21 +123,26 @@ class LiveVirtual:
 
     def _beside_truth(self) -> tuple[list[str], dict[str, Any]]:
         assert self._source.scene is not None
-        shown = ShownPoses.of(self._done.rows)
+        shown, meant = ShownPoses.of(self._done.handed), ShownPoses.of(self._done.rows)
         errors = object_errors(shown, self._bodies, self._source.scene)
+        aimed = object_errors(meant, self._bodies, self._source.scene)
         lines, figures = [], {}
         for status in SHOWN_STATUSES:
             rows = (shown.status == status) & np.isfinite(errors.position_m).all(axis=1)
+            rows &= np.isfinite(aimed.position_m).all(axis=1)
             if not rows.any():
                 continue
             away, turned = _rms(errors.position_m[rows]), _rms(errors.rotation_rad[rows])
             late, late_turned = _rms(errors.unpredicted_m[rows]), _rms(errors.unpredicted_rad[rows])
+            predicted, predicted_turned = _rms(aimed.position_m[rows]), _rms(aimed.rotation_rad[rows])
             figures[status] = {
                 "n": int(rows.sum()), "position_rms_m": away, "angle_rms_rad": turned,
                 "unpredicted_position_rms_m": late, "unpredicted_angle_rms_rad": late_turned,
+                "at_instant_position_rms_m": predicted, "at_instant_angle_rms_rad": predicted_turned,
             }  # fmt: skip
             lines.append(
-                f"{status}: objects off by {1e3 * away:.3g} mm and {1e3 * turned:.3g} mrad rms; the newest pose as "
+                f"{status}: objects off by {1e3 * away:.3g} mm and {1e3 * turned:.3g} mrad rms; at the instants that "
+                f"were predicted {1e3 * predicted:.3g} mm and {1e3 * predicted_turned:.3g} mrad; the newest pose as "
                 f"measured {1e3 * late:.3g} mm and {1e3 * late_turned:.3g} mrad"
             )
         return lines, figures
@@ -151,19 +159,29 @@ class LiveVirtual:
         while not self._over.wait(max(0.0, due - time.monotonic())):
             began = time.monotonic()
             due = max(due + self._period_s, began)
-            aim_ns = self._source.session_ns(round(1e9 * (began + statistics.median(drawn))))
-            if aim_ns is None:
+            # physics takes most of a display, and gives way to other threads at each of its steps: it comes first,
+            # so that the poses that are shown are predicted over the drawing alone
+            if (pushed := self._predicted(began, statistics.median(drawn))) is None:
                 continue
-            shown = self._objects.at(aim_ns + self._lead_ns, self._delay_ns)
-            self._scene.show(began, {one.object: (one.pose.rotation, one.pose.position) for one in shown})
+            self._scene.show(began, _placed(pushed[1]))
+            ready = time.monotonic()
+            if (found := self._predicted(ready, statistics.median(drawn))) is None:
+                continue
+            aim_ns, shown = found
+            self._scene.place(_placed(shown))
             placed = self._scene.placements()
             for log in self._logs:
                 log.log_objects(aim_ns + self._lead_ns, placed, {one.object: one.pose.status for one in shown})
             handed = time.monotonic()
-            drawn.append(handed - began)
+            drawn.append(handed - ready)
             handed_ns = self._source.session_ns(round(1e9 * handed))
             if shown and handed_ns is not None:
                 self._account(shown, aim_ns, handed_ns)
+
+    def _predicted(self, now_s: float, ahead_s: float) -> tuple[int, list[ShownObject]] | None:
+        """Return the instant ``ahead_s`` after ``now_s`` [s] in the frames' clock [ns], and the objects then."""
+        aim_ns = self._source.session_ns(round(1e9 * (now_s + ahead_s)))
+        return None if aim_ns is None else (aim_ns, self._objects.at(aim_ns + self._lead_ns, self._delay_ns))
 
     def _account(self, shown: Sequence[ShownObject], aim_ns: int, handed_ns: int) -> None:
         done = self._done
@@ -173,9 +191,10 @@ class LiveVirtual:
             done.latency_s.append((handed_ns - one.pose.newest_ns) * 1e-9)
             done.statuses.setdefault(one.object, Counter())[one.pose.status] += 1
             if self._source.scene is not None:
-                # held to the truth is when it was handed over, not when that was meant to be
+                done.rows.append(one)
+                # held to the truth is when it was handed over, too, not when that was meant to be alone
                 off_ns = handed_ns - aim_ns
-                done.rows.append(one._replace(time_ns=one.time_ns + off_ns, meant_ns=one.meant_ns + off_ns))
+                done.handed.append(one._replace(time_ns=one.time_ns + off_ns, meant_ns=one.meant_ns + off_ns))
 
 
 def live_virtual(
@@ -227,6 +246,10 @@ def _compile(bodies: Sequence[RigidBody]) -> None:
         objects.update(tracker.update(samples, frame, time_ns))
     for time_ns in (15_000_000, 40_000_000):
         objects.at(time_ns)
+
+
+def _placed(shown: Sequence[ShownObject]) -> dict[str, Placement]:
+    return {one.object: (one.pose.rotation, one.pose.position) for one in shown}
 
 
 def _quantiles(values: Any) -> dict[str, float]:

@@ -8,9 +8,11 @@ import numpy as np
 from mosca.camera.projection import cross_matrices
 from mosca.data.arrays import Array
 from mosca.data.bodies import BodyPoses, RigidBody
+from mosca.data.rig import Rig
 from mosca.data.rotations import rotation_from_quaternion
 from mosca.errors import InputError
 from mosca.pipeline import Step
+from mosca.rigid_bodies.shared_errors import position_errors
 from mosca.rigid_bodies.tracker import BodyTracker
 from scenarios.flight.pilot import ArrivedPose, Pilot
 from scenarios.spec.faults import WrongDelayFault
@@ -51,9 +53,19 @@ class PoseLink:
     spec: Scenario
 
     def send(
-        self, pilot: Pilot, pulse: int, frame_s: float, position: Array, covariance: Array, now_s: float
+        self,
+        pilot: Pilot,
+        pulse: int,
+        frame_s: float,
+        position: Array,
+        covariance: Array,
+        now_s: float,
+        lasting: Array | None = None,
     ) -> None:
-        """Send the pose of a pulse, exposed at ``frame_s``, known to nobody before ``now_s`` [s]."""
+        """Send the pose of a pulse, exposed at ``frame_s``, known to nobody before ``now_s`` [s].
+
+        ``covariance``, ``lasting`` (none by default): as of ``ArrivedPose``.
+        """
         flight = self.spec.flight
         assert flight is not None
         random = rng(self.spec.seed, "flight/link", pulse)
@@ -61,28 +73,58 @@ class PoseLink:
         arrival_s = frame_s + flight.delay_s(self.spec.capture.exposure_s) - flight.jitter_s + extra
         out = flight.outage_s is not None and flight.outage_s[0] <= arrival_s < flight.outage_s[1]
         if not lost and not out:
-            pilot.receive(ArrivedPose(max(arrival_s, now_s), frame_s, position, covariance))
+            stays = np.zeros((3, 3)) if lasting is None else lasting
+            pilot.receive(ArrivedPose(max(arrival_s, now_s), frame_s, position, covariance, stays))
 
 
 class RenderedPoses:
     """Poses from the pipeline's steps, as they come, sent to the pilot.
 
-    ``body``: the drone's definition; ``origin`` (3,): the point of it that is steered, in its axes [m].
+    ``body``: the drone's definition; ``rig``: what its points are made with; ``origin`` (3,): the point of the body
+    that is steered, in its axes [m].
     """
 
-    def __init__(self, spec: Scenario, scene: Scene, pilot: Pilot, bodies: Sequence[RigidBody]) -> None:
-        (body,) = bodies
-        self._tracker, self._name = BodyTracker((body,)), body.name
+    def __init__(self, spec: Scenario, scene: Scene, pilot: Pilot, bodies: Sequence[RigidBody], rig: Rig) -> None:
+        (self._body,) = bodies
+        self._tracker, self._rig = BodyTracker((self._body,)), rig
         self._origin = steered_point(scene)
         self._link, self._pilot, self._flight = PoseLink(spec), pilot, live_flight(scene)
 
     def attend(self, step: Step) -> None:
         """Take a step of the pipeline."""
         pulse, time_ns = step.frame_set.pulse, step.frame_set.time_ns
-        found = self._tracker.update(step.points, pulse, time_ns).of(self._name)
+        found = self._tracker.update(step.points, pulse, time_ns).of(self._body.name)
         if len(found):
             position, covariance = at_point(found, self._origin)
-            self._link.send(self._pilot, pulse, time_ns * 1e-9, position, covariance, self._flight.now_s)
+            passing, lasting = split_errors(step, self._rig, self._body, found, position, covariance)
+            frame_s = time_ns * 1e-9
+            self._link.send(self._pilot, pulse, frame_s, position, passing, self._flight.now_s, lasting)
+
+
+def split_errors(
+    step: Step, rig: Rig, body: RigidBody, pose: BodyPoses, position: Array, covariance: Array
+) -> tuple[Array, Array]:
+    """Return the covariances of the passing and of the lasting errors (3, 3) [m^2] of a single pose's ``position``.
+
+    ``covariance`` (3, 3): stated of it, with all images' errors independent; where images were doubted it is larger
+    than their errors make it, and so are both parts then.
+    """
+    markers = np.asarray(body.positions) @ rotation_from_quaternion(pose.quaternion[0]).T + pose.position[0]
+    if step.noise is None or not len(step.points):
+        return covariance, np.zeros((3, 3))
+    away = np.linalg.norm(markers[:, None] - step.points.xyz[None], axis=-1)
+    nearest, gap = away.argmin(axis=1), body.distances()
+    images = np.full((len(markers), len(rig.cameras), 2, 2), np.nan)
+    for m in np.flatnonzero(away.min(axis=1) < gap[gap > 0].min() / 2):
+        for c, camera in enumerate(rig.cameras):
+            ray = int(step.points.rays[nearest[m], c])
+            if ray >= 0:
+                images[m, c] = step.detections[camera.name].covariance_px2[ray]
+    errors = position_errors(rig, markers, position, images, step.noise.sigma_px)
+    if errors is None:
+        return covariance, np.zeros((3, 3))
+    doubted = max(1.0, float(np.trace(covariance) / np.trace(errors.independent)))
+    return doubted * errors.passing, doubted * errors.lasting
 
 
 def steered_point(scene: Scene) -> Array:

@@ -33,7 +33,9 @@ class ArrivedPose(NamedTuple):
     position: Array
     """(3,) of the body's origin [m]."""
     covariance: Array
-    """(3, 3) [m^2]"""
+    """(3, 3) of the errors that are new in each pose [m^2]."""
+    lasting: Array
+    """(3, 3) of those that successive poses share: no filter tells them from the motion [m^2]."""
 
 
 class ControlStep(NamedTuple):
@@ -70,11 +72,12 @@ class Pilot:
     def __init__(self, spec: FlightSpec, shift_s: float, seed: int, keeps_log: bool = True) -> None:
         self._spec, self.shift_s, self._keeps_log = spec, shift_s, keeps_log
         self.noise = motion_noise(spec)
-        self._waiting: list[tuple[float, float, Array, Array]] = []
+        self._waiting: list[ArrivedPose] = []
+        self._lasting = np.zeros((3, 3))
         self._inputs = InputIntegral()
         self._filter: LatePoseFilter | None = None
         self._sent: deque[tuple[float, Array, float]] = deque()
-        self._lag = _AttitudeLag()
+        self._lag = AttitudeLag()
         self._random = rng(seed, "flight/imu")
         self._bias = self._random.normal(0.0, spec.imu_bias_mps2, 3)
         self._known: list[tuple[float, Array]] = []
@@ -83,7 +86,7 @@ class Pilot:
 
     def receive(self, pose: ArrivedPose) -> None:
         """Take a pose that will have arrived at its ``arrival_s``."""
-        heapq.heappush(self._waiting, (pose.arrival_s, pose.frame_s, pose.position, pose.covariance))
+        heapq.heappush(self._waiting, pose)
 
     def steer(self, time_s: float, aboard: Aboard, wanted: Reference) -> tuple[Array, float]:
         """Return the specific force (3,) [m/s^2] and the yaw [rad] that act from ``time_s``."""
@@ -92,11 +95,12 @@ class Pilot:
             measured = aboard.acceleration + self._bias + self._random.normal(0.0, self._spec.imu_noise_mps2, 3)
             self._know(time_s - PERIOD_S, measured)
         self._log(time_s, aboard, wanted)
-        acts_s = time_s + self._spec.command_s
+        # on board it is taken up at the next control step
+        acts_s = time_s + PERIOD_S * np.ceil(self._spec.command_s / PERIOD_S - 1e-9)
         push, yaw = self._command(time_s, acts_s, aboard, wanted)
         self._sent.append((acts_s, push, yaw))
         if self._spec.inputs == "commands":
-            self._know(acts_s, self._lag.step(push - GRAVITY))
+            self._know(acts_s, self._lag.step(push - GRAVITY, aboard.centre_m))
         while len(self._sent) > 1 and self._sent[1][0] <= time_s + 1e-9:
             self._sent.popleft()
         _acts, push, yaw = self._sent[0]
@@ -122,7 +126,7 @@ class Pilot:
     def _fuse(self, time_s: float) -> None:
         """Fuse the poses that have arrived."""
         while self._waiting and self._waiting[0][0] <= time_s:
-            pose = ArrivedPose(*heapq.heappop(self._waiting))
+            pose = heapq.heappop(self._waiting)
             self.arrived.append(pose)
             stamp_s = pose.frame_s + self.shift_s
             if self._filter is None:
@@ -130,6 +134,7 @@ class Pilot:
                     self.noise, stamp_s, pose.position, np.zeros(3), _START_SIGMA, inputs=self._inputs
                 )
             self._filter.fuse(stamp_s, pose.position, pose.covariance)
+            self._lasting = pose.lasting
 
     def _command(self, time_s: float, acts_s: float, aboard: Aboard, wanted: Reference) -> tuple[Array, float]:
         """Return the command that will act at ``acts_s``."""
@@ -155,29 +160,32 @@ class Pilot:
         at, covariance, age_s = np.full(3, np.nan), np.full((3, 3), np.nan), np.inf
         if self._filter is not None and self._keeps_log:
             found = self._filter.at(max(time_s, self._filter.newest_s))
-            at, covariance = found.position, found.covariance[:3, :3]
+            at, covariance = found.position, found.covariance[:3, :3] + self._lasting
             age_s = time_s - self._filter.newest_s + self.shift_s
         self.steps.append(
             ControlStep(time_s, aboard.position, aboard.velocity, wanted.at(time_s)[0], at, covariance, age_s)
         )
 
 
-class _AttitudeLag:
-    """The attitude loop's answer to commanded horizontal accelerations: second order; thrust acts at once."""
+class AttitudeLag:
+    """The attitude loop's answer to commanded horizontal accelerations; thrust acts at once.
+
+    The loop on board measures once a control period and holds its moments until the next: a'' = ATTITUDE_GAIN (u - a)
+    - RATE_GAIN a', its right side as at the period's start. Taken as continuous it would answer half a period later.
+    A drone turns about its centre of mass, so that its origin below goes the other way first, by the height times the
+    tilt a / g.
+    """
 
     def __init__(self) -> None:
-        # x = (a, a'): a'' = ATTITUDE_GAIN (u - a) - RATE_GAIN a', solved exactly over a period of constant u
-        from scipy.linalg import expm
+        self._tilt, self._rate = np.zeros(2), np.zeros(2)
 
-        drift = np.zeros((4, 4))
-        drift[0, 1], drift[1, :3] = 1.0, (-ATTITUDE_GAIN, -RATE_GAIN, ATTITUDE_GAIN)
-        drift[3, 0] = 1.0  # the integral of a, for its mean over the period
-        self._step = expm(drift * PERIOD_S)
-        self._state = np.zeros((2, 2))
+    def step(self, wanted: Array, centre_m: float) -> Array:
+        """Return the origin's mean acceleration (3,) over a control period that ``wanted`` (3,) holds for [m/s^2].
 
-    def step(self, wanted: Array) -> Array:
-        """Return the mean acceleration (3,) over a control period in which ``wanted`` (3,) is commanded [m/s^2]."""
-        before = np.vstack([self._state, wanted[:2], np.zeros(2)])
-        after = self._step @ before
-        self._state = after[:2]
-        return np.array([*(after[3] / PERIOD_S), wanted[2]])
+        ``centre_m``: as of ``Aboard``.
+        """
+        h, before, rate = PERIOD_S, self._tilt, self._rate
+        held = ATTITUDE_GAIN * (wanted[:2] - before) - RATE_GAIN * rate
+        self._tilt, self._rate = before + h * rate + 0.5 * h * h * held, rate + h * held
+        mean = before + 0.5 * h * rate + h * h / 6.0 * held - centre_m / GRAVITY[2] * held
+        return np.array([*mean, wanted[2]])

@@ -103,7 +103,7 @@ def flown(spec: Scenario, pilot: Pilot, flight: LiveFlight, calibration_m2: Arra
     """Return a flight that is over, with its delay; ``calibration_m2`` (3, 3): of the error that all poses share."""
     assert spec.flight is not None
     delay_s = spec.flight.delay_s(spec.capture.exposure_s)
-    stated = [float(np.trace(one.covariance)) for one in pilot.arrived]
+    stated = [float(np.trace(one.covariance + one.lasting)) for one in pilot.arrived]
     path = joined(
         pilot.steps,
         calibration_m2=calibration_m2,

@@ -22,10 +22,10 @@ from mosca.errors import InputError
 from mosca.recording import RecordingWriter
 from reports.viewer_program import check_window, viewer_program
 from scenarios.lab.intake import Intake
-from scenarios.lab.priority import before_others, prompt
 from scenarios.lab.recorder import WAITING_BYTES, Recorder
 from scenarios.run.interrupt import between_steps
 from scenarios.run.one_writer import one_writer
+from scenarios.run.priority import before_others, prompt
 
 if TYPE_CHECKING:
     from mosca.pipeline import PipelineSettings

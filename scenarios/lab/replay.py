@@ -20,8 +20,8 @@ from mosca.formats.joints.angles_csv import read_angles_csv
 from mosca.formats.joints.joints_csv import read_joints_csv
 from mosca.formats.tracks.tracks_file import read_tracks
 from mosca.rigid_bodies.tracker import body_poses, labelled_by_bodies
-from scenarios.lab.priority import before_others, prompt
 from scenarios.run.interrupt import first_ctrl_c
+from scenarios.run.priority import before_others, prompt
 from scenarios.run.stream_servers import StreamSettings, check_wait, opened_streams
 from scenarios.run.take_files import take_files
 

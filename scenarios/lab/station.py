@@ -17,8 +17,8 @@ from hardware.transport.sender import Sender
 from mosca.data.frames import Frame, FrameSource, mid_exposure_ns
 from mosca.detection.detect import DetectionSettings, detect_with_statistics
 from mosca.detection.scheduler import DelayedStatistics
-from scenarios.lab.priority import before_others, prompt
 from scenarios.lab.station_background import Backgrounds
+from scenarios.run.priority import before_others, prompt
 
 BACKLOG_S, LEAST_BACKLOG = 1.0, 12
 """How long, and how many frames a camera, may wait for detection; then the oldest is left out. A rig holds its

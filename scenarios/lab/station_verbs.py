@@ -24,11 +24,11 @@ from mosca.recording import open_recording
 from scenarios.build.frame_sources import SelectedCameras
 from scenarios.commands.reconstruct import reconstruct_settings, reconstruct_spec, recorded_backgrounds
 from scenarios.lab.merge import Delays, all_whole, calibrated_rig, run_merged, summary_lines
-from scenarios.lab.priority import before_others, prompt
 from scenarios.lab.station import run_station
 from scenarios.lab.station_background import Backgrounds
 from scenarios.lab.station_source import PacedRecording, RigOfStation
 from scenarios.run.interrupt import first_ctrl_c
+from scenarios.run.priority import before_others, prompt
 
 RIGS_S = 15.0
 Report = Callable[[str], None]

@@ -147,7 +147,7 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
                 compile_side_by_side(opened.twin)
         with timed(timings, "frames_to_tracks"):
             shown = rerun_log(options.rrd, believed, spec, stack)
-            collected, continuous = _tracked(opened, believed, spec, options, stack, shown, _attending(spec, built))
+            collected, continuous = _tracked(opened, believed, spec, options, stack, shown, built)
         collected = _beside_data_sheets(replace(collected, account=account(opened.source)), spec, built)
         if continuous is not None:
             collected = _with_frames(collected, spec, built, opened, continuous)
@@ -225,11 +225,14 @@ def _warnings(own: SessionCalibration | None) -> dict[str, str]:
     return {f"calibration {k + 1}": f"{one.code}: {one.message}" for k, one in enumerate(found)}
 
 
-def _attending(spec: Scenario, built: _Built) -> Callable[[Step], None] | None:
-    """Return what takes the pipeline's steps to the pilot of a flight in closed loop; None where there is none."""
+def _attending(spec: Scenario, built: _Built, rig: Rig) -> Callable[[Step], None] | None:
+    """Return what takes the pipeline's steps to the pilot of a flight in closed loop; None where there is none.
+
+    ``rig``: what the steps are measured with.
+    """
     if built.scene is None or built.pilot is None:
         return None
-    return RenderedPoses(spec, built.scene, built.pilot, rigid_bodies(built.scene)).attend
+    return RenderedPoses(spec, built.scene, built.pilot, rigid_bodies(built.scene), rig).attend
 
 
 def _with_frames(
@@ -332,11 +335,11 @@ def _tracked(
     options: RunOptions,
     stack: ExitStack,
     shown: RerunLog | None,
-    attend: Callable[[Step], None] | None,
+    built: _Built,
 ) -> tuple[Collected, Reconstructed | Worn | None]:
     """Return the pipeline's result, and the continuous reconstruction where the scenario has one."""
     if spec.continuous is None:
-        read, twin = opened.source, opened.twin
+        read, twin, attend = opened.source, opened.twin, _attending(spec, built, rig)
         return collected_of(read, twin, rig, opened.settings, spec, options, stack, shown, attend), None
     read = recorded(opened.source, opened.twin, options, spec, stack)
     return collect_continuous(read, rig, opened.settings, spec, options.progress)

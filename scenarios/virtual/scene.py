@@ -68,6 +68,10 @@ class VirtualScene:
         self._now_s = max(start_s, start_s + late + steps * step_s)
         if any(self._data.warning[one].number for one in DIVERGED):
             raise InputError(f"{self._path}: the scene's physics diverges; give it a shorter option timestep")
+        self.place(placed)
+
+    def place(self, placed: Mapping[str, Placement]) -> None:
+        """Move the mocap bodies in ``placed`` there at once; what lies about notices with the next ``show``."""
         self._place(placed)
         self._last.update(placed)
         mujoco.mj_kinematics(self._model, self._data)

@@ -29,7 +29,7 @@ from hardware.transport import open_transport  # noqa: E402
 from hardware.transport.receiver import Receiver  # noqa: E402
 from hardware.transport.station_state import ReceiverSettings  # noqa: E402
 from scenarios.lab.merge import summary_lines  # noqa: E402
-from scenarios.lab.priority import before_others, prompt  # noqa: E402
+from scenarios.run.priority import before_others, prompt  # noqa: E402
 
 NAMES = {"A": "a1,a2,a3,a4", "B": "b1,b2,b3,b4"}
 

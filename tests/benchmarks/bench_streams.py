@@ -53,7 +53,7 @@ def serve(seconds, group, wanted, bare=""):
     from hardware.streams.content import TakeFrames
     from hardware.streams.natnet.settings import NatNetSettings
     from hardware.streams.play import StreamPlayer
-    from scenarios.lab.priority import before_others, prompt
+    from scenarios.run.priority import before_others, prompt
 
     frames = TakeFrames(*the_take(seconds))
     settings = {"group": group or None, "forget_s": NatNetSettings().forget_s}

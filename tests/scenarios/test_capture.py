@@ -29,8 +29,8 @@ from scenarios.lab import capture as work
 from scenarios.lab import devices as devices_module
 from scenarios.lab.capture import CaptureRequest, capture
 from scenarios.lab.devices import describe_devices
-from scenarios.lab.priority import NICE
 from scenarios.lab.recorder import LostSets
+from scenarios.run.priority import NICE
 
 SMALL = (64, 48)
 NAMES = ("a", "b", "c")
@@ -289,7 +289,7 @@ def test_after_twenty_kills_each_recording_opens(quiet_folder, mode):
 
 FIRST = """
 import os
-from scenarios.lab.priority import SESSION, before_others
+from scenarios.run.priority import SESSION, before_others
 def priorities():
     session = SESSION.read_text().split()[-1] if SESSION.exists() else "none"
     return f"{os.getpriority(os.PRIO_PROCESS, 0)} {session}"

@@ -59,6 +59,7 @@ def test_a_lamp_that_is_hardly_seen_and_one_that_does_not_blink_are_told() -> No
         frame = Frame("front", k, k * 10**7, 10**6, np.zeros((90, 120), np.uint8))
         outside.take(frame, np.array([2.0, 40.0]), 5.0, 2.0)  # its window leaves the image
         outside.take(frame, np.array([np.nan, 40.0]), 5.0, 2.0)
+        outside.take(frame, np.full(2, np.nan), np.nan, 2.0)  # it is behind the camera
     with pytest.raises(InputError, match="seen in 0 frames"):
         outside.brightness()
     dark = LampWindow("cam1", 8)

@@ -265,8 +265,25 @@ def test_a_live_run_of_a_scene_states_the_error(pusher):
     lines, counts = live.finish()
     found = counts["virtual"]["errors"]["extrapolated"]
     assert found["position_rms_m"] < 1e-4
+    # this clock stands: what is handed over is handed over at the instant that was predicted
+    assert found["at_instant_position_rms_m"] == pytest.approx(found["position_rms_m"], abs=1e-12)
     assert found["unpredicted_position_rms_m"] == pytest.approx(0.5 * 0.02, rel=1e-3)
     assert lines[-1].startswith("extrapolated: objects off by ")
+
+
+def test_a_late_hand_over_is_told_from_a_wrong_prediction(pusher):
+    """Each look at the clock comes 10 ms after the one before: of three a display, predicted is for the second."""
+    ticks = iter(range(310_000_000, 10_000_000_000, 10_000_000))
+    live = live_of(pusher, lambda _: next(ticks), flying_scene(), display_hz=1000.0, horizon=20.0)
+    for k in range(30):
+        live.step(k, k * 10_000_000, samples_at(k, k * 10_000_000))
+    live.start()
+    while not live._done.displays:
+        live._over.wait(0.01)
+    found = live.finish()[1]["virtual"]["errors"]["extrapolated"]
+    assert found["at_instant_position_rms_m"] < 1e-3
+    # 10 ms at 0.5 m/s
+    assert found["position_rms_m"] == pytest.approx(0.005, rel=0.2)
 
 
 def test_what_ends_the_display_ends_the_run(pusher):

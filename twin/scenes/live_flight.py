@@ -49,6 +49,8 @@ class Aboard(NamedTuple):
     """(3,) [m/s], true."""
     acceleration: Array
     """(3,) mean over the last control period, world axes [m/s^2], true."""
+    centre_m: float
+    """Height of the centre of mass over the origin, whose position and velocity these are [m]."""
 
 
 class Steering(Protocol):
@@ -149,7 +151,8 @@ class LiveFlight:
         velocity = self._data.qvel[:3].copy()
         acceleration = (velocity - self._before) / (PHYSICS_STEP_S * CONTROL_STEPS)
         self._before = velocity
-        aboard = Aboard(self._data.qpos[:3].copy(), velocity, acceleration)
+        centre_m = float(self._model.body_ipos[self._airframe.body][2])
+        aboard = Aboard(self._data.qpos[:3].copy(), velocity, acceleration, centre_m)
         push, yaw = self._pilot.steer(self.now_s, aboard, self.reference)
         self._airframe.steer(self._data, push, yaw, self._gusts[control % len(self._gusts)])
 

@@ -31,9 +31,9 @@ class LampWindow:
 
     def take(self, frame: Frame, xy_px: Array, radius_px: float, distance_m: float) -> None:
         """Measure the lamp about ``xy_px`` (2,); a frame that does not show the whole window is left out."""
-        half = int(np.ceil(radius_px + MARGIN_PX))
-        if frame.image is None or not np.isfinite(xy_px).all():
+        if frame.image is None or not np.isfinite([*xy_px, radius_px]).all():
             return
+        half = int(np.ceil(radius_px + MARGIN_PX))
         x, y = (round(float(v)) for v in xy_px)
         if min(x, y) < half or x + half >= frame.image.shape[1] or y + half >= frame.image.shape[0]:
             return
