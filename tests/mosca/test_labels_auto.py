@@ -14,10 +14,12 @@ from mosca.formats.tracks.csv_columns import read_columns
 from mosca.formats.tracks.tracks_file import read_tracks, write_tracks
 from mosca.labelling.automatic.body import TemplateBody, turned
 from mosca.labelling.automatic.label import AutomaticSettings, label_automatically
-from mosca.labelling.automatic.matching import Matching
-from mosca.labelling.automatic.naming import posed
+from mosca.labelling.automatic.matching import Matching, _pair_gains
+from mosca.labelling.automatic.naming import impossible, posed, rename
 from mosca.labelling.automatic.personal import personal_template
 from mosca.labelling.automatic.refine import alternatives, taken
+from mosca.labelling.automatic.search import searched
+from mosca.labelling.automatic.spread import Labelling
 from mosca.labelling.automatic.template import STANDARD, BodyVariation, drawn_poses, expectation, read_template
 from mosca.labelling.automatic.tracklets import tracklets_of
 from scenarios.commands.labels_auto import PROBABILITIES, label_auto
@@ -229,6 +231,76 @@ def test_a_name_that_a_ghost_took_is_compared_with_its_owner() -> None:
 
     gain = taken(problem, chosen, problem.gains(chosen, places))[ankle, fifth]
     assert gain == pytest.approx(total(right) - total(chosen), abs=1e-3)
+
+
+def labelled(xyz: np.ndarray, labels: list[int]) -> Labelling:
+    """A take of points (t, n, 3), each a tracklet, NaN where not seen, with ``labels`` (n,), -1 for none."""
+    row, number = np.nonzero(np.isfinite(xyz[:, :, 0]))
+    tracklets = tracklets_of(made_tracks(row, number, xyz[row, number]))
+    labelling = Labelling(tracklets, expectation(read_template()), 0.01)
+    for k, label in enumerate(labels):
+        labelling.give(k, label)
+    return labelling
+
+
+def test_a_label_that_moves_to_an_unused_name_keeps_its_positions() -> None:
+    template = read_template()
+    forearm, finger = template.names.index("LFRM"), template.names.index("LFIN")
+    assert finger > forearm  # the unused name comes later, and its nothing must not be written over what came
+    xyz = np.zeros((5, 1, 3)) + np.arange(5.0)[:, None, None] * 1e-3
+    labelling = labelled(xyz, [forearm])
+    rename(labelling, np.array([forearm]), np.array([finger]))
+    assert labelling.label.tolist() == [finger]
+    np.testing.assert_array_equal(labelling.xyz[:, finger], xyz[:, 0])
+    assert not np.isfinite(labelling.xyz[:, forearm]).any()
+
+
+def test_what_is_seen_beside_a_hidden_marker_is_not_that_marker() -> None:
+    template = read_template()
+    toe, fifth, heel = (template.names.index(name) for name in ("LTOE", "LMT5", "LHEE"))
+    xyz = np.zeros((40, 4, 3)) + np.arange(4.0)[None, :, None]
+    xyz[30:, 0] = np.nan  # the toe is hidden at last
+    xyz[:30, 2] = np.nan  # what is seen only then may be it
+    xyz[:25, 3] = np.nan  # a ghost, beside the toe for five frames
+    labelling = labelled(xyz, [toe, fifth, -1, -1])
+    lost = impossible(labelling, np.array([fifth, -1, -1]), np.array([1, 2, 3]))
+    assert (lost[toe] < 0).tolist() == [True, False, True]
+    # what is seen now, and what the take does not have, is open to all
+    assert not lost[[fifth, heel]].any()
+
+
+def test_two_still_points_weigh_at_a_joint_too() -> None:
+    """An elbow and a wrist keep their distance; a forearm's marker must not gain more by the weight alone."""
+    template = read_template()
+    elbow, wrist, forearm = (template.names.index(name) for name in ("LELB", "LWRA", "LFRM"))
+    away, change = np.full((8, 8), 0.6), np.full((8, 8), 0.1)  # a person in motion
+    away[[0, 1], [1, 0]] = 0.25
+
+    def gains(still: float) -> tuple[float, float]:
+        change[[0, 1], [1, 0]] = still
+        both = _pair_gains(away, change, expectation(template))[0]
+        return float(both[elbow, 0, wrist, 1]), float(both[forearm, 0, wrist, 1])
+
+    joint, limb = gains(0.001)
+    assert joint > 0.2 * limb > 0
+    # points that move against each other are on no limb, and little is said of two
+    joint, limb = gains(0.15)
+    assert limb < 5 * joint < 0
+
+
+@pytest.mark.parametrize("quarters", [-1, 2])
+def test_a_head_found_turned_by_right_angles_is_turned_back(quarters: int) -> None:
+    """Four markers on a head are nearly a square: what it was taken for must not hold its pose when it is anew."""
+    take = twin_take("boxing", 1.75, 41, 0.5, 2)
+    template = read_template()
+    problem = Matching(take.xyz, [25], TemplateBody(template), expectation(template))
+    true = np.full(problem.m, -1)
+    true[[template.names.index(name) for name in take.names]] = np.arange(problem.n)
+    head = [template.names.index(name) for name in ("LFHD", "RFHD", "RBHD", "LBHD")]
+    wrong = true.copy()
+    wrong[head] = np.roll(true[head], quarters)
+    found = searched(problem, posed(problem, wrong))
+    np.testing.assert_array_equal(found.chosen[head], true[head])
 
 
 def test_linear_evidence_is_near_the_evidence() -> None:

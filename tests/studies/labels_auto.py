@@ -1,13 +1,13 @@
 """Labels without training, measured: real takes with identities taken away, and the twin's people, whose markers the
-template has not seen. ``PYTHONPATH=.:tests python tests/studies/labels_auto.py [DATA]`` prints the table of
-docs/identity.md.
+template has not seen. ``python -m tests.studies.labels_auto [DATA [SEED ...]]`` prints the table of docs/identity.md;
+each SEED draws the twin's people, their motions and what is hidden anew (0 without one).
 """
 
 import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import pairwise, product
 from pathlib import Path
 
 import mujoco
@@ -197,8 +197,8 @@ def reliability(rows: Sequence[Measured]) -> list[str]:
     return lines
 
 
-def main(data: Path) -> None:
-    """Print the tables."""
+def main(data: Path, seeds: Sequence[int]) -> None:
+    """Print the tables; ``seeds`` of the twin's takes."""
     full, cmu = read_template(), read_template(set_name="cmu")
     walker = real_take(data / "people/cmu_02_01.c3d", {})
     as_full = Take([CMU.get(name, name) for name in walker.names], walker.xyz, walker.rate_hz)
@@ -213,13 +213,13 @@ def main(data: Path) -> None:
     twins: list[Measured] = []
     for k, action in enumerate(ACTIONS):
         rows = []
-        for j, stature in enumerate((1.55, 1.75, 1.95)):
-            take = twin_take(action, stature, (41, 50, 32)[(k + j) % 3], (5.0, 8.0)[k % 2], 0)
-            rows.append(measured(take, full, 0, 0.05, False, 0.05))
+        for seed, (j, stature) in product(seeds, enumerate((1.55, 1.75, 1.95))):
+            take = twin_take(action, stature, (41, 50, 32)[(k + j) % 3], (5.0, 8.0)[k % 2], seed)
+            rows.append(measured(take, full, seed, 0.05, False, 0.05))
         print(_row(f"twin, {action}, three bodies, set unknown, 5 % gaps, 5 % ghosts", rows), flush=True)
         twins += rows
     print("\n".join([*reliability(twins), "", *reliability([*named, *unnamed])]))
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1] if len(sys.argv) > 1 else "../shared/data"))
+    main(Path(sys.argv[1] if len(sys.argv) > 1 else "../shared/data"), [int(one) for one in sys.argv[2:]] or [0])

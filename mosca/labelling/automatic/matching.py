@@ -20,9 +20,12 @@ LEAST = 5
 PAIR_BOUND, PLACE_BOUND = 5.0, 8.0
 """Largest log likelihood ratio against a pair and a place."""
 ACROSS = 0.12
-"""Weight of a pair on two limbs: there are many, and they depend on each other."""
+"""Weight of a pair on two limbs that moves as limbs do: there are many, and they depend on each other."""
 ROOM_M3 = 1.0
 """Where points of no marker are: about a person."""
+CANNOT = 100.0
+"""Lost where a point is a marker that another one is at the same time: more than any evidence. With 50, 100, 200 the
+same labels of six takes that run and dance."""
 PAIRS_OF_NONE = 400
 """Pairs of markers, drawn, that say how far apart points are at all."""
 
@@ -32,6 +35,8 @@ class Matching:
 
     spare: Array
     """(n,) points that are given to a marker only instead of another point."""
+    barred: Array
+    """(m, n) 0, or what is lost where the point cannot be the marker."""
     tails = False
     """Whether points far from their places draw the pose less."""
 
@@ -44,7 +49,7 @@ class Matching:
         self.together = np.isfinite(distance)
         self.m, self.n = len(body.template.names), xyz.shape[1]
         self.wear(body.template.share)
-        self.spare = np.zeros(self.n, dtype=bool)
+        self.spare, self.barred = np.zeros(self.n, dtype=bool), np.zeros((self.m, self.n))
         self.kept: dict[bytes, tuple[float, list[FittedPose]]] = {}
         self.rigid, self.pairs = (one.reshape(self.m * self.n, -1) for one in _pair_gains(distance, change, expected))
 
@@ -68,7 +73,7 @@ class Matching:
     def without_spare(self) -> "Matching":
         """Return the problem of the points alone that are not spare."""
         one, kept = copy(self), np.flatnonzero(~self.spare)
-        one.n, one.spare, one.kept = len(kept), self.spare[kept], {}
+        one.n, one.spare, one.kept, one.barred = len(kept), self.spare[kept], {}, self.barred[:, kept]
         one.points, one.seen, one.together = self.points[:, kept], self.seen[:, kept], self.together[kept][:, kept]
         rows = (np.arange(self.m)[:, None] * self.n + kept).ravel()
         one.rigid, one.pairs = self.rigid[np.ix_(rows, rows)], self.pairs[np.ix_(rows, rows)]
@@ -90,7 +95,7 @@ class Matching:
             squared = ((off @ root) ** 2).sum(axis=2)
             gain = _log_place(squared, _log_volume(about)[:, None])
             total += np.where(seen, np.maximum(gain, -PLACE_BOUND), 0.0)
-        return np.asarray(total / np.maximum(self.seen.sum(axis=0), 1) + self.prior[:, None])
+        return np.asarray(total / np.maximum(self.seen.sum(axis=0), 1) + self.prior[:, None] + self.barred)
 
     def fit(self, poses: list[FittedPose], chosen: Array, steps: int = 2) -> list[FittedPose]:
         """Return the poses that fit an assignment (m,)."""
@@ -118,8 +123,13 @@ class Matching:
             each[there] += _log_place(squared, _log_volume(covariance))
             count[there] += 1
         total = float((each / np.maximum(count, 1)).sum()) + self.both(self.rigid, chosen)
-        total += sum(pose.log_prior for pose in poses) / len(poses)
+        total += sum(pose.log_prior for pose in poses) / len(poses) + self.lost(chosen)
         return total + self.presence(chosen), poses
+
+    def lost(self, chosen: Array) -> float:
+        """Return what an assignment loses where points cannot be their markers."""
+        there = np.flatnonzero(chosen >= 0)
+        return float(self.barred[there, chosen[there]].sum())
 
     def presence(self, chosen: Array) -> float:
         """Return the logarithm of the odds that these markers are there, and no others, against none."""
@@ -199,7 +209,7 @@ class LinearEvidence:
             count[there] += 1
             prior += body.log_prior(pose.parameters + step, hessian)
         total = float((each / np.maximum(count, 1)).sum()) + prior / len(self.poses)
-        return total + problem.both(problem.rigid, chosen) + problem.presence(chosen)
+        return total + problem.both(problem.rigid, chosen) + problem.presence(chosen) + problem.lost(chosen)
 
     def _hessian(self, f: int, there: Array) -> tuple[float, Array]:
         """Return the information on pose and size by the markers ``there``, its log determinant and inverse."""
@@ -239,7 +249,12 @@ def pair_statistics(xyz: Array) -> tuple[Array, Array]:
 
 
 def _pair_gains(distance: Array, change: Array, expected: Expectation) -> tuple[Array, Array]:
-    """Return the gain (m, n, m, n) of points a, b as markers i, j: by the change of the distance, and by both."""
+    """Return the gain (m, n, m, n) of points a, b as markers i, j: by the change of the distance, and by both.
+
+    That two points hardly move against each other weighs as a pair on one limb, whatever they are taken for (by the
+    likelihood of the change on one limb against that on two): at a joint they may be on two limbs, and would lose to
+    names on one by the weight alone. How far apart they are comes of the pose, which is one for all pairs.
+    """
     m, n = len(expected.mean_m), len(distance)
     apart, off = ~np.eye(n, dtype=bool), ~np.eye(m, dtype=bool)
     # how much of what people can do this one does in the window
@@ -252,10 +267,13 @@ def _pair_gains(distance: Array, change: Array, expected: Expectation) -> tuple[
     some = np.random.default_rng(0).permutation(len(first))[:PAIRS_OF_NONE]
     i, j = first[some], second[some]
     rate = soft[i, j][:, None, None]
-    change_none = _log_mean(-known / rate - np.log(rate))
+    by_pair = -known / rate - np.log(rate)
+    change_none = _log_mean(by_pair)
+    likely, limb = np.exp(by_pair), expected.same[i, j]
+    on_one, on_two = (likely[those].mean(axis=0) if those.any() else 0.0 * away for those in (limb, ~limb))
+    still = np.where(seen, on_one / np.maximum(on_one + on_two, 1e-300), 0.0)
     spread = sigma[i, j][:, None, None]
     away_none = _log_mean(-0.5 * ((away - expected.mean_m[i, j][:, None, None]) / spread) ** 2 - np.log(spread))
-    weight = np.where(expected.same, 1.0, ACROSS) * off
     rigid, both = np.zeros((m, n, m, n), np.float32), np.zeros((m, n, m, n), np.float32)
     there = np.isfinite(distance) & apart
     for k in range(m):
@@ -263,9 +281,11 @@ def _pair_gains(distance: Array, change: Array, expected: Expectation) -> tuple[
         by_change = np.where(seen, -known / rate - np.log(rate) - change_none, 0.0)
         by_away = -0.5 * ((away - expected.mean_m[k][:, None, None]) / spread) ** 2 - np.log(spread) - away_none
         by_away = np.where(there, by_away, 0.0)
-        of = weight[k][:, None, None]
-        rigid[k] = (of * np.clip(by_change, -PAIR_BOUND, PAIR_BOUND)).transpose(1, 0, 2)
-        both[k] = (of * np.clip(by_change + by_away, -PAIR_BOUND, PAIR_BOUND)).transpose(1, 0, 2)
+        of = np.where(expected.same[k], 1.0, ACROSS)[:, None, None] * off[k][:, None, None]
+        by_change_bound = np.clip(by_change, -PAIR_BOUND, PAIR_BOUND)
+        more = np.where(of == ACROSS, (1 - ACROSS) * still, 0.0) * by_change_bound
+        rigid[k] = (of * by_change_bound + more).transpose(1, 0, 2)
+        both[k] = (of * np.clip(by_change + by_away, -PAIR_BOUND, PAIR_BOUND) + more).transpose(1, 0, 2)
     return rigid, both
 
 

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from mosca.data.arrays import Array
 from mosca.labelling.automatic.body import TemplateBody
-from mosca.labelling.automatic.matching import Matching
+from mosca.labelling.automatic.matching import CANNOT, Matching
 from mosca.labelling.automatic.refine import refine
 from mosca.labelling.automatic.search import Assignment, searched, starts, unlike
 from mosca.labelling.automatic.spread import Labelling
@@ -87,6 +87,7 @@ class FrameNaming:
         named = labelling.label[pieces]
         xyz[:, named >= 0] = labelling.xyz[used][:, named[named >= 0]]
         problem = Matching(xyz, [int(np.searchsorted(used, row))], self.body, self.expected).worn(share)
+        problem.barred[:] = impossible(labelling, named, pieces)
         chosen = np.full(problem.m, -1)
         chosen[named[named >= 0]] = np.flatnonzero(named >= 0)
         if (chosen >= 0).sum() < 6:
@@ -96,23 +97,12 @@ class FrameNaming:
         new = np.full(problem.n, -1)
         new[matched.chosen[matched.chosen >= 0]] = np.flatnonzero(matched.chosen >= 0)
         before = labelling.label.copy()
-        self._rename(labelling, named, new)
+        rename(labelling, named, new)
         for k in np.flatnonzero((named < 0) & (new >= 0)).tolist():
             marker, piece = int(new[k]), int(pieces[k])
             if matched.probability[marker] >= self.sure and not labelling.busy(piece)[marker]:
                 labelling.give(piece, marker, float(matched.probability[marker]))
         return bool((labelling.label != before).any())
-
-    def _rename(self, labelling: Labelling, named: Array, new: Array) -> None:
-        """Give what has the labels ``named`` (n,) the labels ``new`` (n,), where no other tracklet has them."""
-        changed = np.flatnonzero((named >= 0) & (new != named))
-        names = np.arange(labelling.xyz.shape[1])
-        names[named[changed]] = new[changed]
-        kept = np.setdiff1d(labelling.label[labelling.label >= 0], named[changed])
-        if np.isin(new[changed], kept).any():
-            # two of one name, at different times: they may be one marker, or not
-            names[named[changed]] = np.where(np.isin(new[changed], kept), -1, new[changed])
-        labelling.rename(names)
 
     def names(self, labelling: Labelling) -> Names:
         """Return the names of what is labelled, compared with the template over the take, for each of its sets."""
@@ -184,6 +174,36 @@ class FrameNaming:
         pieces = of[self.tracklets.row == row]
         lengths = np.diff(self.tracklets.starts)[pieces]
         return np.sort(pieces[np.argsort(-lengths, kind="stable")[:MOST_POINTS]])
+
+
+def impossible(labelling: Labelling, named: Array, pieces: Array) -> Array:
+    """Return (m, n): what is lost (below 0) where a point cannot be a marker; 0 where it can.
+
+    Points are the tracklets ``pieces`` (n,), labelled as ``named`` (n,), -1 for none. A marker that has a label in
+    the take, but is hidden now, is none of those that are seen beside it at other times.
+    """
+    there = np.isfinite(labelling.xyz[:, :, 0])
+    hidden = np.setdiff1d(np.flatnonzero(there.any(axis=0)), named)
+    lost = np.zeros((there.shape[1], len(pieces)))
+    for k, (label, piece) in enumerate(zip(named.tolist(), pieces.tolist(), strict=True)):
+        rows = there[:, label] if label >= 0 else labelling.tracklets.row[labelling.tracklets.part(piece)]
+        lost[hidden[there[rows][:, hidden].any(axis=0)], k] = -CANNOT
+    return lost
+
+
+def rename(labelling: Labelling, named: Array, new: Array) -> None:
+    """Give what has the labels ``named`` (n,) the labels ``new`` (n,), where no other tracklet has them."""
+    changed = np.flatnonzero((named >= 0) & (new != named))
+    held = np.unique(labelling.label[labelling.label >= 0])
+    # a name that nothing has stays out: what gets it would lose its positions to those of nothing
+    names = np.full(labelling.xyz.shape[1], -1)
+    names[held] = held
+    names[named[changed]] = new[changed]
+    kept = np.setdiff1d(held, named[changed])
+    if np.isin(new[changed], kept).any():
+        # two of one name, at different times: they may be one marker, or not
+        names[named[changed]] = np.where(np.isin(new[changed], kept), -1, new[changed])
+    labelling.rename(names)
 
 
 def _spaced(score: Array, count: int, apart: int) -> list[int]:

@@ -19,6 +19,8 @@ HEADINGS = 8
 """Sides to which the person is taken to look at first."""
 ANEW, MOST_OPEN = 8, 700
 """Steps in which a limb is assigned anew, and the most pairs of marker and free point whose distances count."""
+FREED = 4
+"""Steps in which a limb that is assigned anew leaves the turn it had: half a radian each, and a head turns by 1.5."""
 LARGE = 60.0
 """Largest exponent: what differs by more is certain, and its exponential has no number."""
 LEAST_GAIN = 1e-3
@@ -109,7 +111,7 @@ def _anew(problem: Matching, found: Assignment, block: Array) -> tuple[Array, li
     open_ = np.flatnonzero(kept < 0)
     if not len(free) or (kept >= 0).sum() < 4:
         return found.chosen, found.poses
-    poses = problem.fit(found.poses, kept, 1)
+    poses = problem.fit(found.poses, kept, FREED)
     part, shape = np.ix_(open_, free), (problem.m, problem.n)
     fixed = (problem.places(poses) + problem.pairs[problem.rows(kept)].sum(axis=0).reshape(shape))[part]
     rows = (open_[:, None] * problem.n + free).ravel()

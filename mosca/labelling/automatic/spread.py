@@ -65,7 +65,7 @@ class Labelling:
         self.label[k], self.probability[k] = marker, probability
 
     def rename(self, names: Array) -> None:
-        """Give all tracklets of each label m the label ``names[m]``, -1 for none; no two the same."""
+        """Give all tracklets of each label m the label ``names[m]``, -1 for none; no two the same, used or not."""
         xyz = np.full_like(self.xyz, np.nan)
         xyz[:, names[names >= 0]] = self.xyz[:, names >= 0]
         self.xyz = xyz
