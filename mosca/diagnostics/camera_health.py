@@ -33,9 +33,9 @@ from mosca.diagnostics.residual_sums import ImageErrors, PointColumns, RayColumn
 START_SETS = 200
 """Frame sets at the start after each ``every`` of which residuals are summed."""
 WHOLE_SETS = 20
-"""Frame sets at the start of which all points count. Of ``most_points`` a set, ten sets have too few for cameras whose
-images err unequally (a target field's rings): its nees came out at 2.1 to 8.6 by which of them were drawn, and by a
-processor's last digits; of all, at 4.1. Of 10 sets or 40 the same."""
+"""Frame sets at the start of which all points count. Of ``most_points`` a set, ten sets have too few where images err
+unequally (a target field's rings): its nees came out at 2.1 to 8.6 by which of them were drawn, and by a processor's
+last digits; of all, at 4.1. With 10 or 40 the same."""
 CLOCK_UPDATES = 1000
 """Latest updates from which clock offsets are estimated."""
 

@@ -323,7 +323,7 @@ def buffers_for(largest: int, blurs: Array) -> Buffers:
     return Buffers(
         side, np.empty((5, side * side + OVER), f32), windows, np.empty((4, side * side), np.uint8), np.full(2, -1),
         Workspace(np.zeros((12, side * side + OVER), f32), np.empty((7, 8))), np.empty(N_TERMS),
-        np.empty((9, side * side + OVER), f32),
+        np.empty((12, side * side + OVER), f32),
     )  # fmt: skip
 
 
