@@ -21,7 +21,7 @@ RIG = ring(4, MoscaLens(6.0, 327.5, 245.0, 0.0099, 0.0099), radius_m=1.99, heigh
 
 
 def watched(
-    shake_px, jitter_s=0.0, late_s=(0.0, 0.0, 0.0, 0.0), sets=300, markers=40, seed=1, strays=0, lost=(), handed=None
+    shake_px, jitter_s=0.0, late_s=(0.0, 0.0, 0.0, 0.0), sets=300, markers=40, seed=1, strays=0, lost=(), handed=None, order=None
 ):
     """Health after frame sets whose images shake (rms of each camera), with trigger errors; m/s speeds."""
     rng = np.random.default_rng(seed)
@@ -51,6 +51,9 @@ def watched(
         rays = np.where(seen, np.arange(markers)[:, None], -1)
         views = seen.sum(axis=1)
         points = Points(xyz, covariance, views, residual, rays, np.full(markers, 0.01), views)
+        if order is not None:
+            turn = order.permutation(markers)
+            points = Points(*(getattr(points, name)[turn] for name in points.__dataclass_fields__))
         bundle = None if handed is None else make_ray_table(RIG, found, handed)
         health.attend(RIG, FrameSet(pulse, round(t * 1e9)), found, points, bundle)
     return health
@@ -69,6 +72,12 @@ def test_ten_frame_sets_show_errors_far_below_the_one_to_start_from():
     """Images that err by 0.002 px besides their detection noise, where 0.06 px were assumed at first."""
     for seed in range(5):
         assert watched(np.full(4, 0.002), sets=10, seed=seed).noise.sigma_px.max() < 0.008, seed
+
+
+def test_ten_frame_sets_tell_the_same_in_whatever_order_their_points_come():
+    own = watched(np.full(4, 0.02), sets=10)
+    other = watched(np.full(4, 0.02), sets=10, order=np.random.default_rng(0))
+    np.testing.assert_allclose(other.noise.sigma_px, own.noise.sigma_px, rtol=1e-6)
 
 
 def test_a_camera_that_errs_more_than_all_others_is_named():
