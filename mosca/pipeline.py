@@ -226,6 +226,11 @@ def check_source(source: FrameSource, rig: Rig) -> None:
             )
 
 
+FEWEST_SETS = 4
+"""Recordings of fewer frame sets teach no errors of cameras: one or two updates, each with one or two independent
+residuals a camera, tell a variance to a factor of three."""
+
+
 class _Matcher:
     """Matches frame sets and learns the targets' size."""
 
@@ -264,8 +269,11 @@ def _errors_first(seen: Iterable[Seen], rig: Rig, matcher: _Matcher, health: Hea
     """
     left = iter(seen)
     first = list(islice(left, 1))
-    if first and most_ahead(first[0][0]) >= LOOK_SETS:
-        first.extend(islice(left, LOOK_SETS - 1))
+    ahead = most_ahead(first[0][0]) if first else 0
+    if ahead >= FEWEST_SETS:
+        first.extend(islice(left, (LOOK_SETS if ahead >= LOOK_SETS else FEWEST_SETS) - 1))
+        if len(first) < FEWEST_SETS:
+            health.keep_start()
     if len(first) == LOOK_SETS:
         trial = Health(rig, health.settings)
         for frame_set, detections, _ in first:

@@ -128,6 +128,10 @@ class Health:
         """Take what another one learned of the image points' errors, until this one has learned as much."""
         self._model.start_from(trial._model)
 
+    def keep_start(self) -> None:
+        """Keep the image points' errors that were assumed at the start: what comes is too little to learn them."""
+        self._model.keep_start()
+
     def attend(
         self,
         rig: Rig,

@@ -57,6 +57,10 @@ class NoiseModel:
         """Take what another one learned, until this one has as many updates."""
         self.noise, self._known = other.noise, other._updates
 
+    def keep_start(self) -> None:
+        """Learn nothing from what comes."""
+        self._known = math.inf
+
     def update(self, sums: ResidualSums) -> None:
         """Take the sums over the points of a frame set and solve for the variances."""
         # images count by the variances of their time; those of a time when cameras were taken for still would

@@ -21,8 +21,9 @@ RIG = ring(4, MoscaLens(6.0, 327.5, 245.0, 0.0099, 0.0099), radius_m=1.99, heigh
 
 
 def watched(
-    shake_px, jitter_s=0.0, late_s=(0.0, 0.0, 0.0, 0.0), sets=300, markers=40, seed=1, strays=0, lost=(), handed=None, order=None
-):
+    shake_px, jitter_s=0.0, late_s=(0.0, 0.0, 0.0, 0.0), sets=300, markers=40, seed=1, strays=0, lost=(), handed=None,
+    order=None,
+):  # fmt: skip
     """Health after frame sets whose images shake (rms of each camera), with trigger errors; m/s speeds."""
     rng = np.random.default_rng(seed)
     health = Health(RIG)
