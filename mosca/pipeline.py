@@ -34,6 +34,10 @@ from mosca.tracking.tracker import Tracker, TrackSettings
 
 MOST_DETECTIONS = 5000
 """Detections an image may have; matching many more would take minutes a frame set."""
+FEWEST_SETS = 4
+"""Recordings of fewer frame sets teach no errors of cameras: one or two updates, each with one or two independent
+residuals a camera, tell a variance to a factor of three. Of the 117 published particles of MyPTV's three sets 114 lie
+within 0.2 mm, and 111 with 2."""
 
 
 @dataclass(frozen=True)
@@ -226,11 +230,6 @@ def check_source(source: FrameSource, rig: Rig) -> None:
             )
 
 
-FEWEST_SETS = 4
-"""Recordings of fewer frame sets teach no errors of cameras: one or two updates, each with one or two independent
-residuals a camera, tell a variance to a factor of three."""
-
-
 class _Matcher:
     """Matches frame sets and learns the targets' size."""
 
@@ -265,13 +264,14 @@ class _Matcher:
 def _errors_first(seen: Iterable[Seen], rig: Rig, matcher: _Matcher, health: Health) -> Iterator[Seen]:
     """Return all of ``seen``, the first of them matched for once, so that errors and sizes are known from the start.
 
-    Not in shorter recordings: from a few sets, cameras' own errors are less certain than the setting.
+    Not in shorter recordings: from a few sets, cameras' own errors are less certain than the setting, which holds
+    throughout where there are fewer than ``FEWEST_SETS``.
     """
     left = iter(seen)
     first = list(islice(left, 1))
-    ahead = most_ahead(first[0][0]) if first else 0
-    if ahead >= FEWEST_SETS:
-        first.extend(islice(left, (LOOK_SETS if ahead >= LOOK_SETS else FEWEST_SETS) - 1))
+    room = most_ahead(first[0][0]) if first else 0
+    if room >= FEWEST_SETS:
+        first.extend(islice(left, (LOOK_SETS if room >= LOOK_SETS else FEWEST_SETS) - 1))
         if len(first) < FEWEST_SETS:
             health.keep_start()
     if len(first) == LOOK_SETS:

@@ -62,3 +62,9 @@ def test_a_few_frame_sets_tell_too_little(sets):
     for one, other in zip(ahead, live, strict=True):
         np.testing.assert_array_equal(one.points.xyz, other.points.xyz)
         np.testing.assert_array_equal(one.points.covariance, other.points.covariance)
+
+
+def test_fewer_than_four_frame_sets_teach_no_errors():
+    for sets, learns in ((3, False), (4, True)):
+        first, *_, last = run_seen(seen(sets)[0], RIG, PipelineSettings())
+        assert (last.noise.sigma_px != first.noise.sigma_px).all() == learns

@@ -61,7 +61,7 @@ from mosca.detection.disc_fit.row import (
     write_diameter,
     write_row,
 )
-from mosca.detection.disc_fit.surroundings import refit_around
+from mosca.detection.disc_fit.surroundings import N_BEHIND, refit_around
 from mosca.detection.images import ImageSet, behind_of, image_of
 from mosca.detection.search import (
     DARK,
@@ -323,7 +323,7 @@ def buffers_for(largest: int, blurs: Array) -> Buffers:
     return Buffers(
         side, np.empty((5, side * side + OVER), f32), windows, np.empty((4, side * side), np.uint8), np.full(2, -1),
         Workspace(np.zeros((12, side * side + OVER), f32), np.empty((7, 8))), np.empty(N_TERMS),
-        np.empty((12, side * side + OVER), f32),
+        np.empty((N_BEHIND, side * side + OVER), f32),
     )  # fmt: skip
 
 

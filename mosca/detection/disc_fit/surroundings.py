@@ -37,9 +37,10 @@ LEAST_FREE = 8
 FAR_PX = f32(1e6)
 """Where pixels that fill up a row lie: too far to weigh anything."""
 TEXTURE, VALUE, PRESENT, ERROR, TEXTURE_BEFORE, VALUE_BEFORE, ERROR_BEFORE, AROUND, LIGHT = range(9)
-FREE_X, FREE_Y, FREE_VALUE = 9, 10, 11
+FREE_X, FREE_Y, FREE_VALUE, N_BEHIND = range(9, 13)
 """Rows of ``Buffers.behind``: the first four as ``take_behind`` writes them, then three of them as they were, what
-pixels are above the background [DN], the disc's light for a brightness of 1; and where free pixels are, and what."""
+pixels are above the background [DN], the disc's light for a brightness of 1; where free pixels are, and what. And
+their number."""
 
 
 @bare_step(fastmath=FAST)
@@ -81,11 +82,8 @@ def _gather_free(n: int, pixels: Array, coverage: Array, behind: Array) -> tuple
     m = 0
     for i in range(n):
         if coverage[i] < FREE and behind[PRESENT, i] > ZERO:
-            behind[FREE_X, m], behind[FREE_Y, m], behind[FREE_VALUE, m] = (
-                pixels[0, i],
-                pixels[1, i],
-                behind[AROUND, i],
-            )
+            behind[FREE_X, m], behind[FREE_Y, m] = pixels[0, i], pixels[1, i]
+            behind[FREE_VALUE, m] = behind[AROUND, i]
             m += 1
     filled = m
     while filled % 8 > 0:
