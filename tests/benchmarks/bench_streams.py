@@ -1,6 +1,9 @@
 """NatNet clients that read a stream of 200 markers and 10 bodies at 100 Hz: frames, values, stamps, cost, latency.
 
-    python tests/benchmarks/bench_streams.py [SECONDS]
+    python tests/benchmarks/bench_streams.py [SECONDS] [awake]
+
+``awake``: beside a busy process of the lowest priority on each core. Cores that fall asleep between frames, above all
+those of a virtual machine, have cold caches at each frame, which costs time and processor.
 
 Unicast: a plain client that stamps each message as it comes, alone and beside the package natnet, one client that
 never reads, one that is dead, and one that sends mutated packets. Multicast: natnet and motioncapture. Each is a
@@ -205,7 +208,7 @@ def ping(seconds, size):
         late = []
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
             sender.connect(to)
-            begin = time.monotonic_ns()
+            begin, used = time.monotonic_ns(), time.process_time()
             for k in range(round(seconds / PING_S)):
                 due = begin + round(k * PING_S * 1e9)
                 time.sleep(max(0.0, (due - time.monotonic_ns()) * 1e-9))
@@ -213,9 +216,10 @@ def ping(seconds, size):
                 struct.pack_into("<q", data, 0, now)
                 sender.send(data)
                 late.append(1e-9 * (now - due))
+            cores = (time.process_time() - used) / seconds
             sender.send(b"")
         found = json.loads(up.stdout.read())
-    print(json.dumps({"bound": "ping", "late_ms": quantiles(late), **found}))
+    print(json.dumps({"bound": "ping", "cores": cores, "late_ms": quantiles(late), **found}))
 
 
 def echo(_seconds):
@@ -308,6 +312,18 @@ def main():
         return
     seconds = float(words[0]) if words else 60.0
     print(f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}, {seconds:g} s")
+    busy = "import os\nos.nice(19)\nwhile True: pass"
+    kept = [subprocess.Popen([sys.executable, "-c", busy]) for _ in range(os.cpu_count() or 1) if "awake" in words]
+    try:
+        all_runs(seconds)
+    finally:
+        for one in kept:
+            one.kill()
+            one.wait()
+
+
+def all_runs(seconds):
+    """Measure with one client, two, misbehaving ones, and in multicast."""
     print("unicast, one client")
     run(seconds, "", ("plain",), 1)
     print("unicast")
