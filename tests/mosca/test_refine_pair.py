@@ -149,3 +149,20 @@ def test_a_middle_without_a_fit_is_as_uncertain_as_its_region_is_long(learned):
     for k in np.flatnonzero(lonely):
         nearest = min(np.hypot(*(found.xy_px[k] - shape[:2])) for shape in shapes)
         assert np.sqrt(np.trace(found.covariance_px2[k])) > 0.5 * nearest
+
+
+def test_a_centroid_that_neighbours_draw_states_how_far(learned):
+    """A dot at a grazing angle between two marks of its ring, unlike it: a centroid, which the marks' light draws."""
+    rng, squares = np.random.default_rng(5), []
+    for _ in range(40):
+        x, y = SIDE / 2 + rng.uniform(-0.5, 0.5, 2)
+        mark = (x - rng.uniform(2, 3), y + rng.uniform(0, 3), 1.5, 0.6 * BRIGHT, None)
+        end = (x + 2.7, y + 5.4, 2.0, BRIGHT, None)
+        light = image_of([mark, end, (x, y, 3.6, BRIGHT, ("ellipse", 0.38, 1.2))])
+        found = detect(frame(light, rng), "a", TOGETHER, statistics=learned)
+        off = found.xy_px - (x, y)
+        near = np.argmin(np.hypot(*off.T))
+        if found.flags[near] & UNREFINED:
+            squares.append(off[near] @ np.linalg.solve(found.covariance_px2[near], off[near]) / 2)
+    assert len(squares) >= 30
+    assert 0.1 < np.mean(squares) < 1.5
