@@ -5,6 +5,8 @@ Greedy selection by likelihood ratio against clutter, best first, each image use
 to a better one is tried again with those that remain. Pairs that are ambiguous in two cameras are left open.
 """
 
+from typing import Any, NamedTuple
+
 import numpy as np
 
 from mosca.correspondence.hypothesis import (
@@ -38,6 +40,25 @@ PRIOR_SEEN = 5.0
 OPEN, TAKEN, GONE = 0, 1, 2
 
 
+class Tracks(NamedTuple):
+    """Predictions of tracks."""
+
+    xyz: Any
+    covariance: Any
+    line: Any
+    """Their intervals along x (``mosca.correspondence.spatial_index``)."""
+    assigned: Any
+    """(k,) whether a hypothesis that was taken is the track's."""
+
+
+class Prior(NamedTuple):
+    """Logarithms of the density of hypotheses [1/m^3] and of the shares of cameras that miss and that see a target."""
+
+    density: float
+    missed: float
+    seen: float
+
+
 @step
 def choose(kept, data, xyz, covariance):
     """Return the state (n,) of each hypothesis: OPEN (a pair that others contest), TAKEN or GONE.
@@ -50,35 +71,71 @@ def choose(kept, data, xyz, covariance):
     assigned = np.zeros(xyz.shape[0], dtype=np.bool_)
     state, hypothesis = np.zeros(n, dtype=np.int8), new_hypothesis(cameras)
     support = data.rules[0].support_sigma
-    line = buckets(xyz[:, 0].copy(), support * np.sqrt(covariance[:, 0, 0]))
-    found = np.empty(xyz.shape[0], dtype=np.int64)
-    density = _log_density(values, xyz)
-    lost, seen_share = _log_detection_shares(values, members, data.views)
+    tracks = Tracks(xyz, covariance, buckets(xyz[:, 0].copy(), support * np.sqrt(covariance[:, 0, 0])), assigned)
+    prior = Prior(_log_density(values, xyz), *_log_detection_shares(values, members, data.views))
     track, worth = np.full(n, -1, dtype=np.int64), np.zeros(n)
-    for _round in range(max(cameras - 1, 1)):
-        for g in range(n):
-            if state[g] == OPEN:
-                half = support * np.sqrt(values[g, COVARIANCE])
-                near = within(line, values[g, XYZ], half, found)
-                track[g], gained = _best_track(values[g], xyz, covariance, assigned, support, density, found, near)
-                seen, missing = _seen_and_missing(g, values, members, data.views)
-                worth[g] = values[g, GAIN] + density + gained + missing * lost + seen_share * seen
-        waiting = np.flatnonzero(state == OPEN)
-        changed = False
-        for g in waiting[stable_order(-worth[waiting])]:
-            # clutter explains it as well, and no track predicts it
-            if worth[g] < 0.0 and track[g] < 0:
-                state[g] = GONE
-            elif _take(g, kept, track, used, assigned, data):
-                state[g] = TAKEN
-                changed = True
-        if not changed:
-            break
-        for left in waiting:
-            if state[left] == OPEN and not _shrink(left, kept, used, hypothesis, data):
-                state[left] = GONE
+    found = np.empty(xyz.shape[0], dtype=np.int64)
+    for g in range(n):
+        track[g], worth[g] = _worth(g, kept, tracks, prior, data, found)
+    order = stable_order(-worth)
+    at = NONE
+    while at < n:
+        g = order[at]
+        if track[g] >= 0 and assigned[track[g]]:
+            track[g], worth[g] = _worth(g, kept, tracks, prior, data, found)
+            if _put_back(order, at, worth):
+                continue
+        # clutter explains it as well, and no track predicts it
+        if worth[g] < 0.0 and track[g] < 0:
+            state[g] = GONE
+        elif _take(g, kept, track, used, assigned, data):
+            state[g] = TAKEN
+        elif _has_used(g, members, used):
+            # at once: what is left of it may be better than what comes next and has the same rays
+            if _shrink(g, kept, used, hypothesis, data):
+                track[g], worth[g] = _worth(g, kept, tracks, prior, data, found)
+                _put_back(order, at, worth)
+                continue
+            state[g] = GONE
+        at += 1
+    for g in range(n):
+        if state[g] == OPEN and _has_used(g, members, used):
+            state[g] = GONE
     _take_uncontested(values, members, state, used)
     return state
+
+
+@step
+def _worth(g, kept, tracks, prior, data, found):
+    """Return the track that best predicts a hypothesis, or -1, and the hypothesis's log-likelihood ratio."""
+    values = kept.values[g]
+    support = data.rules[0].support_sigma
+    near = within(tracks.line, values[XYZ], support * np.sqrt(values[COVARIANCE]), found)
+    track, gained = _best_track(
+        values, tracks.xyz, tracks.covariance, tracks.assigned, support, prior.density, found, near
+    )
+    seen, missing = _seen_and_missing(g, kept.values, kept.members, data.views)
+    return track, values[GAIN] + prior.density + gained + missing * prior.missed + seen * prior.seen
+
+
+@bare_step
+def _put_back(order, at, worth):
+    """Move the hypothesis at a place of ``order`` behind all that are worth more now; return whether any was."""
+    g, k = order[at], at
+    while k + 1 < order.shape[0] and worth[order[k + 1]] > worth[g]:
+        order[k] = order[k + 1]
+        k += 1
+    order[k] = g
+    return k > at
+
+
+@bare_step
+def _has_used(g, members, used):
+    """Whether another hypothesis has taken a ray of this one."""
+    count = 0
+    for c in range(members.shape[1]):
+        count += members[g, c] >= 0 and used[members[g, c]] > 0
+    return count > 0
 
 
 @step
