@@ -40,7 +40,7 @@ PRIOR_SEEN = 5.0
 OPEN, TAKEN, GONE = 0, 1, 2
 
 
-class Tracks(NamedTuple):
+class TrackPredictions(NamedTuple):
     """Predictions of tracks."""
 
     xyz: Any
@@ -51,8 +51,8 @@ class Tracks(NamedTuple):
     """(k,) whether a hypothesis that was taken is the track's."""
 
 
-class Prior(NamedTuple):
-    """Logarithms of the density of hypotheses [1/m^3] and of the shares of cameras that miss and that see a target."""
+class LogPrior(NamedTuple):
+    """Logarithms of the density of hypotheses [1/m^3], of the shares of cameras that miss and that see a target."""
 
     density: float
     missed: float
@@ -71,8 +71,8 @@ def choose(kept, data, xyz, covariance):
     assigned = np.zeros(xyz.shape[0], dtype=np.bool_)
     state, hypothesis = np.zeros(n, dtype=np.int8), new_hypothesis(cameras)
     support = data.rules[0].support_sigma
-    tracks = Tracks(xyz, covariance, buckets(xyz[:, 0].copy(), support * np.sqrt(covariance[:, 0, 0])), assigned)
-    prior = Prior(_log_density(values, xyz), *_log_detection_shares(values, members, data.views))
+    tracks = TrackPredictions(xyz, covariance, buckets(xyz[:, 0].copy(), support * np.sqrt(covariance[:, 0, 0])), assigned)
+    prior = LogPrior(_log_density(values, xyz), *_log_detection_shares(values, members, data.views))
     track, worth = np.full(n, -1, dtype=np.int64), np.zeros(n)
     found = np.empty(xyz.shape[0], dtype=np.int64)
     for g in range(n):

@@ -116,6 +116,22 @@ def test_a_bad_ray_is_left_out():
     assert np.linalg.norm(points.xyz[best] - truth3d[0]) < 3e-4
 
 
+def test_a_group_that_loses_an_image_is_tried_again_before_worse_ones_take_its_others():
+    rig = rig_of(5)
+    centres = [camera.world_from_camera.translation for camera in rig.cameras]
+    # a target stands before it in c0; c4 does not see it; in c0 something else is where the ray of c1 goes on
+    here = np.array([0.1, 0.05, -0.1])
+    before = here + 0.15 * (centres[0] - here) / np.linalg.norm(centres[0] - here)
+    beyond = here + 0.01 * (here - centres[1]) / np.linalg.norm(here - centres[1])
+    found, _ = detected(rig, np.array([here, before]), np.random.default_rng(3))
+    for k, camera in enumerate(rig.cameras):
+        places = project(camera, np.array([beyond if k == 0 else here, before]))
+        placed = replace(found[camera.name], xy_px=places + ((0, 0), (0, 0.1 if k == 0 else 0)))
+        found[camera.name] = chosen(placed, [1]) if k == 4 else placed
+    points = grouped(rig, found, predicted=expected_at(np.array([here]), 0.01))
+    assert sorted(points.rays.tolist()) == [[-1, 0, 0, 0, -1], [1, 1, 1, 1, 0]]
+
+
 def test_points_outside_the_volume_are_none():
     rig, rng = rig_of(4), np.random.default_rng(4)
     truth3d = np.array([[0.0, 0.0, 0.0], [0.4, 0.0, 0.0]])
