@@ -70,8 +70,8 @@ def choose(kept, data, xyz, covariance):
     used = np.zeros(data.rays.shape[0], dtype=np.int64)
     assigned = np.zeros(xyz.shape[0], dtype=np.bool_)
     state, hypothesis = np.zeros(n, dtype=np.int8), new_hypothesis(cameras)
-    support = data.rules[0].support_sigma
-    tracks = TrackPredictions(xyz, covariance, buckets(xyz[:, 0].copy(), support * np.sqrt(covariance[:, 0, 0])), assigned)
+    half = data.rules[0].support_sigma * np.sqrt(covariance[:, 0, 0])
+    tracks = TrackPredictions(xyz, covariance, buckets(xyz[:, 0].copy(), half), assigned)
     prior = LogPrior(_log_density(values, xyz), *_log_detection_shares(values, members, data.views))
     track, worth = np.full(n, -1, dtype=np.int64), np.zeros(n)
     found = np.empty(xyz.shape[0], dtype=np.int64)
