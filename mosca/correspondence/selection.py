@@ -75,31 +75,36 @@ def choose(kept, data, xyz, covariance):
     prior = LogPrior(_log_density(values, xyz), *_log_detection_shares(values, members, data.views))
     track, worth = np.full(n, -1, dtype=np.int64), np.zeros(n)
     found = np.empty(xyz.shape[0], dtype=np.int64)
-    for g in range(n):
-        track[g], worth[g] = _worth(g, kept, tracks, prior, data, found)
-    order = stable_order(-worth)
-    at = NONE
-    while at < n:
-        g = order[at]
-        if track[g] >= 0 and assigned[track[g]]:
-            track[g], worth[g] = _worth(g, kept, tracks, prior, data, found)
-            if _put_back(order, at, worth):
-                continue
-        # clutter explains it as well, and no track predicts it
-        if worth[g] < 0.0 and track[g] < 0:
-            state[g] = GONE
-        elif _take(g, kept, track, used, assigned, data):
-            state[g] = TAKEN
-        elif _has_used(g, members, used):
-            # at once: what is left of it may be better than what comes next and has the same rays
-            if _shrink(g, kept, used, hypothesis, data):
+    for last in (False, True):
+        for g in range(n):
+            if state[g] == OPEN:
                 track[g], worth[g] = _worth(g, kept, tracks, prior, data, found)
-                _put_back(order, at, worth)
-                continue
-            state[g] = GONE
-        at += 1
+        order = np.flatnonzero(state == OPEN)
+        order = order[stable_order(-worth[order])]
+        at = NONE
+        while at < order.shape[0]:
+            g = order[at]
+            if track[g] >= 0 and assigned[track[g]]:
+                track[g], worth[g] = _worth(g, kept, tracks, prior, data, found)
+                if _put_back(order, at, worth):
+                    continue
+            # clutter explains it as well, and no track predicts it
+            if worth[g] < 0.0 and track[g] < 0:
+                state[g] = GONE
+            elif _take(g, kept, track, used, assigned, data):
+                state[g] = TAKEN
+            elif _count_used(g, members, used) > 0:
+                if not _shrink(g, kept, used, hypothesis, data):
+                    state[g] = GONE
+                elif last or _count(g, members) > 2:
+                    # at once: what is left of it may be better than what comes next and has the same rays
+                    track[g], worth[g] = _worth(g, kept, tracks, prior, data, found)
+                    _put_back(order, at, worth)
+                    continue
+                # a pair that is left of more waits for those that were found as pairs
+            at += 1
     for g in range(n):
-        if state[g] == OPEN and _has_used(g, members, used):
+        if state[g] == OPEN and _count_used(g, members, used) > 0:
             state[g] = GONE
     _take_uncontested(values, members, state, used)
     return state
@@ -130,12 +135,21 @@ def _put_back(order, at, worth):
 
 
 @bare_step
-def _has_used(g, members, used):
-    """Whether another hypothesis has taken a ray of this one."""
+def _count(g, members):
+    """Return how many rays a hypothesis has."""
+    count = 0
+    for c in range(members.shape[1]):
+        count += members[g, c] >= 0
+    return count
+
+
+@bare_step
+def _count_used(g, members, used):
+    """Return how many rays of a hypothesis others have taken."""
     count = 0
     for c in range(members.shape[1]):
         count += members[g, c] >= 0 and used[members[g, c]] > 0
-    return count > 0
+    return count
 
 
 @step
