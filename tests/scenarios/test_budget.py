@@ -100,11 +100,14 @@ def test_the_planted_camera_is_first_and_its_share_that_of_all_others_off(tiny):
     found = error_budget(spec, "tiny", path, replace(FAST, by="camera", sources=()))
     first = found.contributions[0]
     assert first.name == "cam2"
-    # an independent run: other seeds, and the camera alone switched off
-    other = spec.model_copy(update={"seed": 21})
-    takes = [detected_take(other, path.parent, *args) for args in (((),), (cameras_sources(spec), ["cam2"]))]
-    values = [evaluate(other, path.parent, (), "position_rms", take) for take in takes]
-    with_it, without = (one.sums.sum() / one.weights.sum() for one in values)
+    # an independent run: other seeds, and the camera alone switched off; of single seeds the share scatters by 0.04
+    sums, weights = np.zeros(2), np.zeros(2)
+    for seed in (21, 22, 23, 24):
+        other = spec.model_copy(update={"seed": seed})
+        for k, args in enumerate((((),), (cameras_sources(spec), ["cam2"]))):
+            one = evaluate(other, path.parent, (), "position_rms", detected_take(other, path.parent, *args))
+            sums[k], weights[k] = sums[k] + one.sums.sum(), weights[k] + one.weights.sum()
+    with_it, without = sums / weights
     assert found.share(first.square) == pytest.approx(1 - without / with_it, abs=0.05)
 
 
