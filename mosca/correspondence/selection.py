@@ -2,7 +2,8 @@
 ``mosca.correspondence.candidates``.
 
 Greedy selection by likelihood ratio against clutter, best first, each image used once; a hypothesis that loses images
-to a better one is tried again with those that remain. Pairs that are ambiguous in two cameras are left open.
+to a better one is tried again at once with those that remain, or, where two remain, after all others. Pairs that are
+ambiguous in two cameras are left open.
 """
 
 from typing import Any, NamedTuple
@@ -93,10 +94,11 @@ def choose(kept, data, xyz, covariance):
                 state[g] = GONE
             elif _take(g, kept, track, used, assigned, data):
                 state[g] = TAKEN
-            elif _count_used(g, members, used) > 0:
-                if not _shrink(g, kept, used, hypothesis, data):
+            elif _has_used(g, members, used):
+                left = _shrink(g, kept, used, hypothesis, data)
+                if left == 0:
                     state[g] = GONE
-                elif last or _count(g, members) > 2:
+                elif last or left > 2:
                     # at once: what is left of it may be better than what comes next and has the same rays
                     track[g], worth[g] = _worth(g, kept, tracks, prior, data, found)
                     _put_back(order, at, worth)
@@ -104,7 +106,7 @@ def choose(kept, data, xyz, covariance):
                 # a pair that is left of more waits for those that were found as pairs
             at += 1
     for g in range(n):
-        if state[g] == OPEN and _count_used(g, members, used) > 0:
+        if state[g] == OPEN and _has_used(g, members, used):
             state[g] = GONE
     _take_uncontested(values, members, state, used)
     return state
@@ -135,21 +137,12 @@ def _put_back(order, at, worth):
 
 
 @bare_step
-def _count(g, members):
-    """Return how many rays a hypothesis has."""
-    count = 0
-    for c in range(members.shape[1]):
-        count += members[g, c] >= 0
-    return count
-
-
-@bare_step
-def _count_used(g, members, used):
-    """Return how many rays of a hypothesis others have taken."""
+def _has_used(g, members, used):
+    """Whether another hypothesis has taken a ray of this one."""
     count = 0
     for c in range(members.shape[1]):
         count += members[g, c] >= 0 and used[members[g, c]] > 0
-    return count
+    return count > 0
 
 
 @step
@@ -262,19 +255,17 @@ def _take(g, kept, track, used, assigned, data):
 
 @bare_step
 def _shrink(g, kept, used, hypothesis, data):
-    """Remove the used rays from a hypothesis and solve it again; False where no target is left."""
+    """Remove the used rays from a hypothesis and solve it again; return how many are left, 0 where no target is."""
     values, members = kept.values, kept.members
     mates, ranks, solved, _ = hypothesis
-    count, lost = NONE, False
+    count = NONE
     for c in range(members.shape[1]):
         k = members[g, c]
         if k >= 0 and used[k] > 0:
-            members[g, c], lost = -1, True
+            members[g, c] = -1
         count += members[g, c] >= 0
-    if not lost:
-        return True
     if count < data.rules[0].minimum_cameras:
-        return False
+        return NONE
     typical_m = data.rules[0].typical_m
     for c in range(members.shape[1]):
         mates[c], ranks[c, TRUST] = members[g, c], kept.trusts[g, c]
@@ -283,9 +274,9 @@ def _shrink(g, kept, used, hypothesis, data):
         solved[k] = values[g, k]
     error, diameter = solve(hypothesis, TWICE, data), values[g, DIAMETER]
     if not acceptable(hypothesis, count, error, data):
-        return False
+        return NONE
     store(hypothesis, error, diameter, data.rays, g, kept)
-    return True
+    return count
 
 
 @step

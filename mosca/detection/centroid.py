@@ -259,6 +259,27 @@ def measure_region(
     return True
 
 
+@bare_step
+def lopsidedness(image: Array, own: Array, floor: int, row: Array) -> tuple[float, float]:
+    """Return how far the centroid of a region's bright half is from its centre [px].
+
+    Bright: above half of the contrast between the region's peak and its ``floor``. The image of a target has both in
+    one place; the light of a neighbour or of an edge ends below that level more often than not.
+    """
+    half = 0.5 * (row[PEAK] + floor)
+    total, sx, sy = 0.0, 0.0, 0.0
+    for i in range(len(own)):
+        y = own[i, 0]
+        for x in range(own[i, 1], own[i, 2]):
+            above = max(float(image[y, x]) - half, 0.0)
+            total += above
+            sx += above * (x - row[X])
+            sy += above * (y - row[Y])
+    if total > 0.0:
+        return sx / total, sy / total
+    return 0.0, 0.0
+
+
 @step
 def measure_regions(images: ImageSet, found: FoundRegions, rule: CentroidRule) -> tuple[Array, Array]:
     """Measure every region that does not touch its image's border.

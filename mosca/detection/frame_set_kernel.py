@@ -24,6 +24,7 @@ from mosca.detection.centroid import (
     Noise,
     X,
     Y,
+    lopsidedness,
     measure_region,
     measure_regions,
 )
@@ -39,7 +40,7 @@ from mosca.detection.pixel_noise import PixelNoise
 from mosca.detection.search import CUT, DARK, END_RUN, FIRST_RUN, FLOOR, GAIN, IMAGE, THRESHOLD, FoundRegions, Search
 from mosca.detection.threshold_regions import find_regions_in_set
 from mosca.numba_support.copying import copy_rows
-from mosca.numba_support.decorators import bare_step, kernel, short_kernel, step
+from mosca.numba_support.decorators import kernel, short_kernel, step
 
 REGIONS_ONLY, PAPER, BACKGROUND, REFINED = range(4)
 """How centres are found: not at all, else as the values of ``DetectionSettings.centroid``."""
@@ -115,8 +116,8 @@ def measure_unrefined(
 ) -> None:
     """Replace the centre of rows of ``table`` whose fit failed by the centroid by ``rule``, above local background.
 
-    Most of these touch a neighbour, whose light biases the centroid. The uncertainty of an isolated region grows
-    with its elongation.
+    Most of these touch a neighbour, whose light biases the centroid: how lopsided that makes a region is part of the
+    uncertainty. That of an isolated region grows with its elongation.
     """
     for n in range(len(table)):
         flags = int(table[n, FLAGS])
@@ -126,9 +127,10 @@ def measure_unrefined(
         own = found.runs[region[FIRST_RUN] : region[END_RUN]]
         noise = Noise(found.noise[region_of[n], DARK], found.noise[region_of[n], GAIN])
         limits = (region[THRESHOLD], region[FLOOR])
-        measure_region(image_of(images, region[IMAGE]), own, limits, noise, rule, table[n])
+        image = image_of(images, region[IMAGE])
+        measure_region(image, own, limits, noise, rule, table[n])
         drawn = (TOUCHING * table[n, DIAMETER]) ** 2
-        dx, dy = lopsidedness(image_of(images, region[IMAGE]), own, region[FLOOR], table[n])
+        dx, dy = lopsidedness(image, own, region[FLOOR], table[n])
         table[n, XX] += dx * dx
         table[n, XY] += dx * dy
         table[n, YY] += dy * dy
@@ -137,27 +139,6 @@ def measure_unrefined(
             drawn += math.hypot(0.5 * (xx - yy), xy)
         table[n, XX] += drawn
         table[n, YY] += drawn
-
-
-@bare_step
-def lopsidedness(image: Array, own: Array, floor: int, row: Array) -> tuple[float, float]:
-    """Return how far the centroid of a region's bright half is from its centre [px].
-
-    Bright: above half of the contrast between the region's peak and its ``floor``. The image of a target has both in
-    one place; the light of a neighbour or of an edge ends below that level more often than not.
-    """
-    half = 0.5 * (row[PEAK] + floor)
-    total, sx, sy = 0.0, 0.0, 0.0
-    for i in range(len(own)):
-        y = own[i, 0]
-        for x in range(own[i, 1], own[i, 2]):
-            above = max(float(image[y, x]) - half, 0.0)
-            total += above
-            sx += above * (x - row[X])
-            sy += above * (y - row[Y])
-    if total > 0.0:
-        return sx / total, sy / total
-    return 0.0, 0.0
 
 
 @short_kernel
