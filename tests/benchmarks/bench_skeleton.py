@@ -87,6 +87,7 @@ def opensims(
     """Return OpenSim's tracking of a frame and its markers' present distances [m]. ImportError without OpenSim."""
     import opensim
 
+    opensim.Logger.removeFileSink()  # else it leaves opensim.log in the working folder
     opensim.Logger.setLevelString("Off")
     model, zero, mj = opensim.Model(), opensim.Vec3(0), kinematics.mj
     bodies = [model.getGround()]

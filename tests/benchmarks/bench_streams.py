@@ -310,7 +310,7 @@ def main():
     if words and words[0] in parts:
         parts[words[0]](float(words[1]), *words[2:])
         return
-    seconds = float(words[0]) if words else 60.0
+    seconds = next((float(word) for word in words if word != "awake"), 60.0)
     print(f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}, {seconds:g} s")
     busy = "import os\nos.nice(19)\nwhile True: pass"
     kept = [subprocess.Popen([sys.executable, "-c", busy]) for _ in range(os.cpu_count() or 1) if "awake" in words]

@@ -91,6 +91,7 @@ def opensim_mot(folder: Path, into: Path) -> Path:
     """Run OpenSim's inverse kinematics on the walk; return its motion file. ImportError where it is not installed."""
     import opensim
 
+    opensim.Logger.removeFileSink()  # else it leaves opensim.log in the working folder
     opensim.Logger.setLevelString("Off")
     tool = opensim.InverseKinematicsTool(str(folder / "subject01_Setup_IK.xml"), False)
     model = opensim.Model(str(folder / "subject01_simbody.osim"))
