@@ -76,11 +76,13 @@ class Progress:
             self._bar.stop()
         if was_interrupted(error):
             done, total = self._moved
-            click.echo(f"{self._title}: stopped at {done}" + ("" if total is None else f" of {total}"), err=True)
+            counted = f" at {done}" + ("" if total is None else f" of {total}") if done or not self._stage else ""
+            click.echo(f"{self._title}: stopped{counted}{self._stage}", err=True)
 
     def stage(self, name: str) -> None:
-        """Say what is being done from now on."""
+        """Say what is being done from now on; what is counted begins anew."""
         self._stage = f", {name}"
+        self._moved, self._first = (0, None), None
 
     def _move(self, done: int, total: int | None) -> None:
         self._moved = done, total

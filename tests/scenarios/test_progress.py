@@ -71,6 +71,7 @@ def test_lines_come_without_a_terminal_and_end_with_the_work(monkeypatch, capsys
         moved(1, 3)
         written = ""
         while "suite" not in written:
+            time.sleep(0.02)  # what is printed between reading and emptying is lost
             written += capsys.readouterr().err
     assert written.startswith("suite: ")
     capsys.readouterr()
@@ -95,3 +96,26 @@ def test_the_teller_ends_where_the_work_fails(monkeypatch):
     with pytest.raises(ZeroDivisionError), shown:
         raise ZeroDivisionError
     assert not shown._teller.is_alive()
+
+
+def test_what_a_stage_counts_ends_with_it(monkeypatch, capsys):
+    monkeypatch.setattr(progress, "EVERY_S", 0.01)
+    shown = Progress("uav")
+    with shown as moved:
+        shown.stage("frames to tracks")
+        moved(100, 100)
+        shown.stage("error budget")
+        assert re.fullmatch(r"uav: \d+ s, error budget", shown.line(time.monotonic()))
+        capsys.readouterr()
+        written = ""
+        while written.count("error budget") < 2:  # it goes on being told
+            time.sleep(0.02)
+            written += capsys.readouterr().err
+
+
+def test_ctrl_c_between_what_is_counted_names_the_stage(capsys):
+    shown = Progress("uav")
+    with pytest.raises(KeyboardInterrupt), shown:
+        shown.stage("error budget")
+        raise KeyboardInterrupt
+    assert capsys.readouterr().err == "uav: stopped, error budget\n"
