@@ -115,7 +115,7 @@ def test_what_a_stage_counts_ends_with_it(monkeypatch, capsys):
 
 def test_ctrl_c_between_what_is_counted_names_the_stage(capsys):
     shown = Progress("uav")
+    shown.stage("error budget")
     with pytest.raises(KeyboardInterrupt), shown:
-        shown.stage("error budget")
         raise KeyboardInterrupt
     assert capsys.readouterr().err == "uav: stopped, error budget\n"
