@@ -189,7 +189,9 @@ def run_seen(
         timer.lap("match")
         if (width_m := field_width.learn(points)) is not None:
             tracker.scale_to(width_m)
-        samples = tracker.update(points, frame_set.pulse, frame_set.time_ns, noise.jitter_s)
+        tracked = tracker.update(points, frame_set.pulse, frame_set.time_ns, noise.jitter_s)
+        samples = tracked.certain(settings.track.worst_sigma_m)
+        health.withheld += len(tracked) - len(samples)
         timer.lap("track")
         measured_with = rig
         if keeper is not None:

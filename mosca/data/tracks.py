@@ -86,6 +86,13 @@ class Samples:
         """Return the samples that a boolean mask or an index array (m,) names."""
         return Samples(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
 
+    def certain(self, worst_sigma_m: float) -> "Samples":
+        """Return the samples whose largest standard deviation [m] is not above ``worst_sigma_m``."""
+        # no standard deviation is larger than the trace's root: hardly any need their eigenvalues
+        doubtful = np.flatnonzero(np.trace(self.covariance, axis1=1, axis2=2) > worst_sigma_m**2)
+        out = np.linalg.eigvalsh(self.covariance[doubtful])[:, -1] > worst_sigma_m**2
+        return self.select(np.delete(np.arange(len(self)), doubtful[out])) if out.any() else self
+
 
 @dataclass(frozen=True, eq=False)
 class Tracks:

@@ -96,7 +96,8 @@ class CameraHealth:
 class Health:
     """Health of a running pipeline's cameras. ``attend`` takes each frame set.
 
-    ``nameless``: samples that had no identity yet when the run ended. ``seconds``: computing time so far.
+    ``nameless``: samples that had no identity yet when the run ended. ``withheld``: samples that were too uncertain.
+    ``seconds``: computing time so far.
     """
 
     def __init__(self, rig: Rig, settings: HealthSettings | None = None) -> None:
@@ -111,7 +112,7 @@ class Health:
         self._clocks: deque[tuple[Array, Array, Array]] = deque(maxlen=CLOCK_UPDATES)
         self._square, self._images = np.zeros(c), np.zeros(c)
         self._blocks: dict[int, Array] = {}
-        self.nameless = 0
+        self.nameless = self.withheld = 0
         self.seconds = 0.0
 
     @classmethod
@@ -203,6 +204,14 @@ class Health:
                     f"{others:.2f}: look for a camera that was moved or is loose"
                 )
         return tuple(lines)
+
+    def left_out(self) -> dict[str, str]:
+        """Return which samples are in no track, a line a reason."""
+        lines = {
+            "nameless": (self.nameless, "at the end had no identity yet"),
+            "withheld": (self.withheld, "have a standard deviation above track.worst_sigma_m"),
+        }
+        return {kind: f"{count} samples {why} and are left out" for kind, (count, why) in lines.items() if count}
 
     def _add_residuals(self, time_s: float, bundle: RayTable, points: Points) -> None:
         """Add the residuals of some of the points to the sums, and update the noise model."""

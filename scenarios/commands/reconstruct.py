@@ -128,9 +128,8 @@ def reconstruct_recording(
     if len(tracks):
         lines.append(f"reprojection error {np.sqrt(np.mean(tracks.residual_px**2)):.3f} px rms")
     else:
-        lines.append(_why_no_tracks(counts, settings))
-    lines += health.findings()
-    lines += more
+        lines.append(_why_no_tracks(counts, settings, health))
+    lines += [*health.left_out().values(), *health.findings(), *more]
     lines += [
         f"{name}: {c.dropped} dropped, {c.corrupt} corrupt, {c.late} late, {c.doubled} doubled"
         for name, c in assembly.cameras.items()
@@ -143,8 +142,10 @@ def reconstruct_recording(
     return lines
 
 
-def _why_no_tracks(counts: Array, settings: PipelineSettings) -> str:
+def _why_no_tracks(counts: Array, settings: PipelineSettings, health: Health) -> str:
     """Return advice by the first stage without results; ``counts``: sets, detections, points."""
+    if health.withheld:
+        return f"no tracks: look at track.worst_sigma_m ({settings.track.worst_sigma_m:g})"
     if counts[1] == 0:
         detection = settings.detection
         if detection.thresholds == "noise":

@@ -92,8 +92,8 @@ def collected_of(
         keeper.close()
         for k, incident in enumerate(keeper.incidents):
             assembly.notes[f"rig {k + 1}"] = incident.message
-    if nameless := sum(health.nameless for health in healths):
-        assembly.notes["nameless"] = f"{nameless} samples at the end had no identity yet and are left out"
+    for k, health in enumerate(healths):
+        assembly.notes |= {f"{kind} {k + 1}" if zones else kind: line for kind, line in health.left_out().items()}
     found = [line for health in healths for line in health.findings()]
     for k, line in enumerate((*found, *sensors.findings())):
         assembly.notes[f"camera {k + 1}"] = line
