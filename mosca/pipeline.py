@@ -190,7 +190,7 @@ def run_seen(
         if (width_m := field_width.learn(points)) is not None:
             tracker.scale_to(width_m)
         tracked = tracker.update(points, frame_set.pulse, frame_set.time_ns, noise.jitter_s)
-        samples = tracked.certain(settings.track.worst_sigma_m)
+        samples = tracked.certain(settings.track.worst_sigma_m or np.inf)
         health.withheld += len(tracked) - len(samples)
         timer.lap("track")
         measured_with = rig

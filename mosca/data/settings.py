@@ -169,7 +169,7 @@ class TrackSettings:
     """How long a new track that may be a lost one waits for its identity; its samples are returned with it."""
     limb_m: NotNegative | None = None
     """How far limb mates may be [m]; 0: particles, no limbs."""
-    worst_sigma_m: Positive = math.inf
+    worst_sigma_m: Positive | None = None
     """A sample whose largest standard deviation exceeds this is left out of the tracks and counted; identities are
     still followed by it."""
 

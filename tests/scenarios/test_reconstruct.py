@@ -249,6 +249,7 @@ def test_bad_input_of_calibrate(lab, recording, target, out, points, says):
     [
         ("detection.minimum_size_px=35", "no detections: look at detection.false_alarms (0.01)"),
         ("match.worst_sigma_m=0.0001", "no points: look at the rig, [volume]"),
+        ("track.worst_sigma_m=0.0001", "no tracks: look at track.worst_sigma_m (0.0001)"),
         ("track.confirm_weight=1000", "no tracks: look at track.confirm_weight (1000)"),
     ],
 )
