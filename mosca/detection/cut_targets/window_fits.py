@@ -30,7 +30,7 @@ from mosca.detection.cut_targets.disc import (
     fit_discs,
 )
 from mosca.detection.cut_targets.kinds import CUT as CUT_ONE
-from mosca.detection.cut_targets.kinds import GROWN, WHOLE
+from mosca.detection.cut_targets.kinds import BESIDE, GROWN, WHOLE
 from mosca.detection.cut_targets.pair import PAIR_AMPLITUDE, PAIR_COVARIANCE, PAIR_MISFIT, fit_pairs
 from mosca.detection.cut_targets.windows import (
     BLUR_PX,
@@ -54,6 +54,9 @@ LEAST_LIGHT = 0.4
 SURE, AMBIGUOUS, SAME_PX = 60.0, 12.0, 0.1
 """Chi-square by which a disc cut on the other side must fit worse, its track's prediction counted in, unless its
 centre is as near as that: odds of 400. The first: whatever a track expects."""
+EXPECTED_SIGMAS = 4.0
+"""How far from the nearer of both sides a track may expect a target for it to decide: else it expects another one, or
+wrongly."""
 LEAST_APART = 0.2
 """How far apart two targets' centres are at least, over the radius: the same images are taken with 0.1."""
 LEAST_APART_CUT = 1.0
@@ -152,6 +155,10 @@ def fit_windows(
         if math.isfinite(light[0, 0]):
             pair = own, seen, light, whole, radii
             _cut_pair(patch, there, pair, r, windows, learned[c], points, expected, out[r])
+        if kind == BESIDE and out[r, STATE] == NO_FIT:
+            own[1], place[2] = own[0], radius + REACH_BLURS * blur
+            own_pixels(patch[0], there[0], place, own, seen, OTHERS_BLURS * blur)
+            _dimmed(patch, there, place, radius, windows.share[r], learned[c], out[r])
     return out
 
 
@@ -216,6 +223,12 @@ def _cut(patch, there, count, place, r, windows, learned, points, expected, out)
         out[FIRST + 4] = fit[YY] + (by * fit[BY_RADIUS_Y]) ** 2
         out[FIRST + 5] = 2.0 * radius / learned[SIZE]
         return
+    _dimmed(patch, there, place, radius, share, learned, out)
+
+
+@step
+def _dimmed(patch, there, place, radius, share, learned, out):
+    """Judge an image by its light where that is little: less than by its area, ``share`` of a whole disc's."""
     light = _share_of_light(patch[0], there[0], place, radius, learned)
     if light < min(share, LEAST_LIGHT):
         # what is left of a disc looks larger than it is for its blur
@@ -224,7 +237,7 @@ def _cut(patch, there, count, place, r, windows, learned, points, expected, out)
 
 @step
 def _share_of_light(patch, there, place, radius, learned):
-    """Return the light of an image over that of a whole disc; what lies around its pixels tells the background."""
+    """Return an image's light over what a whole disc has in its pixels; what lies around them tells the background."""
     side, reach, many = len(patch), math.ceil(place[2]) + 1, 0
     around = np.empty(side * side)
     for i in range(side):
@@ -233,12 +246,14 @@ def _share_of_light(patch, there, place, radius, learned):
             if max(abs(x), abs(y)) <= reach and x * x + y * y > reach * reach and not math.isnan(patch[i, j]):
                 around[many] = patch[i, j]
                 many += 1
-    background, light = median_in_place(around[:many]), 0.0
+    background, light, whole = median_in_place(around[:many]), 0.0, TINY
     for i in range(side):
         for j in range(side):
             if there[i, j]:
                 light += patch[i, j] - background
-    return light / (math.exp(learned[LOG_LIGHT]) * math.pi * radius * radius)
+                inward = radius - math.hypot(j - place[0], i - place[1])
+                whole += 0.5 * math.erfc(-inward / (math.sqrt(2.0) * learned[BLUR_PX]))
+    return light / (math.exp(learned[LOG_LIGHT]) * whole)
 
 
 @step
@@ -267,8 +282,9 @@ def _told_apart(fit, count, corner, point, c, points, expected):
         return True
     x, y, sigma = _expected_at(point, c, points, expected)
     x, y = x - corner[0], y - corner[1]
-    other = (fit[OTHER_X] - x) ** 2 + (fit[OTHER_Y] - y) ** 2
-    worse += (other - (fit[0] - x) ** 2 - (fit[1] - y) ** 2) / (sigma * sigma)
+    own, other = (fit[0] - x) ** 2 + (fit[1] - y) ** 2, (fit[OTHER_X] - x) ** 2 + (fit[OTHER_Y] - y) ** 2
+    if min(own, other) < (EXPECTED_SIGMAS * sigma) ** 2:
+        worse += (other - own) / (sigma * sigma)
     if worse < -AMBIGUOUS:
         fit[0], fit[1] = fit[OTHER_X], fit[OTHER_Y]
     return abs(worse) > AMBIGUOUS
