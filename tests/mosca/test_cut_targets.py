@@ -6,7 +6,7 @@ from scipy.ndimage import gaussian_filter
 
 from mosca.camera.ray_table import make_ray_table
 from mosca.data.arrays import read_only_image
-from mosca.data.detections import Detections
+from mosca.data.detections import MERGED, UNREFINED, Detections
 from mosca.data.frames import Frame, FrameSet
 from mosca.data.rays import Predicted
 from mosca.data.rig import Camera, OpenCVLens, Pose, Rig
@@ -15,8 +15,21 @@ from mosca.detection.cut_targets.cut_pair import fit_cut_pairs
 from mosca.detection.cut_targets.disc import BLUR, CUT, MISFIT, OTHER_MISFIT, OTHER_X, RADIUS, XX, XY, YY, fit_discs
 from mosca.detection.cut_targets.mend import CutTargets, _replaced
 from mosca.detection.cut_targets.pair import PAIR_COVARIANCE, PAIR_MISFIT, fit_pairs
-from mosca.detection.cut_targets.window_fits import DIMMED, FIRST, FITTED, ONE, SECOND, STATE, TWO, cut_of
+from mosca.detection.cut_targets.window_fits import (
+    DIMMED,
+    FIRST,
+    FITTED,
+    ONE,
+    SECOND,
+    STATE,
+    TWO,
+    OfPoints,
+    OfTracks,
+    _told_apart,
+    cut_of,
+)
 from mosca.detection.cut_targets.windows import own_pixels
+from mosca.numba_support.decorators import kernel
 
 SIDE, FINE, LIGHT, READ = 15, 10, 12_000.0, 10.0
 FOCUS = 0.7
@@ -217,11 +230,43 @@ def drawn(shapes, rng):
     return np.rint(image).astype(np.uint16)
 
 
+LENS = OpenCVLens(RADIUS_PX * 2 * AWAY_M / TARGET_M, RADIUS_PX * 2 * AWAY_M / TARGET_M, WIDE / 2, HIGH / 2)
+RIG = Rig((Camera("a", WIDE, HIGH, LENS, Pose(np.eye(3), np.zeros(3))),))
+PLACES = np.array([(x, y) for y in range(20, 140, STEP) for x in range(20, 180, STEP)], dtype=float)
+
+
+def in_space(xy):
+    """Return where targets of images (n, 2) are, AWAY_M before the camera."""
+    at = (xy - [WIDE / 2, HIGH / 2]) * AWAY_M / LENS.fx_px
+    return np.column_stack([at, np.full(len(xy), AWAY_M)])
+
+
+def after_mending(image, seen, diameter, flags=None):
+    """Return the detections of one camera after their points are known; None where none was changed.
+
+    ``seen`` (n, 2) and ``diameter`` (n,), as detection gives them [px].
+    """
+    n = len(seen)
+    found = Detections(
+        "a", seen, np.tile(1e-4 * np.eye(2), (n, 1, 1)), diameter, 1000.0 + np.arange(n), np.ones(n),
+        np.zeros(n, np.uint8) if flags is None else flags,
+    )  # fmt: skip
+    rays = make_ray_table(RIG, {"a": found}, 0.03)
+    points = Points(
+        in_space(seen), np.tile(1e-8 * np.eye(3), (n, 1, 1)), np.ones(n), np.zeros(n), np.arange(n)[:, None],
+        np.full(n, TARGET_M), np.ones(n),
+    )  # fmt: skip
+    frames = FrameSet(0, 0, {"a": Frame("a", 0, 0, 1, read_only_image(image))})
+    mending, mended = CutTargets(), None
+    for _ in range(4):
+        mended = mending.mended(frames, {"a": found}, RIG, rays, points, Predicted.nothing(), TARGET_M)
+    return None if mended is None else mended["a"]
+
+
 def test_images_are_mended_by_their_points():
     """One camera, forty-five whole targets, one half hidden, two images of two each: as detection gives them."""
     rng = np.random.default_rng(2)
-    grid_xy = np.array([(x, y) for y in range(20, 140, STEP) for x in range(20, 180, STEP)], dtype=float)
-    places = grid_xy + rng.uniform(-0.5, 0.5, grid_xy.shape)
+    places = PLACES + rng.uniform(-0.5, 0.5, PLACES.shape)
     cut, ones, others = places[10], places[[20, 30]], places[[20, 30]] + [(3.2, 1.1), (-1.0, 3.0)]
     shapes = [(*xy, RADIUS_PX, 9.0) for xy in (*places, *others)]
     shapes[10] = (*cut, RADIUS_PX, 0.0)
@@ -231,23 +276,8 @@ def test_images_are_mended_by_their_points():
     seen[10] += (-4 * RADIUS_PX / (3 * np.pi), 0.0)
     seen[[20, 30]] = 0.5 * (ones + others)
     diameter[10], diameter[[20, 30]] = 2 * RADIUS_PX * np.sqrt(0.5), 2 * RADIUS_PX * np.sqrt(1.75)
-    n = len(places)
-    lens = OpenCVLens(RADIUS_PX * 2 * AWAY_M / TARGET_M, RADIUS_PX * 2 * AWAY_M / TARGET_M, WIDE / 2, HIGH / 2)
-    camera = Camera("a", WIDE, HIGH, lens, Pose(np.eye(3), np.zeros(3)))
-    rig = Rig((camera,))
-    found = Detections("a", seen, np.tile(1e-4 * np.eye(2), (n, 1, 1)), diameter, 1000.0 + np.arange(n), np.ones(n))
-    rays = make_ray_table(rig, {"a": found}, 0.03)
-    away = AWAY_M / rays.direction[:, 2:]
-    points = Points(
-        rays.direction * away, np.tile(1e-8 * np.eye(3), (n, 1, 1)), np.ones(n), np.zeros(n),
-        np.arange(n)[:, None], np.full(n, TARGET_M), np.ones(n),
-    )  # fmt: skip
-    frames = FrameSet(0, 0, {"a": Frame("a", 0, 0, 1, read_only_image(image))})
-    mending, mended = CutTargets(), None
-    for _ in range(4):
-        mended = mending.mended(frames, {"a": found}, rig, rays, points, Predicted.nothing(), TARGET_M)
-    assert mended is not None
-    new = mended["a"]
+    new, n = after_mending(image, seen, diameter), len(places)
+    assert new is not None
     assert len(new) == n + 2
     np.testing.assert_allclose(new.xy_px[10], cut, atol=0.06)
     for k, row in enumerate((20, 30)):
@@ -257,7 +287,55 @@ def test_images_are_mended_by_their_points():
         # what was added is of the image that it was part of
         assert new.peak[n + k] == new.peak[row] == 1000.0 + row
     kept = np.setdiff1d(np.arange(n), [10, 20, 30])
-    np.testing.assert_array_equal(new.xy_px[kept], found.xy_px[kept])
+    np.testing.assert_array_equal(new.xy_px[kept], seen[kept])
+
+
+def segment(edge, radius):
+    """Return the share of a disc on the near side of an edge, and the mean distance of that part from the centre."""
+    x = np.linspace(-radius, min(edge, radius), 4001)
+    high = 2 * np.sqrt(np.maximum(radius**2 - x**2, 0.0))
+    return np.trapezoid(high, x) / (np.pi * radius**2), np.trapezoid(x * high, x) / np.trapezoid(high, x)
+
+
+@pytest.mark.parametrize("flags", [0, MERGED | UNREFINED])
+def test_a_sliver_is_judged_by_its_light(flags):
+    """Beside another target, where no fit holds, too: detection's region has it two thirds as wide as a whole one."""
+    rng = np.random.default_rng(5)
+    edge = -0.85 * RADIUS_PX
+    shown, along = segment(edge, RADIUS_PX)
+    others = np.vstack([PLACES, PLACES[10] + (-7.5, 0.5)])
+    shapes = [(*xy, RADIUS_PX, 9.0) for xy in others]
+    shapes[10] = (*PLACES[10], RADIUS_PX, edge)
+    seen, diameter = others.copy(), np.full(len(others), 2 * RADIUS_PX)
+    seen[10, 0] += along
+    diameter[10] *= 2 / 3
+    every = np.zeros(len(others), np.uint8)
+    every[10] = flags
+    new = after_mending(drawn(shapes, rng), seen, diameter, every)
+    assert new is not None
+    np.testing.assert_array_equal(new.xy_px[10], seen[10])
+    assert (new.diameter_px[10] / (2 * RADIUS_PX)) ** 2 == pytest.approx(shown, abs=0.05)
+
+
+@kernel
+def side_of(fit, points, expected):
+    """Return whether a disc's side is told, and its centre along x."""
+    told = _told_apart(fit, 30, np.zeros(2, np.int64), 0, 0, points, expected)
+    return told, fit[0]
+
+
+@pytest.mark.parametrize(("expected_px", "told"), [(4.2, 4.0), (0.3, 0.0), (2.0, None), (9.0, None), (-5.0, None)])
+def test_a_track_that_expects_neither_side_does_not_tell_which(expected_px, told):
+    """Both sides fit as well, at 0 and 4 px; the track's standard deviation is 0.3 px."""
+    fit = np.zeros(FITTED + 10)
+    fit[[MISFIT, OTHER_MISFIT]] = 1e-4
+    fit[OTHER_X] = 4.0
+    points = OfPoints(np.zeros((1, 3)), np.zeros((1, 1), np.int64), np.ones((1, 1)))
+    place = np.array([[[expected_px, 0.0]]])
+    expected = OfTracks(np.zeros((1, 3)), place, np.full((1, 1), 0.3), np.ones((1, 1)), 0.02)
+    is_told, x = side_of(fit, points, expected)
+    assert is_told == (told is not None)
+    assert x == (told or 0.0)
 
 
 def test_pixels_of_a_disc_and_not_of_its_neighbour():
