@@ -33,6 +33,7 @@ from mosca.correspondence.hypothesis import (
     too_large,
     trust2_of,
     with_capacity,
+    wholeness,
 )
 from mosca.correspondence.nearest_ray import RayIndex, nearest_ray
 from mosca.correspondence.spatial_index import buckets, cells, plane_angles, within
@@ -205,10 +206,15 @@ def _expected(track, xyz, covariance, hypothesis, state, data):
 
 @inlined_step
 def _note(hypothesis, chance, state, data):
-    """Record which rays a hypothesis joins, and that one which chance does not explain explains them."""
-    members, values = hypothesis.members, hypothesis.values
+    """Record which rays a hypothesis joins, and that one which chance does not explain explains them.
+
+    Images that are less than half visible agree with much: with two others that meet by chance, once in some takes.
+    """
+    members, ranks, values, _ = hypothesis
     explained, partner = state.explained, state.partner
-    cameras = members.shape[0]
+    cameras, plain = members.shape[0], NONE
+    for c in range(cameras):
+        plain += members[c] >= 0 and wholeness(members[c], ranks[c, TRUST], data.rays) > 0.0
     for c in range(cameras):
         k = members[c]
         if k < 0:
@@ -216,7 +222,7 @@ def _note(hypothesis, chance, state, data):
         # an image of two targets may belong to another hypothesis too
         if not too_large(k, c, values, data):
             state.joined[k] = True
-            explained[k] |= chance < CERTAIN
+            explained[k] |= chance < CERTAIN and plain > 2
         for d in range(0 if explained[k] else cameras):
             if members[d] >= 0:
                 partner[k, d] = members[d]

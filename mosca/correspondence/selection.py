@@ -39,6 +39,8 @@ leaves more pairs open, smaller accepts more wrong ones."""
 PRIOR_SEEN = 5.0
 """Prior of the detection probability, as so many images detected and as many missed (Laplace smoothing)."""
 OPEN, TAKEN, GONE = 0, 1, 2
+ONE_OF_TWO, USED_UP = 1, 2
+"""What a hypothesis leaves of an image: place for another one, or none."""
 
 
 class TrackPredictions(NamedTuple):
@@ -230,7 +232,8 @@ def _best_track(values, xyz, covariance, assigned, gate, density, found, near):
 def _take(g, kept, track, used, assigned, data):
     """Take a hypothesis if its rays are unused; a pair only if a track, not yet assigned, predicts it.
 
-    An image of two targets is used a second time if a track predicts that hypothesis.
+    Images that are less than half visible agree with much: a pair and such images are a pair. An image that is too
+    large for both of two targets is used a second time if a track predicts that hypothesis.
     """
     values, members = kept.values, kept.members
     alone = track[g] < 0 or assigned[track[g]]
@@ -238,18 +241,19 @@ def _take(g, kept, track, used, assigned, data):
     for c in range(members.shape[1]):
         k = members[g, c]
         if k >= 0:
-            count += 1
-            if used[k] > 1 or (used[k] == 1 and alone):
+            count += wholeness(k, kept.trusts[g, c], data.rays) > 0.0
+            if used[k] > ONE_OF_TWO or (used[k] > 0 and alone):
                 return False
-            if used[k] == 1 and not too_large(k, c, values[g, XYZ : XYZ + 3], data):
+            if used[k] > 0 and not too_large(k, c, values[g, XYZ : XYZ + 3], data):
                 return False
-    if alone and count == 2:
+    if alone and count <= 2:
         return False
     if track[g] >= 0:
         assigned[track[g]] = True
     for c in range(members.shape[1]):
-        if members[g, c] >= 0:
-            used[members[g, c]] += 1
+        k = members[g, c]
+        if k >= 0:
+            used[k] += ONE_OF_TWO if too_large(k, c, values[g, XYZ : XYZ + 3], data) else USED_UP
     return True
 
 
