@@ -32,8 +32,8 @@ from mosca.correspondence.hypothesis import (
     store,
     too_large,
     trust2_of,
-    with_capacity,
     wholeness,
+    with_capacity,
 )
 from mosca.correspondence.nearest_ray import RayIndex, nearest_ray
 from mosca.correspondence.spatial_index import buckets, cells, plane_angles, within

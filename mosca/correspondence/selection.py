@@ -232,8 +232,7 @@ def _best_track(values, xyz, covariance, assigned, gate, density, found, near):
 def _take(g, kept, track, used, assigned, data):
     """Take a hypothesis if its rays are unused; a pair only if a track, not yet assigned, predicts it.
 
-    Images that are less than half visible agree with much: a pair and such images are a pair. An image that is too
-    large for both of two targets is used a second time if a track predicts that hypothesis.
+    An image that is too large for both of two targets is used a second time if a track predicts that hypothesis.
     """
     values, members = kept.values, kept.members
     alone = track[g] < 0 or assigned[track[g]]
@@ -241,12 +240,12 @@ def _take(g, kept, track, used, assigned, data):
     for c in range(members.shape[1]):
         k = members[g, c]
         if k >= 0:
-            count += wholeness(k, kept.trusts[g, c], data.rays) > 0.0
+            count += 1
             if used[k] > ONE_OF_TWO or (used[k] > 0 and alone):
                 return False
             if used[k] > 0 and not too_large(k, c, values[g, XYZ : XYZ + 3], data):
                 return False
-    if alone and count <= 2:
+    if alone and count == 2:
         return False
     if track[g] >= 0:
         assigned[track[g]] = True

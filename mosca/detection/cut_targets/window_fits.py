@@ -29,8 +29,8 @@ from mosca.detection.cut_targets.disc import (
     YY,
     fit_discs,
 )
-from mosca.detection.cut_targets.kinds import CUT as CUT_ONE
 from mosca.detection.cut_targets.kinds import BESIDE, GROWN, WHOLE
+from mosca.detection.cut_targets.kinds import CUT as CUT_ONE
 from mosca.detection.cut_targets.pair import PAIR_AMPLITUDE, PAIR_COVARIANCE, PAIR_MISFIT, fit_pairs
 from mosca.detection.cut_targets.windows import (
     BLUR_PX,
@@ -237,7 +237,7 @@ def _dimmed(patch, there, place, radius, share, learned, out):
 
 @step
 def _share_of_light(patch, there, place, radius, learned):
-    """Return an image's light over what a whole disc has in its pixels; what lies around them tells the background."""
+    """Return an image's light over what a whole disc has in its pixels; those around them tell the background."""
     side, reach, many = len(patch), math.ceil(place[2]) + 1, 0
     around = np.empty(side * side)
     for i in range(side):
