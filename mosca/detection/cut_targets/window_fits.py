@@ -308,7 +308,8 @@ def _grown(patch, there, place, r, windows, learned, points, expected, out):
         light[k, 0], light[k, 1] = fit[2 * k], fit[2 * k + 1]
     limit = max(MOST_MISFIT * learned[USUAL_MISFIT], LEAST_MISFIT)
     apart = math.hypot(fit[0] - fit[2], fit[1] - fit[3])
-    if _as_whole(learned, fit[PAIR_MISFIT], fit[PAIR_AMPLITUDE], limit) and apart > LEAST_APART * radius:
+    good = _as_whole(learned, fit[PAIR_MISFIT], fit[PAIR_AMPLITUDE], limit) and apart > LEAST_APART * radius
+    if good and _as_expected(fit, corner, c, FARTHEST * radius, expected):
         _write_two(fit, corner, radii, learned, out)
         return True, light, 0.0, radii
     two, away = np.full(2, -1), np.full(2, np.inf)
@@ -326,6 +327,18 @@ def _grown(patch, there, place, r, windows, learned, points, expected, out):
             light[k, a] = expected.places[c, two[k], a] - corner[a]
         radii[k] = radius * points.distances[windows.point[r], c] / expected.distances[c, two[k]]
     return False, light, 1.0, radii
+
+
+@step
+def _as_expected(fit, corner, c, reach, expected):
+    """Return whether each track that expects its image within ``reach`` of one of two centres expects it there."""
+    for j in range(len(expected.xyz)):
+        x, y, away = expected.places[c, j, 0] - corner[0], expected.places[c, j, 1] - corner[1], np.inf
+        for k in range(2):
+            away = min(away, math.hypot(fit[2 * k] - x, fit[2 * k + 1] - y))
+        if EXPECTED_SIGMAS * expected.errors[c, j] < away < reach:
+            return False
+    return True
 
 
 @step
