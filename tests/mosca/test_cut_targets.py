@@ -25,6 +25,7 @@ from mosca.detection.cut_targets.window_fits import (
     TWO,
     OfPoints,
     OfTracks,
+    _as_expected,
     _told_apart,
     cut_of,
 )
@@ -336,6 +337,24 @@ def test_a_track_that_expects_neither_side_does_not_tell_which(expected_px, told
     is_told, x = side_of(fit, points, expected)
     assert is_told == (told is not None)
     assert x == (told or 0.0)
+
+
+@kernel
+def expects(fit, expected):
+    """Return whether a track expects its image where a fit of two has one, or far from both."""
+    return _as_expected(fit, np.zeros(2, np.int64), 0, 3.0, expected)
+
+
+@pytest.mark.parametrize(
+    ("place", "sigma_px", "wanted"),
+    [((0.3, 0.0), 0.2, True), ((4.0, 0.7), 0.2, True), ((2.0, 0.0), 0.2, False), ((2.0, 0.0), 0.6, True),
+     ((7.5, 0.0), 0.2, True)],
+)  # fmt: skip
+def test_two_whole_targets_are_where_tracks_expect_them(place, sigma_px, wanted):
+    """At 0 and 4 px; what is expected beyond 3 px is of another image, to 4 standard deviations it agrees."""
+    fit = np.array([0.0, 0.0, 4.0, 0.0])
+    expected = OfTracks(np.zeros((1, 3)), np.array([[place]]), np.full((1, 1), sigma_px), np.ones((1, 1)), 0.02)
+    assert expects(fit, expected) == wanted
 
 
 def test_pixels_of_a_disc_and_not_of_its_neighbour():
