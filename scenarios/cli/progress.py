@@ -76,7 +76,11 @@ class Progress:
             self._bar.stop()
         if was_interrupted(error):
             done, total = self._moved
-            counted = f" at {done}" + ("" if total is None else f" of {total}") if done or not self._stage else ""
+            counted = (
+                f" at {done}" + ("" if total is None else f" of {total}")
+                if done or total is not None or not self._stage
+                else ""
+            )
             click.echo(f"{self._title}: stopped{counted}{self._stage}", err=True)
 
     def stage(self, name: str) -> None:
