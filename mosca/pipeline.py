@@ -189,9 +189,10 @@ def run_seen(
         timer.lap("match")
         if (width_m := field_width.learn(points)) is not None:
             tracker.scale_to(width_m)
-        tracked = tracker.update(points, frame_set.pulse, frame_set.time_ns, noise.jitter_s)
-        samples = tracked.certain(settings.track.worst_sigma_m or np.inf)
-        health.withheld += len(tracked) - len(samples)
+        samples = tracker.update(points, frame_set.pulse, frame_set.time_ns, noise.jitter_s)
+        if (worst_m := settings.track.worst_sigma_m) is not None:
+            tracked, samples = len(samples), samples.certain(worst_m)
+            health.withheld += tracked - len(samples)
         timer.lap("track")
         measured_with = rig
         if keeper is not None:

@@ -89,9 +89,9 @@ class Samples:
     def certain(self, worst_sigma_m: float) -> "Samples":
         """Return the samples whose largest standard deviation [m] is not above ``worst_sigma_m``."""
         # no standard deviation is larger than the trace's root: hardly any need their eigenvalues
-        doubtful = np.flatnonzero(np.trace(self.covariance, axis1=1, axis2=2) > worst_sigma_m**2)
-        out = np.linalg.eigvalsh(self.covariance[doubtful])[:, -1] > worst_sigma_m**2
-        return self.select(np.delete(np.arange(len(self)), doubtful[out])) if out.any() else self
+        kept = np.trace(self.covariance, axis1=1, axis2=2) <= worst_sigma_m**2
+        kept[~kept] = np.linalg.eigvalsh(self.covariance[~kept])[:, -1] <= worst_sigma_m**2
+        return self.select(kept)
 
 
 @dataclass(frozen=True, eq=False)

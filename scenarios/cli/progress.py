@@ -76,11 +76,9 @@ class Progress:
             self._bar.stop()
         if was_interrupted(error):
             done, total = self._moved
-            counted = (
-                f" at {done}" + ("" if total is None else f" of {total}")
-                if done or total is not None or not self._stage
-                else ""
-            )
+            counted = f" at {done}" + ("" if total is None else f" of {total}")
+            if self._stage and self._moved == (0, None):  # nothing is counted in this stage
+                counted = ""
             click.echo(f"{self._title}: stopped{counted}{self._stage}", err=True)
 
     def stage(self, name: str) -> None:
