@@ -1,7 +1,7 @@
 """Compile the pipeline's kernels before they are needed: ``python -m mosca.precompile``.
 
-With ``look`` only those of detection, with ``points`` only those of correspondence, triangulation and tracking, so
-that two processes can compile in parallel. With ``look_twice`` those of detection in images of 8 and of 16 bits: in
+With ``look`` only those of detection, with ``points`` only those of correspondence, triangulation and tracking, with
+``windows`` only those of cut targets, so that processes can compile in parallel. With ``look_twice`` those of detection in images of 8 and of 16 bits: in
 one process they share the functions that do not depend on the type of the pixels, which are half of it. With
 ``calibration`` those of a session with coded targets: their images and the adjustment. With ``people`` those of a
 person's pose and joints, which the pipeline does not need.
@@ -20,9 +20,10 @@ from mosca.camera.projection import project
 from mosca.camera.ray_table import make_ray_table
 from mosca.coded_targets.detect import find_coded
 from mosca.correspondence.match import MatchSettings, match
-from mosca.data.arrays import Array, read_only_image
+from mosca.data.arrays import Array, read_only, read_only_image
 from mosca.data.detections import Detections
 from mosca.data.frames import CameraInfo, Frame, FrameSet
+from mosca.data.rays import COLUMNS as RAY_COLUMNS
 from mosca.data.rig import Camera, MoscaLens, Pose, Rig
 from mosca.data.sightings import Sightings
 from mosca.data.target_codes import SECTORS, code_bits
@@ -30,7 +31,7 @@ from mosca.data.targets import CodedTarget, PlacedTarget, TestField
 from mosca.detection.cut_targets.expected import expected_images
 from mosca.detection.cut_targets.kinds import kinds_of
 from mosca.detection.cut_targets.window_fits import OfPoints, OfTracks, fit_windows
-from mosca.detection.cut_targets.windows import LEARNED, windows_of
+from mosca.detection.cut_targets.windows import LEARNED, Windows, windows_of
 from mosca.detection.detect import DetectionSettings
 from mosca.detection.disc_fit.camera_statistics import NO_STATISTICS
 from mosca.detection.scheduler import FrameSetDetector
@@ -113,16 +114,30 @@ def points() -> int:
         frame_set = FrameSet(pulse, round(pulse * 1e9 / RATE_HZ), {})
         samples += len(tracker.update(made, pulse, frame_set.time_ns))
         health.attend(rig, frame_set, found, made, bundle)
-    kinds, share, radius, distances = kinds_of(made.rays, made.xyz, bundle.rays, bundle.start, bundle.views, 0.1)
-    rays, learned = (bundle.rays, bundle.start, bundle.xy_px), np.ones((len(rig.cameras), LEARNED))
-    sizes = np.array([(c.width, c.height) for c in rig.cameras])
-    windows, side = windows_of(kinds, (made.rays, share, radius), rays, learned, sizes)
-    places, errors, away = expected_images(
-        predicted.xyz, predicted.covariance, bundle.cameras, bundle.views, np.ones(3), 0.1
-    )
-    expected, matched = OfTracks(predicted.xyz, places, errors, away, 0.1), OfPoints(made.xyz, made.rays, distances)
-    fit_windows(np.ones((len(windows.kind), side, side)), windows, learned, rays, matched, expected)
     return samples
+
+
+def windows() -> int:
+    """Fit windows of nothing, as those of points that are cut; returns how many there were.
+
+    The fits come first: meanwhile another process compiles what they share with ``points``.
+    """
+    rig = _rig()
+    many = len(rig.cameras)
+    xyz = read_only(np.zeros((0, 3)), (0, 3), "xyz")
+    rays_of = read_only(np.zeros((0, many)), (0, many), "rays", np.int64)
+    rays = np.zeros((0, RAY_COLUMNS)), np.zeros(many + 1, np.int64), np.zeros((0, 2))
+    number, pair, of_points = np.zeros(0, np.int64), np.zeros((0, 2), np.int64), np.zeros((0, many))
+    learned = np.ones((many, LEARNED))
+    none = Windows(number, number, number, pair, pair, np.zeros((0, 2)), np.zeros(0))
+    expected = OfTracks(np.zeros((0, 3)), np.zeros((many, 0, 2)), np.zeros((many, 0)), np.zeros((many, 0)), 0.1)
+    fits = fit_windows(np.ones((0, 3, 3)), none, learned, rays, OfPoints(xyz, rays_of, of_points), expected)
+    sizes = np.array([(c.width, c.height) for c in rig.cameras])
+    windows_of(np.zeros((0, many), np.uint8), (rays_of, of_points, of_points), rays, learned, sizes)
+    table = make_ray_table(rig, {c.name: Detections.none(c.name) for c in rig.cameras}, 0.05, "auto")
+    kinds_of(rays_of, xyz, table.rays, table.start, table.views, 0.1)
+    expected_images(np.zeros((0, 3)), np.zeros((0, 3, 3)), table.cameras, table.views, np.ones(3), 0.1)
+    return len(fits)
 
 
 def calibration() -> int:
@@ -188,5 +203,5 @@ def _coded(target: CodedTarget, pixel_m: float) -> Array:
 if __name__ == "__main__":
     if hasattr(os, "nice"):
         os.nice(5)  # who waits for this has more to compile itself
-    parts = {f.__name__: f for f in (look, look_twice, points, calibration, people)}
+    parts = {f.__name__: f for f in (look, look_twice, points, windows, calibration, people)}
     parts.get("".join(sys.argv[1:]), warm_up)()

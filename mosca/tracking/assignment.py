@@ -8,14 +8,14 @@ Python in the middle of a frame set would wait for the GIL. Tests compare the tw
 
 import numpy as np
 
-from mosca.numba_support.decorators import kernel, step
+from mosca.numba_support.decorators import step
 from mosca.numba_support.union_find import root_of, unite
 
 FORBIDDEN = 1e12
 """Cost of a pair that is not allowed."""
 
 
-@kernel
+@step
 def best_pairs(left, right, score, n_left, n_right):
     """Return for each right (n_right,) its left, or -1: one to one, with the greatest sum of ``score`` > 0.
 

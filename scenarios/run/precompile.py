@@ -2,61 +2,57 @@
 
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from itertools import islice
 from pathlib import Path
 
-from mosca.data.frames import FrameSource
 from scenarios.build.cameras import true_rig, twin_source, virtual_cameras
 from scenarios.build.scene import build_scene
 from scenarios.spec.scenario import load_scenario
 
-PIPELINE = (("mosca.precompile", "points"), ("mosca.precompile", "look"))
-"""What a run compiles beside itself; meanwhile it compiles the twin and the calibration, as long a piece of work."""
+PIPELINE = tuple(("mosca.precompile", part) for part in ("points", "windows", "look"))
+"""What a run compiles beside itself; meanwhile it compiles the twin and the calibration, a third of the work."""
 TWIN = (("scenarios.run.precompile",),)
-TESTS = (("mosca.precompile", "look_twice"), ("mosca.precompile", "points"), ("mosca.precompile", "calibration"))
+TESTS = tuple(("mosca.precompile", part) for part in ("look_twice", "points", "windows", "calibration"))
 RICH = Path(__file__).parents[1] / "library" / "light" / "actor_in_context.toml"
 """A scenario that uses most functions of the twin."""
 
 
-def compile_side_by_side(source: FrameSource) -> None:
-    """Where no compiled kernels are kept yet, compile the pipeline's in processes of their own beside the twin's.
-
-    numba compiles one function at a time in a process. Without a folder to keep them in, nothing is done here:
-    each kernel is then compiled when it is first called.
-    """
-    with compiling(PIPELINE):
-        for _frame in source:
-            break
-
-
 def compile_beforehand() -> None:
     """Compile what processes that start afterwards would each compile for themselves, where none is kept yet."""
-    with compiling(TESTS + TWIN):
-        pass
+    with compiling(TESTS + TWIN) as compiled:
+        compiled()
 
 
 @contextmanager
-def compiling(programs: Sequence[tuple[str, ...]]) -> Iterator[None]:
-    """Run programs that compile, where no kernels are kept yet, while the block runs; leave it when they are done."""
+def compiling(programs: Sequence[tuple[str, ...]]) -> Iterator[Callable[[], None]]:
+    """Run programs that compile, where no kernels are kept yet; the value of the block is a function that waits for
+    them. Those that still run when the block is left are ended.
+
+    Numba compiles one function at a time in a process.
+    """
     from mosca.correspondence.match import match_rays
+    from mosca.detection.cut_targets.window_fits import fit_windows
     from mosca.detection.frame_set_kernel import detect_frame_set
     from mosca.numba_support.cache import is_compiled
     from twin.cameras.render.target import render_chosen
 
-    if all(map(is_compiled, (detect_frame_set, match_rays, render_chosen))):
-        yield
+    if all(map(is_compiled, (detect_frame_set, match_rays, fit_windows, render_chosen))):
+        yield lambda: None
         return
     quiet = subprocess.DEVNULL
     beside = [
         subprocess.Popen([sys.executable, "-m", *words], stdin=quiet, stdout=quiet, stderr=quiet)
         for words in programs
     ]
-    try:
-        yield
+
+    def wait() -> None:
         for process in beside:
             process.wait()
+
+    try:
+        yield wait
     finally:
         for process in beside:
             process.terminate()

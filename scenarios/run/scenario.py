@@ -48,7 +48,7 @@ from scenarios.run.kept_calibrations import kept
 from scenarios.run.people import Person, show_person
 from scenarios.run.pipeline import collected_of, recorded, rerun_log
 from scenarios.run.postprocess import with_gaps_filled
-from scenarios.run.precompile import PIPELINE, compile_side_by_side, compiling
+from scenarios.run.precompile import PIPELINE, compiling
 from scenarios.run.record import evidence_of, position_limit_mm, record_of
 from scenarios.run.survey import Survey, surveyed
 from scenarios.run.survey import check_source as check_survey_source
@@ -127,11 +127,12 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
     given_truth = _given_truth(options)
     timings = StageTimes(options.stage)
     with ExitStack() as stack, timed(timings, "total"):
+        pipeline_compiled = stack.enter_context(compiling(PIPELINE))
         with timed(timings, "build"):
             built = _built(spec, folder, options)
         own: SessionCalibration | None = None
         if spec.session is not None:
-            with timed(timings, "calibration"), compiling(PIPELINE):
+            with timed(timings, "calibration"):
                 own, reported = _own_calibration(spec, name, built, options)
             if spec.expect == "caught":
                 return _refused(spec, name, options, built.known, timings, reported, own)
@@ -140,11 +141,13 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
         survey = surveyed(spec, built.riding, own, options.workers, timings)
         opened = _opened(spec, built, options, survey)
         stack.enter_context(opened.source)
+        with timed(timings, "compile"):
+            # the twin's kernels meanwhile
+            for _frame in opened.twin or ():
+                break
+            pipeline_compiled()
         if spec.clinic is not None:
             return _diagnosed(spec, name, options, built, opened, believed, own, timings, stack)
-        if opened.twin is not None:
-            with timed(timings, "compile"):
-                compile_side_by_side(opened.twin)
         with timed(timings, "frames_to_tracks"):
             shown = rerun_log(options.rrd, believed, spec, stack)
             collected, continuous = _tracked(opened, believed, spec, options, stack, shown, built)

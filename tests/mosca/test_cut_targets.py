@@ -11,10 +11,12 @@ from mosca.data.frames import Frame, FrameSet
 from mosca.data.rays import Predicted
 from mosca.data.rig import Camera, OpenCVLens, Pose, Rig
 from mosca.data.tracks import Points
-from mosca.detection.cut_targets.cut_pair import fit_cut_pairs
-from mosca.detection.cut_targets.disc import BLUR, CUT, MISFIT, OTHER_MISFIT, OTHER_X, RADIUS, XX, XY, YY, fit_discs
+from mosca.detection.cut_targets import cut_pair as of_cut_pairs
+from mosca.detection.cut_targets import disc as of_discs
+from mosca.detection.cut_targets import pair as of_pairs
+from mosca.detection.cut_targets.disc import BLUR, CUT, MISFIT, OTHER_MISFIT, OTHER_X, RADIUS, XX, XY, YY
 from mosca.detection.cut_targets.mend import CutTargets, _replaced
-from mosca.detection.cut_targets.pair import PAIR_COVARIANCE, PAIR_MISFIT, fit_pairs
+from mosca.detection.cut_targets.pair import PAIR_COVARIANCE, PAIR_MISFIT
 from mosca.detection.cut_targets.window_fits import (
     DIMMED,
     FIRST,
@@ -36,6 +38,10 @@ SIDE, FINE, LIGHT, READ = 15, 10, 12_000.0, 10.0
 FOCUS = 0.7
 SEEN_BLUR = np.hypot(FOCUS, 12**-0.5)
 """Blur of the lens, and with a pixel's width."""
+fit_discs, fit_pairs, fit_cut_pairs = (
+    kernel(fit.py_func) for fit in (of_discs.fit_discs, of_pairs.fit_pairs, of_cut_pairs.fit_cut_pairs)
+)
+"""Callable from here; the pipeline compiles them into one kernel."""
 
 
 def grid():

@@ -11,11 +11,14 @@ from scipy.spatial.transform import Rotation
 from track_points import STEP_NS, follow, points
 
 from mosca.data.tracks import table
-from mosca.tracking.assignment import best_pairs
+from mosca.numba_support.decorators import kernel
+from mosca.tracking import assignment
 from mosca.tracking.motion_models import motion
 from mosca.tracking.nearest_neighbour import NearestTracker
 from mosca.tracking.tracker import Tracker, TrackSettings
 
+best_pairs = kernel(assignment.best_pairs.py_func)
+"""Callable from here; the tracker compiles it into its kernel."""
 LIMB = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.15, 0], [0.02, 0.03, 0.12]])
 
 

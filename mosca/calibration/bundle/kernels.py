@@ -14,7 +14,7 @@ import numpy as np
 from mosca.calibration.bundle.lenses import FAST, IMAGED, image
 from mosca.calibration.bundle.tables import Loss, ParameterValues, SortedObservations
 from mosca.data.arrays import Array
-from mosca.numba_support.decorators import kernel
+from mosca.numba_support.decorators import kernel, step
 
 UNSEEN = 1e3
 """Residual, in standard deviations, of an image point that the trial camera cannot see: no perfect fit, no pull."""
@@ -37,7 +37,7 @@ def weigh(u: float, loss: Loss) -> tuple[float, float]:
     return u, 1.0
 
 
-@kernel(fastmath=FAST)
+@step(fastmath=FAST)
 def observe(state: ParameterValues, see: SortedObservations, m: int, out: Array) -> bool:
     """Project the point of observation ``m``; return whether it is imaged.
 

@@ -187,7 +187,7 @@ def _test(
         tests[m, 5] = factor * (e0 * e0 * v11 - 2 * e0 * e1 * v01 + e1 * e1 * v00) / determinant
 
 
-@kernel(fastmath=FAST)
+@step(fastmath=FAST)
 def by_unknowns(out: Array, columns: LensColumns, camera: int, j: Array) -> None:
     """Write the pixel's derivative by the unknowns of its camera's group (2, K): pose, then free lens parameters."""
     count, first, second, factor = columns

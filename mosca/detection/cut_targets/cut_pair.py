@@ -35,7 +35,7 @@ from mosca.detection.cut_targets.disc import (
 )
 from mosca.detection.cut_targets.pair import PAIR_AMPLITUDE, PAIR_COVARIANCE, PAIR_MISFIT, PAIR_RESULT, TOUCHING_PX
 from mosca.detection.disc_fit.disc_image import f32
-from mosca.numba_support.decorators import bare_step, kernel, step
+from mosca.numba_support.decorators import bare_step, step
 
 X1, Y1, X2, Y2, EDGE, TURN, RADIUS_1, RADIUS_2 = range(8)
 """Elements of a pair: centres [px], first of the whole disc; the second one's cut and its direction; radii [px]."""
@@ -219,7 +219,7 @@ def _write(pixels, pair, way, usual, disc, work, out):
         out[m + 2] = variance * right[at + 1, at + 1]
 
 
-@kernel
+@step
 def fit_cut_pairs(patches, there, given, usual):
     """Fit a whole and a cut disc to ``patches`` (n, h, w); return (n, WAYS, PAIR_RESULT), inf where there is no fit.
 

@@ -16,7 +16,7 @@ import math
 import numpy as np
 
 from mosca.detection.disc_fit.disc_image import FAST, f32
-from mosca.numba_support.decorators import bare_step, inlined_step, kernel, step
+from mosca.numba_support.decorators import bare_step, inlined_step, step
 
 PANEL = 8
 _X, _W = np.polynomial.legendre.leggauss(PANEL)
@@ -285,7 +285,7 @@ def _write(pixels, disc, whole, error, usual, work, out):
     out[BY_RADIUS_X], out[BY_RADIUS_Y] = right[0, 2], right[1, 2]
 
 
-@kernel
+@step
 def fit_discs(patches, there, discs, whole, usual):
     """Fit discs to ``patches`` (n, h, w) of values [DN]; return (n, RESULT), MISFIT inf where there is no fit.
 

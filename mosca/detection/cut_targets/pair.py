@@ -30,7 +30,7 @@ from mosca.detection.cut_targets.disc import (
     solve,
 )
 from mosca.detection.disc_fit.disc_image import f32
-from mosca.numba_support.decorators import bare_step, kernel
+from mosca.numba_support.decorators import bare_step, step
 
 TOUCHING_PX = 1e-6
 """Least distance of two centres of which a direction is taken."""
@@ -119,7 +119,7 @@ def _settle_pair(pixels, pair, disc, work):
     return least
 
 
-@kernel
+@step
 def fit_pairs(patches, there, discs, usual):
     """Fit two discs of one size to ``patches`` (n, h, w); return (n, PAIR_RESULT), inf where there is no fit.
 
