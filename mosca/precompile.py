@@ -1,10 +1,10 @@
 """Compile the pipeline's kernels before they are needed: ``python -m mosca.precompile``.
 
 With ``look`` only those of detection, with ``points`` only those of correspondence, triangulation and tracking, with
-``windows`` only those of cut targets, so that processes can compile in parallel. With ``look_twice`` those of detection in images of 8 and of 16 bits: in
-one process they share the functions that do not depend on the type of the pixels, which are half of it. With
-``calibration`` those of a session with coded targets: their images and the adjustment. With ``people`` those of a
-person's pose and joints, which the pipeline does not need.
+``windows`` only those of cut targets, so that processes can compile in parallel. With ``look_twice`` those of
+detection in images of 8 and of 16 bits: in one process they share the functions that do not depend on the type of the
+pixels, which are half of it. With ``calibration`` those of a session with coded targets: their images and the
+adjustment. With ``people`` those of a person's pose and joints, which the pipeline does not need.
 """
 
 import os
