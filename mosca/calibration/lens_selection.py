@@ -10,7 +10,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import t as t_distribution
 
 from mosca.calibration.bundle.solver import (
     BundleSettings,
@@ -30,6 +29,7 @@ from mosca.camera.projection import fit_lens, image_grid, lens_directions, proje
 from mosca.data.arrays import Array
 from mosca.data.calibration import Calibration
 from mosca.data.rig import LENS_MODELS, Camera, Lens, principal_distances_px
+from mosca.distributions import t as t_distribution
 from mosca.errors import CalibrationError
 
 FOLDS = 3

@@ -4,8 +4,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.stats import binom
-from scipy.stats import t as student
 
 from mosca.camera.ray_table import make_ray_table
 from mosca.clinic.causes import Diagnosis, merged
@@ -17,6 +15,8 @@ from mosca.data.frames import CameraInfo, FrameSet
 from mosca.data.rays import Predicted
 from mosca.data.rig import Rig
 from mosca.data.settings import MatchSettings
+from mosca.distributions import binom
+from mosca.distributions import t as student
 
 MARKERS = 0.5
 """Share of a camera's detections in points from which they are taken for markers."""

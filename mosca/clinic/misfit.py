@@ -10,7 +10,6 @@ covariance with neighbouring frames' residuals dependent (``long_run_covariance`
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
 
 from mosca.camera.projection import project_with_jacobians
 from mosca.clinic.observations import PointImages
@@ -18,6 +17,7 @@ from mosca.data.arrays import Array
 from mosca.data.rig import Rig
 from mosca.data.settings import MatchSettings, TrackSettings
 from mosca.diagnostics.long_run_covariance import long_run_covariance
+from mosca.distributions import chi2
 
 MOST = 3000
 """Points that are used, evenly over the take."""

@@ -13,7 +13,6 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import norm
 
 from mosca.data.arrays import Array
 from mosca.data.settings import DetectionSettings
@@ -22,6 +21,7 @@ from mosca.detection.disc_fit.light_offset import AMPLITUDE_SUMS, NOISE_SUMS, St
 from mosca.detection.local_background import ROUNDING_DN2, LocalBackground, cell_grid, measure_background
 from mosca.detection.search import SEARCH_SIGMAS
 from mosca.detection.settings import search_of
+from mosca.distributions import norm
 
 TOLD_APART = 2.0
 """Standard deviations that a gain must have."""

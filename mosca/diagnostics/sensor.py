@@ -23,8 +23,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import norm, poisson
-from scipy.stats import t as student
 
 from mosca.data.arrays import Array
 from mosca.data.detections import Detections
@@ -43,6 +41,8 @@ from mosca.detection.local_background import ROUNDING_DN2, STRIDE_PX, LocalBackg
 from mosca.detection.pixel_noise import peak_sigmas
 from mosca.detection.search import LEFT_OUT_REASONS
 from mosca.detection.settings import DEFAULTS, DetectionSettings
+from mosca.distributions import norm, poisson
+from mosca.distributions import t as student
 
 LEAST_NOISE_DN = 0.5
 """Noise from which the variance of rounded grey values is its own plus 1/12 to 3 %, wherever between two grey values

@@ -4,7 +4,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import convolve1d
-from scipy.signal import butter, sosfiltfilt
 
 from mosca.data.arrays import Array
 from mosca.editing.operation import EditError
@@ -27,6 +26,8 @@ class LowPass:
 
     def filtered(self, values: Array) -> Array:
         """Return ``values`` (n, k) of n frames in a row, filtered; they go on point-mirrored at both ends."""
+        from scipy.signal import sosfiltfilt  # takes a second to import
+
         result: Array = sosfiltfilt(self.sections, values, axis=0, padlen=min(len(values) - 1, self.memory))
         return result
 
@@ -56,6 +57,8 @@ def low_pass(cutoff_hz: float, rate_hz: float) -> LowPass:
 
     EditError where the cut-off is half of the frame rate or more, or too low for the filter's memory.
     """
+    from scipy.signal import butter  # takes a second to import
+
     memory = int(np.ceil(MEMORY * rate_hz / cutoff_hz))
     lowest = MEMORY * rate_hz / (_MOST_BLOCK // 6)
     if not cutoff_hz < 0.5 * rate_hz or 6 * memory > _MOST_BLOCK:

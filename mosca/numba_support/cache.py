@@ -9,7 +9,6 @@ files of this project that the kernel's file imports, directly or not. Where the
 import functools
 import hashlib
 import re
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -61,24 +60,27 @@ def sources(path: Path, root: Path = ROOT) -> list[Path]:
     """Return a source file and the files below ``root`` that it imports, directly or not, in order of their names."""
     found, wanted = {path}, [path]
     while wanted:
-        for module in _read(wanted.pop())[1]:
-            stem = root.joinpath(*module.split("."))
-            for file in (stem.with_suffix(".py"), stem / "__init__.py"):
-                if file not in found and _is_file(file):
-                    found.add(file)
-                    wanted.append(file)
+        for file in _imported(wanted.pop(), root):
+            if file not in found:
+                found.add(file)
+                wanted.append(file)
     return sorted(found)
 
 
 @functools.cache
+def _imported(path: Path, root: Path) -> tuple[Path, ...]:
+    """Return the files below ``root`` that a file itself imports."""
+    stems = [root.joinpath(*module.split(".")) for module in _read(path)[1]]
+    files = [file for stem in stems for file in (stem.with_suffix(".py"), stem / "__init__.py")]
+    return tuple(file for file in dict.fromkeys(files) if file.is_file())
+
+
+@functools.cache
 def _read(path: Path) -> tuple[bytes, tuple[str, ...]]:
-    """Return a file's text and the names of what it imports; of ``from a import b`` both ``a`` and ``a.b``."""
+    """Return a file's digest and the names of what it imports; of ``from a import b`` both ``a`` and ``a.b``."""
     text = path.read_bytes()
     names = []
     for package, members, module in IMPORT.findall(text):
         names.append((package or module).decode())
         names += [f"{package.decode()}.{m.split()[0]}" for m in members.decode().strip("()").split(",") if m.split()]
-    return text, tuple(names)
-
-
-_is_file: Callable[[Path], bool] = functools.cache(Path.is_file)
+    return hashlib.sha256(text).digest(), tuple(names)

@@ -54,7 +54,6 @@ import zlib
 from collections.abc import Mapping
 from typing import Literal, get_args
 
-import blosc2
 import numpy as np
 
 from mosca.data.detections import Detections
@@ -76,7 +75,7 @@ _HEADER = struct.Struct("<BBBBIIqqqqI")
 _SUM = struct.Struct("<I")
 _DETECTIONS = struct.Struct("<BBHIqqqqq")
 _NUMBERS = (12, 9, 8)  # of this version and of older ones
-_CODECS = {"lz4": (blosc2.Codec.LZ4, 5), "zstd": (blosc2.Codec.ZSTD, 1)}
+_CODECS = {"lz4": ("LZ4", 5), "zstd": ("ZSTD", 1)}
 
 
 class DamagedMessage(ValueError):
@@ -158,10 +157,12 @@ def unpack_frame(camera: str, message: bytes) -> Frame:
 
 
 def _packed(image: np.ndarray, codec: Codec) -> bytes:
+    import blosc2  # takes half a second to import
+
     kind, level = _CODECS[codec]
     packed: bytes = blosc2.compress2(
         np.ascontiguousarray(image),
-        codec=kind,
+        codec=blosc2.Codec[kind],
         clevel=level,
         filters=[blosc2.Filter.BITSHUFFLE],
         typesize=image.dtype.itemsize,
@@ -172,6 +173,8 @@ def _packed(image: np.ndarray, codec: Codec) -> bytes:
 
 def _unpacked(payload: bytes, height: int, width: int, pixel: int) -> np.ndarray | None:
     """Return the image (height, width), or None where the payload does not hold one."""
+    import blosc2  # as above
+
     if pixel not in (1, 2) or height * width * pixel > MOST_IMAGE_BYTES:
         return None
     try:

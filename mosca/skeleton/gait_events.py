@@ -10,7 +10,6 @@ OpenSim's test data, contact at 20 N) strikes came 13 to 20 ms early, by ankles 
 from collections.abc import Mapping
 
 import numpy as np
-from scipy.signal import find_peaks
 
 from mosca.data.arrays import Array
 from mosca.data.joint_motion import JointMotion
@@ -63,6 +62,8 @@ def heel_strikes(
 
 def _maxima(time_ns: Array, ahead: Array, least: float) -> Array:
     """Return when ``ahead`` (n,) [m] is largest, for maxima at least so far above the valleys beside them."""
+    from scipy.signal import find_peaks  # takes a second to import
+
     peaks, found = find_peaks(ahead, prominence=max(least, 1e-9))
     times = []
     for peak, height in zip(peaks.tolist(), found["prominences"].tolist(), strict=True):

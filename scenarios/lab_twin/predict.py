@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from scipy.stats import t as student
 
+from mosca.distributions import t as student
 from mosca.errors import InputError
 from reports.record import RunRecord
 from scenarios.lab_twin.apply import drawn, put_cameras

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
-from scipy.stats import chi2
 
 from mosca.camera.projection import project
 from mosca.data.arrays import Array
 from mosca.data.rig import Camera, Pose, Rig
 from mosca.data.truth import NO_FRAME, Truth
+from mosca.distributions import chi2
 from scenarios.score.premises import between
 from twin.cameras.exposure.mount import Mount
 from twin.cameras.virtual_camera import VirtualCamera

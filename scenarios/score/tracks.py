@@ -12,11 +12,11 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist, pdist
-from scipy.stats import chi2
 
 from mosca.data.arrays import Array
 from mosca.data.tracks import Tracks
 from mosca.data.truth import Truth
+from mosca.distributions import chi2
 from scenarios.types import Score, TruthPairs
 
 SEEN_SHARE, SEEN_CAMERAS = 0.5, 2

@@ -6,7 +6,6 @@ from typing import Any
 
 import mujoco
 import numpy as np
-import trimesh
 
 from mosca.data.arrays import Array
 from mosca.data.rotations import quaternion_from_rotation, rotation_from_vector
@@ -108,6 +107,8 @@ def _along(start: Placement, end: Placement, share: float) -> Placement:
 
 def _mesh(model: mujoco.MjModel, g: int) -> Any:
     """Return the trimesh of a geom in its own frame; None for what is not drawn."""
+    import trimesh  # takes a third of a second to import
+
     kind, size = mujoco.mjtGeom, np.array(model.geom_size[g])
     shape = int(model.geom_type[g])
     if shape == kind.mjGEOM_PLANE:

@@ -9,7 +9,6 @@ plate drive all of them with the same spectrum, independently.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import lfilter
 
 from mosca.data.arrays import Array, read_only, set_read_only
 
@@ -102,6 +101,8 @@ def random_response(
     w = 2 * np.pi * modes.frequency_hz
     density = rms_m**2 / np.sum(1 / (8 * modes.damping * w**3))
     run_in_s = _RUN_IN / float(np.min(modes.damping * w))
+    from scipy.signal import lfilter  # takes a second to import
+
     step_s = 1 / (FORCE_STEPS * band_hz[1])
     begin = int(np.ceil(run_in_s / step_s))
     steps = begin + int(np.ceil((span_s[1] - span_s[0]) / step_s)) + 1

@@ -17,7 +17,6 @@ from typing import Literal
 import mujoco
 import numpy as np
 from scipy.interpolate import CubicSpline
-from scipy.signal import cont2discrete, lfilter
 
 from mosca.data.arrays import Array
 from mosca.data.motion.motion import multiply_quaternions, quaternions_from_euler
@@ -208,6 +207,8 @@ def _ringing(
 
 def response(acceleration: Array, natural_hz: float, damping: float = _DAMPING, rate_hz: float = _GRID_HZ) -> Array:
     """Return the displacement (n, k) of masses on damped springs whose mounts accelerate (n, k), from rest."""
+    from scipy.signal import cont2discrete, lfilter  # takes a second to import
+
     w = 2 * np.pi * natural_hz
     forward, back, _ = cont2discrete(([-1.0], [1.0, 2 * damping * w, w * w]), 1 / rate_hz, method="foh")
     return np.asarray(lfilter(forward.ravel(), back, acceleration, axis=0))

@@ -6,11 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 import mujoco
 import numpy as np
-import trimesh
 from pydantic import BeforeValidator, Field
 
 from mosca.data.arrays import Array
@@ -20,6 +19,9 @@ from mosca.data.files.toml import Table, check, read_toml
 from mosca.errors import InputError
 from twin.scenes.scene import MARKER_GROUP, UNSEEN_GROUP
 from twin.scenes.world import add_ball_marker, add_flat_target, add_marker
+
+if TYPE_CHECKING:
+    from trimesh import Trimesh
 
 _TIE_M = 1e-6
 _SPHERE_SUBDIVISIONS = 5  # faces 0.02 of the radius long: the resolution of a marker's position on round shapes
@@ -134,15 +136,17 @@ def _rows(path: Path) -> list[dict[str, Any]]:
 class Surfaces:
     """Visible surfaces of a compiled model's bodies: triangle meshes in each body's axes."""
 
-    meshes: dict[str, trimesh.Trimesh]
+    meshes: dict[str, "Trimesh"]
 
     def nearest(self, body: str, point: Array) -> tuple[Array, Array]:
         """Return the surface point (3,) of ``body`` nearest to ``point`` (3,) and its outward normal (3,).
 
         On an edge or a corner the normal is the mean of the faces that meet there.
         """
+        from trimesh.triangles import closest_point  # takes a third of a second to import
+
         mesh = self.meshes[body]
-        near = trimesh.triangles.closest_point(mesh.triangles, np.broadcast_to(point, (len(mesh.faces), 3)))
+        near = closest_point(mesh.triangles, np.broadcast_to(point, (len(mesh.faces), 3)))
         distance = np.linalg.norm(near - point, axis=1)
         best = int(np.argmin(distance))
         meeting = np.linalg.norm(near - near[best], axis=1) < _TIE_M
@@ -154,7 +158,9 @@ class Surfaces:
 
 def surfaces_of(model: mujoco.MjModel) -> Surfaces:
     """Return the seen surfaces of all bodies of ``model`` (planes, height fields and markers left out)."""
-    meshes: dict[str, trimesh.Trimesh] = {}
+    import trimesh  # takes a third of a second to import
+
+    meshes: dict[str, Trimesh] = {}
     for body in range(model.nbody):
         parts = [
             part
@@ -182,8 +188,10 @@ def seat_markers(spec: mujoco.MjSpec, surfaces: Surfaces, markers: Sequence[OwnM
         add(spec.body(marker.body), marker.name, surface, normal, marker.diameter)
 
 
-def _geom_mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh | None:
+def _geom_mesh(model: mujoco.MjModel, geom: int) -> "Trimesh | None":
     """Return the geom as a triangle mesh in its body's axes; None for what has no closed surface here."""
+    import trimesh  # takes a third of a second to import
+
     kinds = mujoco.mjtGeom
     kind, size = kinds(int(model.geom_type[geom])), model.geom_size[geom]
     if kind == kinds.mjGEOM_MESH:

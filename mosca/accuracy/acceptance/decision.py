@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
-from scipy.stats import norm
+from mosca.distributions import norm
 
 Decision = Literal["conforming", "not conforming", "undecided"]
 COVERAGE = 2.0

@@ -10,10 +10,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import binom
 
 from mosca.accuracy.lab_twin.estimates import ParameterEstimate, Told
 from mosca.data.arrays import Array
+from mosca.distributions import binom
 
 BY_CHANCE = 1e-3
 """Chance at which losses one by one follow each other so often that they are taken for bursts."""

@@ -17,11 +17,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import uniform_filter
 from scipy.optimize import minimize
-from scipy.stats import norm
 
 from mosca.accuracy.lab_twin.estimates import SPREAD, NotTold, ParameterEstimate, Told, root, weighted_mean
 from mosca.accuracy.lab_twin.pixel_statistics import PixelStatistics
 from mosca.data.arrays import Array
+from mosca.distributions import norm
 
 TILES = 6
 """Parts of an image each way whose scatter gives the standard deviations."""

@@ -8,11 +8,11 @@ rejected at once; the adjustment is repeated until none is improbable, then thos
 from collections.abc import Callable
 
 import numpy as np
-from scipy.stats import f as f_distribution
 
 from mosca.calibration.bundle.layout import NormalsLayout
 from mosca.calibration.bundle.levenberg_marquardt import Solution
 from mosca.data.arrays import Array
+from mosca.distributions import f as f_distribution
 
 LEAST_REDUNDANCY = 3
 ROUNDS, PASSES = 40, 4

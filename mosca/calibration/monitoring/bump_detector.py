@@ -17,7 +17,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
 
 from mosca.calibration.monitoring.large_shift import LargeShiftDetector
 from mosca.calibration.monitoring.rotation_information import FrameSums, frame_sums
@@ -25,6 +24,7 @@ from mosca.data.arrays import Array
 from mosca.data.detections import Detections
 from mosca.data.rig import Rig
 from mosca.data.tracks import Points
+from mosca.distributions import chi2
 
 
 @dataclass(frozen=True)

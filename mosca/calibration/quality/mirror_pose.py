@@ -7,7 +7,6 @@ Under weak perspective a plane and its reflection in the plane across the line o
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import f as f_distribution
 
 from mosca.calibration.quality.findings import note, refuse, warn
 from mosca.calibration.quality.limits import QualityLimits
@@ -15,6 +14,7 @@ from mosca.calibration.single_camera.least_squares import ROUGHLY_CONVERGED, fit
 from mosca.data.arrays import Array
 from mosca.data.calibration import Calibration, Finding
 from mosca.data.rig import Camera, Pose
+from mosca.distributions import f as f_distribution
 
 FEWEST_POINTS = 4
 MOST_FRAMES = 60

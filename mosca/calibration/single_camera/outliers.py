@@ -8,7 +8,6 @@ repeated, and at the end the points that fit are readmitted.
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.stats import f as f_distribution
 
 from mosca.calibration.common.robust_fit import SIGMA_BY_MEDIAN_2D
 from mosca.calibration.single_camera.least_squares import (
@@ -20,6 +19,7 @@ from mosca.calibration.single_camera.least_squares import (
 )
 from mosca.data.arrays import Array
 from mosca.data.rig import Camera
+from mosca.distributions import f as f_distribution
 
 # Tukey's biweight: 95 % efficient for normal residuals
 TUKEY = 4.685

@@ -12,12 +12,12 @@ from collections.abc import Iterable, Sequence
 from dataclasses import fields
 
 import numpy as np
-from scipy.stats import f as f_distribution
 
 from mosca.calibration.single_camera.least_squares import ROUGHLY_CONVERGED, CameraFit, fit_camera, linearised
 from mosca.calibration.single_camera.outliers import LEAST_REDUNDANCY, ROUNDING_PX
 from mosca.data.arrays import Array
 from mosca.data.rig import LENS_MODELS, Camera
+from mosca.distributions import f as f_distribution
 
 Group = tuple[str, ...]
 

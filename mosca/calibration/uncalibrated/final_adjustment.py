@@ -5,7 +5,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2
 
 from mosca.calibration.bundle.solver import FOCAL, BundleSettings
 from mosca.calibration.uncalibrated.hidden_by_wand import without_hidden
@@ -14,6 +13,7 @@ from mosca.calibration.uncalibrated.partial_adjustment import CLEAR_SIGMAS, Netw
 from mosca.camera.projection import fit_lens, lens_directions
 from mosca.data.arrays import Array
 from mosca.data.rig import Camera, Lens, MoscaLens, OpenCVLens
+from mosca.distributions import chi2
 from mosca.errors import CalibrationError
 
 Free = tuple[str, ...]

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from scipy.stats import chi2, rankdata
 
 from mosca.camera.projection import lens_directions
 from mosca.continuous.association.frame_detections import CameraDetections
@@ -184,6 +183,8 @@ def log_chances(votes: Array, count: Array) -> Array:
     among the shifts, which assumes nothing of the scores' distribution, and what the parts say is combined (Fisher
     1932): the right shift is among the best in every part, chance lasts for one or two.
     """
+    from scipy.stats import chi2, rankdata  # takes a second to import
+
     ran = count >= np.maximum(0.5 * count.max(axis=1, keepdims=True), 1)
     total = np.zeros(votes.shape[1])
     for own, vote, of in zip(ran, votes, count, strict=True):

@@ -6,7 +6,6 @@ The mean of x over an interval follows from its ends: ((x(T) - x(0)) / T - mean 
 """
 
 import numpy as np
-from scipy.signal import lfilter
 
 from mosca.data.arrays import Array
 from mosca.machines.identification.held_inputs import InputsOnGrid, IntervalGrid
@@ -44,6 +43,8 @@ def logs_of(poles: Array) -> Array:
 
 def states(poles: Array, inputs: InputsOnGrid, grid: IntervalGrid) -> Array:
     """Return the states (n + 1, l, k) of the modes of ``poles`` (l,) for each input, from 0 at the first instant."""
+    from scipy.signal import lfilter  # takes a second to import
+
     result = np.zeros((grid.n + 1, len(poles), inputs.at_start.shape[1]), dtype=complex)
     for j, pole in enumerate(poles):
         driven = inputs.at_start * (np.expm1(pole * grid.period_s) / pole)

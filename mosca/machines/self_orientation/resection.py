@@ -11,7 +11,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.linalg import block_diag
-from scipy.stats import chi2
 
 from mosca.calibration.initial.target_pose import poses_of
 from mosca.calibration.quality.jacobian import sensitivity
@@ -23,6 +22,7 @@ from mosca.data.calibration import Calibration
 from mosca.data.rig import Camera, Pose, Rig
 from mosca.data.rotations import quaternion_from_rotation, rotation_from_vector
 from mosca.data.targets import CodedTarget, TestField
+from mosca.distributions import chi2
 from mosca.errors import InputError
 from mosca.machines.self_orientation.camera_path import CameraPath, SharedErrors
 from mosca.machines.self_orientation.shutter import TargetImages, at_central_row

@@ -7,8 +7,6 @@ squares over all shapes, gives frequency and damping by maximum likelihood.
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.signal import butter, sosfiltfilt
-from scipy.stats import kurtosis
 
 from mosca.data.arrays import Array
 from mosca.errors import InputError
@@ -159,6 +157,9 @@ def _modal_density(frequency_hz: Array, modes: tuple[Mode, ...], n: int, rate_hz
 
 def _kurtosis(values: Array, frequency_hz: float, rate_hz: float) -> float:
     """Return the kurtosis of values (t,) within 5 % of a frequency."""
+    from scipy.signal import butter, sosfiltfilt  # takes a second to import
+    from scipy.stats import kurtosis
+
     high = min(1.05 * frequency_hz, 0.499 * rate_hz)
     sections = butter(2, (0.95 * frequency_hz, high), "bandpass", fs=rate_hz, output="sos")
     return float(kurtosis(sosfiltfilt(sections, values), fisher=False))

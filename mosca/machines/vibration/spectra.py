@@ -4,10 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.interpolate import CubicSpline
-from scipy.signal import get_window
-from scipy.stats import chi2
 
 from mosca.data.arrays import Array, set_read_only
+from mosca.distributions import chi2
 
 _PASSES = 4
 """Times that patterns are found anew from what they filled."""
@@ -50,6 +49,8 @@ class Spectra:
 
 def spectra(values: Array, rate_hz: float, segment: int) -> Spectra:
     """Return spectra of values (t, c) without gaps, over Hann-windowed ``segment``s that overlap by half."""
+    from scipy.signal import get_window  # takes a second to import
+
     window = get_window("hann", segment)
     starts = range(0, len(values) - segment + 1, max(segment // 2, 1))
     total = np.zeros((segment // 2 + 1, values.shape[1], values.shape[1]), dtype=np.complex128)

@@ -1,9 +1,9 @@
 """Intervals of a budget's figures over seeds and over blocks of the take."""
 
 import numpy as np
-from scipy.stats import t
 
 from mosca.data.arrays import Array
+from mosca.distributions import t
 from scenarios.studies.budget.evaluate import Squares
 
 BLOCKS = 10
