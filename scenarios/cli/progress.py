@@ -85,6 +85,9 @@ class Progress:
         """Say what is being done from now on; what is counted begins anew."""
         self._stage = f", {name}"
         self._moved, self._first = (0, None), None
+        if self._bar is not None:
+            self._bar.reset(self._task)
+            self._bar.tasks[0].total = None  # None in a call leaves it as it is
 
     def _move(self, done: int, total: int | None) -> None:
         self._moved = done, total

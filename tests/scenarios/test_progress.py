@@ -65,30 +65,37 @@ def test_what_is_compiled_is_told_once(monkeypatch, is_first):
         assert "compiling" not in shown.line(time.monotonic())
 
 
-def test_lines_come_without_a_terminal_and_end_with_the_work(monkeypatch, capsys):
-    monkeypatch.setattr(progress, "EVERY_S", 0.01)
+@pytest.fixture
+def told(monkeypatch):
+    """Lines of progress, as they come."""
+    lines: list[str] = []
+    monkeypatch.setattr(progress.click, "echo", lambda line, err: lines.append(line))
+    monkeypatch.setattr(progress, "EVERY_S", 0.001)
+    return lines
+
+
+def until(reached):
+    while not reached():
+        time.sleep(0.001)
+
+
+def test_lines_come_without_a_terminal_and_end_with_the_work(told):
     with Progress("suite") as moved:
         moved(1, 3)
-        written = ""
-        while "suite" not in written:
-            time.sleep(0.02)  # what is printed between reading and emptying is lost
-            written += capsys.readouterr().err
-    assert written.startswith("suite: ")
-    capsys.readouterr()
+        until(lambda: told)
+    assert told[0].startswith("suite: ")
+    count = len(told)
     time.sleep(0.05)
-    assert capsys.readouterr().err == ""
+    assert len(told) == count
 
 
-def test_what_is_done_is_said_once(monkeypatch, capsys):
+def test_what_is_done_is_said_once(told):
     """What is served goes on after its frames were rendered; lines about these do not."""
-    monkeypatch.setattr(progress, "EVERY_S", 0.001)
     with Progress("frames") as moved:
         moved(3, 3)
-        written = ""
-        while "3 of 3 (100 %)" not in written:
-            written += capsys.readouterr().err
+        until(lambda: told)
         time.sleep(0.1)
-        assert "3 of 3" not in capsys.readouterr().err + written.partition("3 of 3")[2]
+    assert sum("3 of 3 (100 %)" in line for line in told) == 1
 
 
 def test_the_teller_ends_where_the_work_fails(monkeypatch):
@@ -98,19 +105,24 @@ def test_the_teller_ends_where_the_work_fails(monkeypatch):
     assert not shown._teller.is_alive()
 
 
-def test_what_a_stage_counts_ends_with_it(monkeypatch, capsys):
-    monkeypatch.setattr(progress, "EVERY_S", 0.01)
-    shown = Progress("uav")
-    with shown as moved:
+def test_what_a_stage_counts_ends_with_it(told):
+    with Progress("uav") as moved:
+        shown = moved.__self__
         shown.stage("frames to tracks")
         moved(100, 100)
         shown.stage("error budget")
         assert re.fullmatch(r"uav: \d+ s, error budget", shown.line(time.monotonic()))
-        capsys.readouterr()
-        written = ""
-        while written.count("error budget") < 2:  # it goes on being told
-            time.sleep(0.02)
-            written += capsys.readouterr().err
+        until(lambda: sum("error budget" in line for line in told) > 1)  # it goes on being told
+
+
+def test_a_bar_on_a_terminal_counts_anew_with_each_stage(monkeypatch, capsys):
+    monkeypatch.setattr(progress.sys.stderr, "isatty", lambda: True, raising=False)
+    with Progress("uav") as moved:
+        shown = moved.__self__
+        moved(100, 100)
+        shown.stage("error budget")
+        [task] = shown._bar.tasks
+        assert (task.completed, task.total) == (0, None)
 
 
 def test_ctrl_c_between_what_is_counted_names_the_stage(capsys):
