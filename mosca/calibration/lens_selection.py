@@ -28,8 +28,8 @@ from mosca.calibration.uncalibrated.final_adjustment import lens_parameters
 from mosca.camera.projection import fit_lens, image_grid, lens_directions, project
 from mosca.data.arrays import Array
 from mosca.data.calibration import Calibration
+from mosca.data.distributions import t as t_distribution
 from mosca.data.rig import LENS_MODELS, Camera, Lens, principal_distances_px
-from mosca.distributions import t as t_distribution
 from mosca.errors import CalibrationError
 
 FOLDS = 3

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 from mosca.clinic.causes import Diagnosis, merged
 from mosca.data.calibration import Finding
+from mosca.data.distributions import norm
 from mosca.diagnostics.camera_health import CameraHealth, HealthSettings
-from mosca.distributions import norm
 
 CAUSE_OF = {
     "mirrored-pose": "mirrored-pose", "little-depth": "weak-calibration", "few-views": "weak-calibration",

@@ -11,12 +11,12 @@ from mosca.clinic.observations import PointImages
 from mosca.correspondence.match import EVERYWHERE, match
 from mosca.data.arrays import Array
 from mosca.data.detections import MERGED, Detections, Seen
+from mosca.data.distributions import binom
+from mosca.data.distributions import t as student
 from mosca.data.frames import CameraInfo, FrameSet
 from mosca.data.rays import Predicted
 from mosca.data.rig import Rig
 from mosca.data.settings import MatchSettings
-from mosca.distributions import binom
-from mosca.distributions import t as student
 
 MARKERS = 0.5
 """Share of a camera's detections in points from which they are taken for markers."""

@@ -14,10 +14,10 @@ import numpy as np
 from mosca.camera.projection import project_with_jacobians
 from mosca.clinic.observations import PointImages
 from mosca.data.arrays import Array
+from mosca.data.distributions import chi2
 from mosca.data.rig import Rig
 from mosca.data.settings import MatchSettings, TrackSettings
 from mosca.diagnostics.long_run_covariance import long_run_covariance
-from mosca.distributions import chi2
 
 MOST = 3000
 """Points that are used, evenly over the take."""

@@ -8,11 +8,11 @@ import numpy as np
 from mosca.clinic.causes import Diagnosis, merged
 from mosca.clinic.misfit import Residuals
 from mosca.data.arrays import Array
+from mosca.data.distributions import f as f_distribution
 from mosca.data.frames import Frame, FrameSource, WrappedSource, mid_exposure_ns
 from mosca.data.rig import Rig
 from mosca.data.tracks import Tracks
 from mosca.diagnostics.camera_health import HealthSettings
-from mosca.distributions import f as f_distribution
 
 CERTAIN_S = HealthSettings().late_s
 """Scatter of stamps below which they are taken for those of exposures."""

@@ -7,9 +7,9 @@ import numpy as np
 from mosca.clinic.causes import Diagnosis
 from mosca.clinic.observations import PointImages
 from mosca.data.arrays import Array
+from mosca.data.distributions import chi2, norm
 from mosca.data.tracks import Tracks
 from mosca.diagnostics.long_run_covariance import long_run_covariance
-from mosca.distributions import chi2, norm
 
 NEAR = 0.35
 """Share by which a measured length may differ from the stated one and still be taken for it."""

@@ -22,8 +22,8 @@ from mosca.coded_targets.decode import Readings
 from mosca.coded_targets.dots import AXX, AXY, AYY, CONTRAST_DN, PLATE_DN, TargetAppearance, X, Y
 from mosca.coded_targets.pixel_noise import GreyValueNoise
 from mosca.data.arrays import Array, looked_at
+from mosca.data.distributions import chi2
 from mosca.detection.local_background import ROUNDING_DN2
-from mosca.distributions import chi2
 from mosca.numba_support.copying import copy_row, copy_rows
 from mosca.numba_support.decorators import kernel, step
 

@@ -15,13 +15,13 @@ from typing import NamedTuple
 import numpy as np
 
 from mosca.data.arrays import Array
+from mosca.data.distributions import norm
 from mosca.data.settings import DetectionSettings
 from mosca.detection.disc_fit.camera_statistics import CameraStatistics
 from mosca.detection.disc_fit.light_offset import AMPLITUDE_SUMS, NOISE_SUMS, StatisticsSums
 from mosca.detection.local_background import ROUNDING_DN2, LocalBackground, cell_grid, measure_background
 from mosca.detection.search import SEARCH_SIGMAS
 from mosca.detection.settings import search_of
-from mosca.distributions import norm
 
 TOLD_APART = 2.0
 """Standard deviations that a gain must have."""

@@ -26,6 +26,8 @@ import numpy as np
 
 from mosca.data.arrays import Array
 from mosca.data.detections import Detections
+from mosca.data.distributions import norm, poisson
+from mosca.data.distributions import t as student
 from mosca.data.frames import CameraInfo, FrameSet
 from mosca.detection.disc_fit.camera_statistics import CameraStatistics
 from mosca.detection.disc_fit.light_offset import (
@@ -41,8 +43,6 @@ from mosca.detection.local_background import ROUNDING_DN2, STRIDE_PX, LocalBackg
 from mosca.detection.pixel_noise import peak_sigmas
 from mosca.detection.search import LEFT_OUT_REASONS
 from mosca.detection.settings import DEFAULTS, DetectionSettings
-from mosca.distributions import norm, poisson
-from mosca.distributions import t as student
 
 LEAST_NOISE_DN = 0.5
 """Noise from which the variance of rounded grey values is its own plus 1/12 to 3 %, wherever between two grey values

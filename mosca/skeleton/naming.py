@@ -7,8 +7,8 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import linear_sum_assignment
 
 from mosca.data.arrays import Array
+from mosca.data.distributions import chi2
 from mosca.data.tracks import Samples, Tracks, table
-from mosca.distributions import chi2
 from mosca.labelling.assign import marker_of_tracks
 from mosca.labelling.marker_model import BEYOND, MarkerModel, learn_model
 from mosca.skeleton.fit import FittedSubject

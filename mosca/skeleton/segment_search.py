@@ -9,8 +9,8 @@ from itertools import combinations
 import numpy as np
 
 from mosca.data.arrays import Array
+from mosca.data.distributions import chi2
 from mosca.data.rotations import aligning_rotation
-from mosca.distributions import chi2
 
 FITS = 0.999
 """Probability that a segment's own markers pass."""

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mosca.distributions import t as student
+from mosca.data.distributions import t as student
 from mosca.errors import InputError
 from reports.record import RunRecord
 from scenarios.lab_twin.apply import drawn, put_cameras

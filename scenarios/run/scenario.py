@@ -126,8 +126,7 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
     LOG.info("%s: frames of %s", name, options.source)
     given_truth = _given_truth(options)
     timings = StageTimes(options.stage)
-    with ExitStack() as stack, timed(timings, "total"):
-        pipeline_compiled = stack.enter_context(compiling(PIPELINE))
+    with ExitStack() as stack, timed(timings, "total"), compiling(PIPELINE) as pipeline_compiled:
         with timed(timings, "build"):
             built = _built(spec, folder, options)
         own: SessionCalibration | None = None
@@ -142,9 +141,7 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
         opened = _opened(spec, built, options, survey)
         stack.enter_context(opened.source)
         with timed(timings, "compile"):
-            # the twin's kernels meanwhile
-            for _frame in opened.twin or ():
-                break
+            next(iter(opened.twin or ()), None)  # the twin's kernels meanwhile
             pipeline_compiled()
         if spec.clinic is not None:
             return _diagnosed(spec, name, options, built, opened, believed, own, timings, stack)

@@ -13,9 +13,9 @@ from scipy.spatial.transform import Rotation
 
 from mosca.camera.projection import project
 from mosca.data.arrays import Array
+from mosca.data.distributions import chi2
 from mosca.data.rig import Camera, Pose, Rig
 from mosca.data.truth import NO_FRAME, Truth
-from mosca.distributions import chi2
 from scenarios.score.premises import between
 from twin.cameras.exposure.mount import Mount
 from twin.cameras.virtual_camera import VirtualCamera

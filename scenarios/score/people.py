@@ -15,10 +15,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from mosca.data.arrays import Array
+from mosca.data.distributions import chi2
 from mosca.data.joint_motion import JointMotion
 from mosca.data.tracks import Tracks
 from mosca.data.truth import Truth
-from mosca.distributions import chi2
 from mosca.errors import InputError
 from scenarios.score.tracks import block_of, in_time, nearest, pair, ratio_of_sums
 from scenarios.types import Score

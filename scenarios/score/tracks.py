@@ -14,9 +14,9 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist, pdist
 
 from mosca.data.arrays import Array
+from mosca.data.distributions import chi2
 from mosca.data.tracks import Tracks
 from mosca.data.truth import Truth
-from mosca.distributions import chi2
 from scenarios.types import Score, TruthPairs
 
 SEEN_SHARE, SEEN_CAMERAS = 0.5, 2

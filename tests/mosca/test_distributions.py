@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from mosca import distributions
+from mosca.data import distributions
 
 P = np.array([1e-12, 1e-6, 1e-3, 0.025, 0.5, 0.975, 1 - 1e-6])
 X = np.array([-1.0, 0.0, 1e-3, 0.5, 3.0, 20.0, 200.0, 2000.0])

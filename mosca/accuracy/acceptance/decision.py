@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
-from mosca.distributions import norm
+from mosca.data.distributions import norm
 
 Decision = Literal["conforming", "not conforming", "undecided"]
 COVERAGE = 2.0

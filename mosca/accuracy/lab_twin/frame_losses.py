@@ -13,7 +13,7 @@ import numpy as np
 
 from mosca.accuracy.lab_twin.estimates import ParameterEstimate, Told
 from mosca.data.arrays import Array
-from mosca.distributions import binom
+from mosca.data.distributions import binom
 
 BY_CHANCE = 1e-3
 """Chance at which losses one by one follow each other so often that they are taken for bursts."""

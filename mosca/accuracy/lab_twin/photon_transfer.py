@@ -21,7 +21,7 @@ from scipy.optimize import minimize
 from mosca.accuracy.lab_twin.estimates import SPREAD, NotTold, ParameterEstimate, Told, root, weighted_mean
 from mosca.accuracy.lab_twin.pixel_statistics import PixelStatistics
 from mosca.data.arrays import Array
-from mosca.distributions import norm
+from mosca.data.distributions import norm
 
 TILES = 6
 """Parts of an image each way whose scatter gives the standard deviations."""

@@ -12,7 +12,7 @@ import numpy as np
 from mosca.calibration.bundle.layout import NormalsLayout
 from mosca.calibration.bundle.levenberg_marquardt import Solution
 from mosca.data.arrays import Array
-from mosca.distributions import f as f_distribution
+from mosca.data.distributions import f as f_distribution
 
 LEAST_REDUNDANCY = 3
 ROUNDS, PASSES = 40, 4

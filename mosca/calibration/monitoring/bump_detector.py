@@ -22,9 +22,9 @@ from mosca.calibration.monitoring.large_shift import LargeShiftDetector
 from mosca.calibration.monitoring.rotation_information import FrameSums, frame_sums
 from mosca.data.arrays import Array
 from mosca.data.detections import Detections
+from mosca.data.distributions import chi2
 from mosca.data.rig import Rig
 from mosca.data.tracks import Points
-from mosca.distributions import chi2
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,8 @@ from mosca.calibration.quality.limits import QualityLimits
 from mosca.calibration.single_camera.least_squares import ROUGHLY_CONVERGED, fit_camera
 from mosca.data.arrays import Array
 from mosca.data.calibration import Calibration, Finding
+from mosca.data.distributions import f as f_distribution
 from mosca.data.rig import Camera, Pose
-from mosca.distributions import f as f_distribution
 
 FEWEST_POINTS = 4
 MOST_FRAMES = 60

@@ -7,7 +7,7 @@ from mosca.calibration.quality.jacobian import own_lens_parameters
 from mosca.calibration.quality.limits import QualityLimits
 from mosca.data.arrays import Array
 from mosca.data.calibration import Calibration, Finding
-from mosca.distributions import f as f_distribution
+from mosca.data.distributions import f as f_distribution
 
 LEAST_WITHIN = 40
 """Degrees of freedom inside cells from which the scatter of a residual is known well enough."""

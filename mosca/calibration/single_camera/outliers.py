@@ -18,8 +18,8 @@ from mosca.calibration.single_camera.least_squares import (
     residuals_of,
 )
 from mosca.data.arrays import Array
+from mosca.data.distributions import f as f_distribution
 from mosca.data.rig import Camera
-from mosca.distributions import f as f_distribution
 
 # Tukey's biweight: 95 % efficient for normal residuals
 TUKEY = 4.685

@@ -16,8 +16,8 @@ import numpy as np
 from mosca.calibration.single_camera.least_squares import ROUGHLY_CONVERGED, CameraFit, fit_camera, linearised
 from mosca.calibration.single_camera.outliers import LEAST_REDUNDANCY, ROUNDING_PX
 from mosca.data.arrays import Array
+from mosca.data.distributions import f as f_distribution
 from mosca.data.rig import LENS_MODELS, Camera
-from mosca.distributions import f as f_distribution
 
 Group = tuple[str, ...]
 

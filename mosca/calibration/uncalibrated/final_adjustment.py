@@ -12,8 +12,8 @@ from mosca.calibration.uncalibrated.image_points import PointViews
 from mosca.calibration.uncalibrated.partial_adjustment import CLEAR_SIGMAS, Network, cleaned, imaged, network
 from mosca.camera.projection import fit_lens, lens_directions
 from mosca.data.arrays import Array
+from mosca.data.distributions import chi2
 from mosca.data.rig import Camera, Lens, MoscaLens, OpenCVLens
-from mosca.distributions import chi2
 from mosca.errors import CalibrationError
 
 Free = tuple[str, ...]

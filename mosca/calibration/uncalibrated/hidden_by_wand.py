@@ -18,7 +18,7 @@ from mosca.calibration.uncalibrated.image_points import PointViews
 from mosca.calibration.uncalibrated.partial_adjustment import Network
 from mosca.camera.projection import project_with_jacobians
 from mosca.data.arrays import Array
-from mosca.distributions import chi2
+from mosca.data.distributions import chi2
 
 KNOTS = 5
 """Knots of the shift above a cosine of 0, and classes of variances there."""

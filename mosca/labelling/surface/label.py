@@ -15,9 +15,9 @@ from pydantic import Field, PositiveInt
 from pydantic.dataclasses import dataclass as checked_dataclass
 
 from mosca.data.arrays import Array
+from mosca.data.distributions import chi2
 from mosca.data.files.toml import SETTINGS, Positive
 from mosca.data.tracks import Tracks
-from mosca.distributions import chi2
 from mosca.labelling.automatic.label import AutomaticLabels
 from mosca.labelling.automatic.tracklets import TrackletSet, tracklets_of
 from mosca.labelling.surface.fit import SurfaceFit, SurfaceFitter, SurfacePose

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mosca.data.arrays import Array
-from mosca.distributions import t as student
+from mosca.data.distributions import t as student
 from mosca.errors import InputError
 from mosca.machines.identification.arx import arx_poles, continuous
 from mosca.machines.identification.held_inputs import HeldInputs, IntervalGrid

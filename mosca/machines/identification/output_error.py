@@ -20,7 +20,7 @@ from scipy.linalg import qr
 from scipy.optimize import least_squares
 
 from mosca.data.arrays import Array, set_read_only
-from mosca.distributions import t as student
+from mosca.data.distributions import t as student
 from mosca.machines.identification.held_inputs import HeldInputs, IntervalGrid, on_grid
 from mosca.machines.identification.modes import columns, gains, interval_means, poles_of, states
 

@@ -19,10 +19,10 @@ from mosca.camera.projection import lens_directions, project_with_jacobians
 from mosca.data.arrays import Array
 from mosca.data.bodies import BodyPoses
 from mosca.data.calibration import Calibration
+from mosca.data.distributions import chi2
 from mosca.data.rig import Camera, Pose, Rig
 from mosca.data.rotations import quaternion_from_rotation, rotation_from_vector
 from mosca.data.targets import CodedTarget, TestField
-from mosca.distributions import chi2
 from mosca.errors import InputError
 from mosca.machines.self_orientation.camera_path import CameraPath, SharedErrors
 from mosca.machines.self_orientation.shutter import TargetImages, at_central_row

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from mosca.data.arrays import Array, set_read_only
-from mosca.distributions import chi2
+from mosca.data.distributions import chi2
 
 _PASSES = 4
 """Times that patterns are found anew from what they filled."""

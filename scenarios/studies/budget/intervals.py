@@ -3,7 +3,7 @@
 import numpy as np
 
 from mosca.data.arrays import Array
-from mosca.distributions import t
+from mosca.data.distributions import t
 from scenarios.studies.budget.evaluate import Squares
 
 BLOCKS = 10
