@@ -1,5 +1,6 @@
 """How far the work is: a bar on a terminal, a line every few seconds elsewhere; nothing with -q."""
 
+import os
 import sys
 import threading
 import time
@@ -16,8 +17,11 @@ LATER = 0.05
 """Share of the time so far from one line to the next, where that is more: hours of work do not fill a log."""
 SOME = 10
 """Functions that are compiled in any run: small ones, which are not kept."""
-FIRST_RUN = 370
+FIRST_RUN = 345
 """Functions that ``mosca run actor`` compiles after an installation; other work more or fewer."""
+BESIDE = 1.45 if (os.cpu_count() or 1) < 4 else 1.0
+"""Time until all is compiled over that of these functions: with few cores the processes beside are done later (185 s
+and 128 s on two)."""
 
 
 def is_first_run() -> bool:
@@ -132,6 +136,6 @@ class Progress:
         if self._is_first is None:
             self._is_first = is_first_run()
         if self._is_first and count < FIRST_RUN:
-            seconds = (time.monotonic() - self._begun_s) * (FIRST_RUN - count) / count
+            seconds = (time.monotonic() - self._begun_s) * (BESIDE * FIRST_RUN / count - 1.0)
             left = f" of about {FIRST_RUN}, some {seconds:.0f} s left"
         return f", compiling (once after an installation): {count} functions{left}"
