@@ -27,8 +27,8 @@ def compile_beforehand() -> None:
 
 @contextmanager
 def compiling(programs: Sequence[tuple[str, ...]]) -> Iterator[Callable[[], None]]:
-    """Run programs that compile, where no kernels are kept yet; the value of the block is a function that waits for
-    them. Those that still run when the block is left are ended.
+    """Run programs that compile, where their kernels are not kept yet; the value of the block is a function that
+    waits for them. Those that still run when the block is left are ended.
 
     Numba compiles one function at a time in a process.
     """
@@ -36,9 +36,13 @@ def compiling(programs: Sequence[tuple[str, ...]]) -> Iterator[Callable[[], None
     from mosca.detection.cut_targets.window_fits import fit_windows
     from mosca.detection.frame_set_kernel import detect_frame_set
     from mosca.numba_support.cache import is_compiled
-    from twin.cameras.render.target import render_chosen
 
-    if all(map(is_compiled, (detect_frame_set, match_rays, fit_windows, render_chosen))):
+    kernels = [detect_frame_set, match_rays, fit_windows]
+    if set(TWIN) <= set(programs):
+        from twin.cameras.render.target import render_chosen
+
+        kernels.append(render_chosen)
+    if all(map(is_compiled, kernels)):
         yield lambda: None
         return
     quiet = subprocess.DEVNULL

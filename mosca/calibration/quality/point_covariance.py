@@ -18,41 +18,40 @@ def calibration_covariance(calibration: Calibration, xyz: Array, seen: Array) ->
     ``seen`` (n, c): which cameras measured each point (``points.rays >= 0``),
     all equally well. NaN where fewer than two cameras saw a point.
     """
-    shift, columns = _shift(calibration, xyz, seen)
-    covariance = calibration.covariance[np.ix_(columns, columns)]
+    good, shift, columns = _shift(calibration, xyz, seen)
     # one large product in the place of one for each point
-    moved = (shift.reshape(-1, len(columns)) @ covariance).reshape(shift.shape)
-    return np.asarray(moved @ np.swapaxes(shift, 1, 2))
+    moved = shift.reshape(-1, len(columns)) @ calibration.covariance[np.ix_(columns, columns)]
+    covariance = np.full((len(good), 3, 3), np.nan)
+    covariance[good] = moved.reshape(shift.shape) @ np.swapaxes(shift, 1, 2)
+    return covariance
 
 
 def calibration_shift(calibration: Calibration, xyz: Array, seen: Array) -> Array:
     """Return how far (n, 3, u) the true points lie from measured ones for each unit that a parameter is told too
     large; arguments as of ``calibration_covariance``, NaN likewise.
     """
-    shift, columns = _shift(calibration, xyz, seen)
-    every = np.zeros((*shift.shape[:2], len(calibration.parameters)))
-    every[np.isnan(shift).any(axis=(1, 2))] = np.nan
-    every[:, :, columns] = shift
+    good, shift, columns = _shift(calibration, xyz, seen)
+    every = np.full((len(good), 3, len(calibration.parameters)), np.nan)
+    every[good] = 0.0 * shift.sum(axis=(1, 2), keepdims=True)  # NaN where a lens images nothing
+    every[np.ix_(good, np.arange(3), columns)] = shift
     return every
 
 
-def _shift(calibration: Calibration, xyz: Array, seen: Array) -> tuple[Array, Array]:
-    """Return the shift (n, 3, k) by the cameras' parameters alone, and which k of all parameters these are: those of
-    the target's points and poses, most of a session's, move no point that the cameras measure.
+def _shift(calibration: Calibration, xyz: Array, seen: Array) -> tuple[Array, Array, Array]:
+    """Return which points (n,) two cameras or more see, their shift (m, 3, k) by the cameras' parameters alone, and
+    which k of all parameters these are: those of the target's points and poses, most of a session's, move no point
+    that the cameras measure.
     """
     xyz, seen = np.asarray(xyz, dtype=float).reshape(-1, 3), np.asarray(seen, dtype=bool)
-    total = np.zeros((len(xyz), 3, 3))
-    rows = [np.flatnonzero(one) for one in seen.T]
+    good = seen.sum(axis=1) >= 2
+    xyz, rows = xyz[good], [np.flatnonzero(one) for one in seen[good].T]
     derivatives = [
         sensitivity(calibration.rig, c, calibration.parameters, xyz[chosen]) for c, chosen in enumerate(rows)
     ]
     columns = np.unique(np.concatenate([one.columns for one in derivatives]))
-    pull = np.zeros((len(xyz), 3, len(columns)))
+    total, pull = np.zeros((len(xyz), 3, 3)), np.zeros((len(xyz), 3, len(columns)))
     for chosen, one in zip(rows, derivatives, strict=True):
         weighted = np.swapaxes(one.by_point, 1, 2)
         total[chosen] += weighted @ one.by_point
         pull[np.ix_(chosen, np.arange(3), np.searchsorted(columns, one.columns))] += weighted @ one.by_parameter
-    good = seen.sum(axis=1) >= 2
-    shift = np.full(pull.shape, np.nan)
-    shift[good] = np.linalg.solve(total[good], pull[good])
-    return shift, columns
+    return good, np.linalg.solve(total, pull), columns
