@@ -122,13 +122,15 @@ def calibrate_session(
 
 
 def with_residuals(calibration: Calibration) -> Rig:
-    """Return the rig whose cameras state the residual error of their lens models.
+    """Return the rig whose cameras state the residual error of their lens models, and how far they shake.
 
     Where a target was stationary: the systematic error. Else the scatter beyond the detections' own:
     ``sigma_px`` of an image coordinate holds detection noise besides; what shakes whole images is kept apart of it.
     """
     sightings, cameras = calibration.sightings, []
-    for k, camera in enumerate(calibration.rig.cameras):
+    shake_px = float(np.nan_to_num(calibration.body_px))
+    for k, stated in enumerate(calibration.rig.cameras):
+        camera = replace(stated, shake_px=shake_px)
         if len(calibration.lasting_px) and np.isfinite(calibration.lasting_px[k]):
             cameras.append(replace(camera, residual_px=float(calibration.lasting_px[k])))
             continue

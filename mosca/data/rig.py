@@ -138,7 +138,8 @@ class Camera:
     """A calibrated camera: size in px, interior orientation (lens) and exterior orientation (pose).
 
     ``residual_px``: what the lens model leaves of the images, rms an axis [px], as the calibration found; systematic,
-    so that it does not average over time. 0 where it is not known.
+    so that it does not average over time. ``shake_px``: shift of whole images, drawn anew in each exposure, rms an
+    axis [px]; all targets of an image have it in common. Either is 0 where it is not known.
     """
 
     name: str
@@ -147,6 +148,7 @@ class Camera:
     lens: Lens
     world_from_camera: Pose
     residual_px: float = 0.0
+    shake_px: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)

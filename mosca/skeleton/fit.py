@@ -192,7 +192,8 @@ class SkeletonAdjustment:
         share = np.clip(share, LEAST_REDUNDANCY, 1.0)
         square = np.nansum(residuals**2, axis=(0, 2)) / count / 3 / share
         # Residuals of one marker are few once their correlation is counted: all markers' steady the estimate.
-        own = 3 * share * count / _correlation_length(residuals)
+        together = _correlation_length(residuals)
+        own = 3 * share * count / together
         square = (own * square + POOLED * np.median(square)) / (own + POOLED)
         measured = np.trace(self.frames.covariance, axis1=2, axis2=3).mean(axis=0) / 3
         # Noise alone varies by this much: less is no sign of movement.
@@ -201,7 +202,7 @@ class SkeletonAdjustment:
         changed = np.abs(np.log((new**2 + measured) / (self.skin**2 + measured))).max() > 0.1
         self.skin = new
         moving = float(np.mean(new**2 / (new**2 + measured + LEAST_SIGMA_M**2)))
-        self.correlated = 1 + moving * max(len(self.q) / POSTURES - 1, 0.0)
+        self.correlated = together + moving * max(len(self.q) / POSTURES - together, 0.0)
         return bool(changed)
 
     def subject(self, size: float) -> FittedSubject:

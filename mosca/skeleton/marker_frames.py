@@ -1,12 +1,14 @@
 """Labelled markers frame by frame, as the skeleton's fit and tracking read them."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from mosca.data.arrays import Array, set_read_only
+from mosca.data.rig import Rig
 from mosca.data.tracks import Tracks
+from mosca.triangulation.shake import shake_covariance, without
 
 
 @dataclass(frozen=True, eq=False)
@@ -14,7 +16,8 @@ class MarkerFrames:
     """Measured places of m labelled markers in n frames.
 
     ``frame``, ``time_ns`` (n,); ``xyz`` (n, m, 3) world [m], NaN where not measured; ``covariance`` (n, m, 3, 3) of
-    the measurement [m^2], 0 where not known.
+    the measurement [m^2], 0 where not known. Where the cameras' shake is told apart, that is of the errors that each
+    marker has for itself, and ``shared`` (n, 3, 3) [m^2] of a shift of all markers of a frame; else 0.
     """
 
     labels: tuple[str, ...]
@@ -22,11 +25,14 @@ class MarkerFrames:
     time_ns: Array
     xyz: Array
     covariance: Array
+    shared: Array = field(default_factory=lambda: np.zeros((0, 3, 3)))
 
     def __post_init__(self) -> None:
         n, m = len(np.asarray(self.frame)), len(self.labels)
         set_read_only(self, np.int64, frame=(n,), time_ns=(n,))
-        set_read_only(self, xyz=(n, m, 3), covariance=(n, m, 3, 3))
+        if not len(self.shared):
+            object.__setattr__(self, "shared", np.zeros((n, 3, 3)))
+        set_read_only(self, xyz=(n, m, 3), covariance=(n, m, 3, 3), shared=(n, 3, 3))
 
     def __len__(self) -> int:
         return len(self.frame)
@@ -38,7 +44,14 @@ class MarkerFrames:
 
     def select(self, rows: Array) -> "MarkerFrames":
         """Return the frames that a boolean mask or an index array names."""
-        return MarkerFrames(self.labels, self.frame[rows], self.time_ns[rows], self.xyz[rows], self.covariance[rows])
+        columns = (self.frame, self.time_ns, self.xyz, self.covariance, self.shared)
+        return MarkerFrames(self.labels, *(column[rows] for column in columns))
+
+    def of(self, labels: Sequence[str]) -> "MarkerFrames":
+        """Return some of the markers, in the order of ``labels``."""
+        columns = [self.labels.index(label) for label in labels]
+        of_markers = self.xyz[:, columns], self.covariance[:, columns]
+        return MarkerFrames(tuple(labels), self.frame, self.time_ns, *of_markers, self.shared)
 
 
 def short_label(label: str) -> str:
@@ -51,17 +64,56 @@ def labels_of(tracks: Tracks) -> tuple[str, ...]:
     return tuple(sorted({short_label(label) for label in np.unique(tracks.label).tolist() if label}))
 
 
-def marker_frames(tracks: Tracks, labels: Sequence[str]) -> MarkerFrames:
-    """Return the measured samples of ``labels`` in all frames of ``tracks``; of two with one label, the surer one."""
+def marker_frames(tracks: Tracks, labels: Sequence[str], rig: Rig | None = None) -> MarkerFrames:
+    """Return the measured samples of ``labels`` in all frames of ``tracks``; of two with one label, the surer one.
+
+    ``rig``: of the cameras that measured them, whose shake is told apart; None where it is not known.
+    """
     frame, first, row = np.unique(tracks.frame, return_index=True, return_inverse=True)
     xyz = np.full((len(frame), len(labels), 3), np.nan)
     covariance = np.zeros((len(frame), len(labels), 3, 3))
+    n_cameras = np.zeros((len(frame), len(labels)))
     column_of = {label: k for k, label in enumerate(labels)}
     names, which = np.unique(tracks.label, return_inverse=True)
     column = np.array([column_of.get(short_label(name), -1) for name in names.tolist()], dtype=np.int64)[which]
     known = np.where(np.isfinite(tracks.covariance), tracks.covariance, 0.0)
     used = np.flatnonzero((column >= 0) & (tracks.status == "measured"))
     used = used[np.argsort(-np.trace(known[used], axis1=1, axis2=2), kind="stable")]
-    xyz[row[used], column[used]] = tracks.xyz[used]
-    covariance[row[used], column[used]] = known[used]
-    return MarkerFrames(tuple(labels), frame, tracks.time_ns[first], xyz, covariance)
+    at = row[used], column[used]
+    xyz[at], covariance[at], n_cameras[at] = tracks.xyz[used], known[used], tracks.n_cameras[used]
+    shared = np.zeros((len(frame), 3, 3))
+    if rig is not None:
+        shared, covariance = _told_apart(rig, xyz, covariance, n_cameras)
+    return MarkerFrames(tuple(labels), frame, tracks.time_ns[first], xyz, covariance, shared)
+
+
+def _told_apart(rig: Rig, xyz: Array, covariance: Array, n_cameras: Array) -> tuple[Array, Array]:
+    """Return what the cameras' shake shifts all markers of a frame by (n, 3, 3), and the markers' own covariances.
+
+    ``xyz`` (n, m, 3), ``covariance`` (n, m, 3, 3), ``n_cameras`` (n, m), 0 where not measured.
+    """
+    seen = n_cameras > 0
+    some = np.flatnonzero(seen.any(axis=1))
+    shared, share = np.zeros((len(xyz), 3, 3)), np.zeros(len(xyz))
+    shared[some], images = shake_covariance(rig, np.nanmean(xyz[some], axis=1))
+    each = n_cameras[some].sum(axis=1) / seen[some].sum(axis=1)
+    share[some] = turned_alike(each / np.maximum(images, 1))
+    own, known = np.array(covariance), seen & (np.trace(covariance, axis1=2, axis2=3) > 0)
+    own[known] = without(own[known], np.broadcast_to((share[:, None, None] * shared)[:, None], own.shape)[known])
+    return shared, own
+
+
+def turned_alike(seen_by: Array) -> Array:
+    """Return which share (n,) of a body's common shift by shake does not turn its segments, where each marker is
+    ``seen_by`` a share (n,) of the cameras.
+
+    Markers around a body are seen by the cameras on their own side. Of two whose normals differ by the angle f, a
+    share o(f) of the cameras that see one sees the other, the overlap of two arcs of 2 w = 2 pi ``seen_by``; their
+    errors have the covariance o pi / w of the common shift. A turn weights pairs by their squared distances,
+    sin^2 (f / 2). 1 where all cameras see all markers, 0.6 where half of them do.
+    """
+    f = (np.arange(180) + 0.5) * np.pi / 180
+    w = np.pi * np.clip(seen_by, 1e-3, 1.0)[:, None]
+    overlap = (np.maximum(2 * w - f, 0.0) + np.maximum(2 * w - 2 * np.pi + f, 0.0)) / (2 * w)
+    weight = np.sin(f / 2) ** 2
+    return np.asarray((np.pi / w * overlap * weight).sum(axis=1) / weight.sum())

@@ -98,7 +98,8 @@ def track_subject(
             continue
         q[k] = solution.q
         residual[k] = np.where(frames.seen[k], np.linalg.norm(solution.residual, axis=1), np.nan)
-        centre[k], centre_covariance[k], matrices, rotation_covariance[k] = tracker.joints(solution)
+        centre[k], own, matrices, rotation_covariance[k] = tracker.joints(solution)
+        centre_covariance[k] = own + frames.shared[k]  # a shift of all markers shifts all joints, and turns none
         rotation[k] = _quaternions(matrices)
     progress(n, n)
     joints = JointMotion(

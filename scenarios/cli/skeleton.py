@@ -12,6 +12,9 @@ PERSON = click.option(
     "--person", metavar="NAME", help="read the labels NAME:LABEL alone, where a take has several people"
 )
 FRAMES = click.option("--frames", metavar="FIRST:LAST", help="read these frames alone")
+RIG = click.option(
+    "--rig", type=FILE, help="the calibrated cameras: joints' errors then have what these shake all markers by"
+)
 
 
 @click.group()
@@ -27,6 +30,7 @@ def skeleton() -> None:
 @click.option("--osim-scale", type=OUT_FILE, help="also write factors that scale OpenSim's gait2354 (.xml)")
 @FRAMES
 @PERSON
+@RIG
 def skeleton_fit(
     tracks: Path,
     out: Path,
@@ -35,6 +39,7 @@ def skeleton_fit(
     osim_scale: Path | None,
     frames: str | None,
     person: str | None,
+    rig: Path | None,
 ) -> None:
     """Fit a skeleton to labelled tracks: segment lengths, joint centres and markers of one person.
 
@@ -48,7 +53,7 @@ def skeleton_fit(
     from scenarios.commands.skeleton import Selection, fit_take
 
     with Progress("skeleton fit") as shown:
-        lines = fit_take(tracks, out, model, mjcf, Selection(person, frames), shown, osim_scale)
+        lines = fit_take(tracks, out, model, mjcf, Selection(person, frames, rig), shown, osim_scale)
     echo_lines(lines)
 
 
@@ -64,6 +69,7 @@ def skeleton_fit(
 @click.option("--rrd", type=OUT_FILE, help="markers and bones for the Rerun viewer ('mosca view'): .rrd")
 @FRAMES
 @PERSON
+@RIG
 @click.option(
     "--fps", type=POSITIVE, help="frame rate to state in .bvh and .c3d  [default: that of the tracks' times]"
 )
@@ -83,7 +89,9 @@ def skeleton_fit(
     show_default=True,
     help="the model that the .mot file is for",
 )
-def skeleton_track(tracks: Path, subject: Path, frames: str | None, person: str | None, **options: Any) -> None:
+def skeleton_track(
+    tracks: Path, subject: Path, frames: str | None, person: str | None, rig: Path | None, **options: Any
+) -> None:
     """Find the joints of a fitted subject in labelled tracks, and write the files that are asked for.
 
     \b
@@ -93,5 +101,6 @@ def skeleton_track(tracks: Path, subject: Path, frames: str | None, person: str 
 
     rest = {name: options.pop(name) for name in ("fps", "heading_deg", "opensim")}
     with Progress("skeleton track") as shown:
-        lines = track_take(tracks, subject, Outputs(**options), Selection(person, frames), **rest, progress=shown)
+        read = Selection(person, frames, rig)
+        lines = track_take(tracks, subject, Outputs(**options), read, **rest, progress=shown)
     echo_lines(lines)

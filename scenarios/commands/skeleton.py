@@ -1,6 +1,6 @@
 """Skeletons of people from files of labelled tracks: fitted to a take, and their joints found in takes."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from pathlib import Path
@@ -10,6 +10,7 @@ import numpy as np
 
 from mosca.data.arrays import Array
 from mosca.data.files.bounded import read_text
+from mosca.data.files.rig_file import read_rig
 from mosca.data.files.whole_file import check_writable, whole_file, write_text
 from mosca.data.joint_angles import JointAngles
 from mosca.data.rig import Rig
@@ -85,10 +86,18 @@ class Outputs:
 
 @dataclass(frozen=True)
 class Selection:
-    """What of a take is read: ``person``, whose labels are NAME:LABEL, and ``frames``, FIRST:LAST; None for all."""
+    """What of a take is read: ``person``, whose labels are NAME:LABEL, and ``frames``, FIRST:LAST; None for all.
+
+    ``rig``: file of the calibrated cameras that measured it, which tells what of the markers' errors they share.
+    """
 
     person: str | None = None
     frames: str | None = None
+    rig: Path | None = None
+
+    def markers(self, tracks: Tracks, labels: Sequence[str]) -> MarkerFrames:
+        """Return the markers called ``labels`` frame by frame."""
+        return marker_frames(tracks, labels, None if self.rig is None else read_rig(self.rig))
 
     def read(self, path: Path) -> Tracks:
         """Return the labelled samples of the tracks in ``path``; InputError where there is none."""
@@ -147,7 +156,7 @@ def fit_take(
             f"{osim_scale}: the model has no hips, knees or ankles (l_hip, ...) that would scale "
             "gait2354; leave --osim-scale out"
         )
-    frames = marker_frames(tracks, model.labels)
+    frames = selection.markers(tracks, model.labels)
     subject = fit_subject(model, frames, str(path), progress)
     lines = [f"{len(model.labels)} markers used: {', '.join(model.labels)}"]
     if unknown:
@@ -192,7 +201,7 @@ def track_take(
     labels = labels_of(tracks)
     _check_known(labels, subject.model.labels, path, str(subject_path), "fit a subject to this set of markers")
     _check_single(tracks, subject.model.labels, path)
-    frames = marker_frames(tracks, subject.model.labels)
+    frames = selection.markers(tracks, subject.model.labels)
     size_of(replace(subject.model, parameters=subject.parameters), frames, str(path))  # refuses another unit
     rate = rate_of(tracks, fps, path) if outputs.bvh or outputs.c3d else np.nan
     take = track_subject(subject, frames, progress)

@@ -8,11 +8,10 @@ from mosca.data.tracks import Tracks
 from mosca.data.truth import Truth
 from mosca.machines.identification.identify import IdentifiedModel
 from mosca.machines.vibration.analysis import Vibration
-from mosca.skeleton.marker_frames import MarkerFrames
 from reports.viewer import RerunLog
 from scenarios.run.identification import identified
 from scenarios.run.labels import surface_labels
-from scenarios.run.people import Person, person_of
+from scenarios.run.people import FitInputs, Person, person_of
 from scenarios.run.timed import timed
 from scenarios.run.vibration import vibration_of
 from scenarios.run.virtual import virtual_objects
@@ -47,7 +46,7 @@ def applications(
     folder: Path,
     collected: Collected,
     truth: Truth | ReferenceTrajectories | None,
-    movement: MarkerFrames | None,
+    fit_inputs: FitInputs | None,
     bodies: tuple[RigidBody, ...],
     poses: BodyPoses | None,
     scene: Scene | None,
@@ -56,7 +55,7 @@ def applications(
 ) -> Applications:
     """Return what the sections of ``spec`` ask for.
 
-    ``movement``: labelled markers to which a skeleton is fitted; ``poses`` of the rigid ``bodies`` in the tracks;
+    ``fit_inputs``: of the skeleton; ``poses`` of the rigid ``bodies`` in the tracks;
     ``scene``: the twin's. ``log``: where virtual objects are shown.
     """
     person: Person | None = None
@@ -65,9 +64,9 @@ def applications(
     model: IdentifiedModel | None = None
     model_scores: dict[str, Score] = {}
     shown: ShownPoses | None = None
-    if spec.skeleton is not None and isinstance(truth, Truth) and len(collected.tracks):
+    if fit_inputs is not None and isinstance(truth, Truth) and len(collected.tracks):
         with timed(timings, "skeleton"):
-            person = person_of(spec, collected.tracks, truth, movement)
+            person = person_of(spec, collected.tracks, truth, fit_inputs)
     if spec.labels is not None:
         with timed(timings, "labels"):
             named = surface_labels(spec, folder, collected.tracks)

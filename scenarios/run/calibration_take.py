@@ -96,7 +96,7 @@ def _measured(
         twin = stack.enter_context(twin_source(seeded, scene, cameras, options.workers))
         collected = collected_of(twin, twin, rig, settings, take, options, stack)
         labelled = with_labels(take, collected.tracks, twin.truth())
-    return marker_frames(labelled, labels_of(labelled))
+    return marker_frames(labelled, labels_of(labelled), rig)
 
 
 def with_labels(spec: Scenario, tracks: Tracks, truth: Truth) -> Tracks:

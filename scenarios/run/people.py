@@ -8,6 +8,7 @@ import numpy as np
 
 from mosca.data.joint_angles import JointAngles
 from mosca.data.joint_motion import JointMotion
+from mosca.data.rig import Rig
 from mosca.data.tracks import Tracks
 from mosca.data.truth import Truth
 from mosca.formats.bodies.bvh_writer import write_bvh
@@ -67,28 +68,30 @@ def show_person(log: RerunLog | None, joints: JointMotion, truth: Truth | None =
             log.log_skeleton(int(motion.frame[k]), int(motion.time_ns[k]), one, true)
 
 
-def person_of(spec: Scenario, tracks: Tracks, truth: Truth, movement: MarkerFrames | None) -> Person:
-    """Return the person in ``tracks``, fitted to ``movement``, or where that is None to the take itself.
+@dataclass(frozen=True, eq=False)
+class FitInputs:
+    """The take to which a skeleton is fitted, None for the measurement itself, and the rig that measured both."""
 
-    InputError where too few markers have labels.
-    """
+    movement: MarkerFrames | None
+    rig: Rig
+
+
+def person_of(spec: Scenario, tracks: Tracks, truth: Truth, given: FitInputs) -> Person:
+    """Return the person in ``tracks``, fitted to what is given. InputError where too few markers have labels."""
     labelled = with_labels(spec, tracks, truth)
-    subject = fitted(marker_frames(labelled, labels_of(labelled)) if movement is None else movement)
+    subject = fitted(given.movement or marker_frames(labelled, labels_of(labelled), given.rig))
     if isinstance(spec.fault, LabelFault):
         labelled = with_labels_swapped(labelled, spec.fault.pairs)
-    return posed(subject, labelled, spec.capture.frame_rate_hz)
+    return posed(subject, labelled, spec.capture.frame_rate_hz, given.rig)
 
 
 def fitted(movement: MarkerFrames) -> FittedSubject:
     """Return the built-in model fitted to labelled markers; those that it does not know are left out."""
     model = read_skeleton_model(HUMAN, movement.labels)
-    columns = [movement.labels.index(label) for label in model.labels]
-    xyz, covariance = movement.xyz[:, columns], movement.covariance[:, columns]
-    chosen = MarkerFrames(model.labels, movement.frame, movement.time_ns, xyz, covariance)
-    return fit_subject(model, chosen, "the take that the skeleton is fitted to")
+    return fit_subject(model, movement.of(model.labels), "the take that the skeleton is fitted to")
 
 
-def posed(subject: FittedSubject, labelled: Tracks, frame_rate_hz: float) -> Person:
-    """Return the subject in each frame of labelled tracks."""
-    take = track_subject(subject, marker_frames(labelled, subject.model.labels))
+def posed(subject: FittedSubject, labelled: Tracks, frame_rate_hz: float, rig: Rig) -> Person:
+    """Return the subject in each frame of labelled tracks that ``rig`` measured."""
+    take = track_subject(subject, marker_frames(labelled, subject.model.labels, rig))
     return Person(subject, take, isb_angles(take.joints), labelled, frame_rate_hz)

@@ -20,7 +20,6 @@ from mosca.machines.vibration.analysis import Vibration
 from mosca.pipeline import PipelineSettings, Step
 from mosca.rigid_bodies.ambiguity import check_bodies
 from mosca.rigid_bodies.tracker import body_poses, labelled_by_bodies
-from mosca.skeleton.marker_frames import MarkerFrames
 from mosca.synchronisation import Assembly
 from reports.evidence import Evidence
 from reports.record import RunRecord
@@ -45,7 +44,7 @@ from scenarios.run.continuous import collect_continuous
 from scenarios.run.flight import flight_evidence, flight_of
 from scenarios.run.identification import check_source
 from scenarios.run.kept_calibrations import kept
-from scenarios.run.people import Person, show_person
+from scenarios.run.people import FitInputs, Person, show_person
 from scenarios.run.pipeline import collected_of, recorded, rerun_log
 from scenarios.run.postprocess import with_gaps_filled
 from scenarios.run.precompile import PIPELINE, compiling
@@ -136,7 +135,7 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
             if spec.expect == "caught":
                 return _refused(spec, name, options, built.known, timings, reported, own)
         believed = with_fault(built.known.rig if own is None else own.calibration.rig, spec.fault)
-        movement = _movement(spec, folder, built, believed, options, timings)
+        fit_inputs = _fit_inputs(spec, folder, built, believed, options, timings)
         survey = surveyed(spec, built.riding, own, options.workers, timings)
         opened = _opened(spec, built, options, survey)
         stack.enter_context(opened.source)
@@ -163,7 +162,7 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
         truth = given_truth if opened.twin is None else opened.twin.truth()
         if options.record_to is not None:
             _write_beside(options.record_to, believed, None if opened.twin is None else truth)
-        done = applications(spec, folder, collected, truth, movement, bodies, poses, built.scene, timings, shown)
+        done = applications(spec, folder, collected, truth, fit_inputs, bodies, poses, built.scene, timings, shown)
         oriented = None if survey is None or poses is None else survey.scored(poses, bodies, timings)
         flight = flight_of(spec, built.pilot, built.scene, collected, own)
         if done.person is not None:
@@ -269,14 +268,15 @@ def _write_beside(frames: Path, believed: Rig, truth: object) -> None:
         write_truth(truth, frames / "truth.npz")
 
 
-def _movement(
+def _fit_inputs(
     spec: Scenario, folder: Path, built: _Built, believed: Rig, options: RunOptions, timings: dict[str, float]
-) -> MarkerFrames | None:
-    """Return the labelled markers of the take to which the skeleton is fitted; None where there is none before."""
+) -> FitInputs | None:
+    """Return what the skeleton is fitted to; None where the scenario has none."""
     if spec.skeleton is None or spec.skeleton.fit_to == "take":
-        return None
+        return None if spec.skeleton is None else FitInputs(None, believed)
     with timed(timings, "calibration_take"):
-        return calibration_take(spec, folder, built.cameras, believed, built.settings, options)
+        movement = calibration_take(spec, folder, built.cameras, believed, built.settings, options)
+    return FitInputs(movement, believed)
 
 
 def _own_calibration(

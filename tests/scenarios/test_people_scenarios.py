@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from track_tables import measured_tracks
 
+from mosca.data.rig import Rig
 from mosca.data.truth import Truth
 from mosca.errors import InputError
 from mosca.formats.joints.joints_csv import read_joints_csv
@@ -14,7 +15,7 @@ from mosca.skeleton.marker_frames import labels_of, marker_frames
 from scenarios.build.scene import build_scene
 from scenarios.run import calibration_take as module
 from scenarios.run.calibration_take import calibration_take, take_of, with_labels
-from scenarios.run.people import fitted, person_of, posed
+from scenarios.run.people import FitInputs, fitted, person_of, posed
 from scenarios.score.people import (
     centre_errors,
     joint_scores,
@@ -29,6 +30,8 @@ from twin.truth_log import joints_at
 
 WALK = LIBRARY / "people" / "walk_rigid.toml"
 RATE_HZ = 20.0
+RIG = Rig(())
+"""No camera: none is known to shake."""
 
 
 @pytest.mark.parametrize(
@@ -130,7 +133,7 @@ def scores_of(person, truth):
 def test_joints_of_a_walker_are_found_scored_and_written(tmp_path, subject):
     spec = load_scenario(WALK)
     tracks, truth = taken(spec, 0.5)
-    person = posed(subject, labelled_by_truth(tracks, truth, 2.5), RATE_HZ)
+    person = posed(subject, labelled_by_truth(tracks, truth, 2.5), RATE_HZ, RIG)
     scores = scores_of(person, truth)
     assert scores["joint_completeness"].value == 1.0
     assert scores["joint_center_rms"].value < spec.limits["joint_center_rms"]
@@ -147,7 +150,7 @@ def test_swapped_legs_are_crosswise(subject):
     control = load_scenario(LIBRARY / "controls" / "swapped_legs.toml")
     tracks, truth = taken(control, 1.0, rate_hz=5.0)
     labelled = with_labels_swapped(labelled_by_truth(tracks, truth, 2.5), control.fault.pairs)
-    person = posed(subject, labelled, 5.0)
+    person = posed(subject, labelled, 5.0, RIG)
     low, high = control.breaks["joint_center_rms"]
     assert low < scores_of(person, truth)["joint_center_rms"].value < high
     # the left knee is found where the right one is
@@ -159,7 +162,7 @@ def test_swapped_legs_are_crosswise(subject):
 def test_where_no_marker_has_a_label_no_pose_is_made_up(subject):
     tracks, truth = taken(load_scenario(WALK), 0.2)
     far = replace(tracks, xyz=tracks.xyz + 100.0)
-    person = posed(subject, labelled_by_truth(far, truth, 2.5), RATE_HZ)
+    person = posed(subject, labelled_by_truth(far, truth, 2.5), RATE_HZ, RIG)
     assert set(person.files()) == {"joints.csv", "angles.csv", "subject.npz"}
     assert {name: score.value for name, score in scores_of(person, truth).items()} == {"joint_completeness": 0.0}
 
@@ -167,7 +170,7 @@ def test_where_no_marker_has_a_label_no_pose_is_made_up(subject):
 def test_without_a_calibration_take_the_take_itself_is_fitted_to():
     spec = load_scenario(WALK, ("skeleton.fit_to=take",))
     tracks, truth = taken(spec, 1.5, rate_hz=4.0)
-    person = person_of(spec, tracks, truth, None)
+    person = person_of(spec, tracks, truth, FitInputs(None, RIG))
     assert person.subject.frames == 6
     assert scores_of(person, truth)["joint_completeness"].value > 0.5  # a hinge that hardly bends has no axis
 
@@ -176,7 +179,7 @@ def test_too_few_markers_are_told_of():
     spec = load_scenario(WALK)
     tracks, truth = taken(spec, 0.2)
     with pytest.raises(InputError, match="labels are markers of the model, six or more are wanted"):
-        person_of(spec, tracks.select(tracks.track < 5), truth, None)
+        person_of(spec, tracks.select(tracks.track < 5), truth, FitInputs(None, RIG))
 
 
 def test_labels_are_found_where_that_is_asked_for(monkeypatch):

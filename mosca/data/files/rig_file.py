@@ -6,6 +6,7 @@
     name = "left"
     size = [1280, 1024]                            # width, height [px]
     residual_px = 0.02                             # optional: what the lens model leaves of the images, rms an axis
+    shake_px = 0.03                                # optional: shift of whole images, anew in each exposure
     [camera.lens]
     model = "opencv"                               # or "mosca", "fisheye": see mosca.data.rig
     fx_px = 1400.0                                 # ... the field names of the lens's dataclass
@@ -149,6 +150,9 @@ class CameraTable(Table):
     residual_px: Annotated[
         float, Field(ge=0, description="what the lens model leaves of the images, rms an axis [px]")
     ] = 0.0
+    shake_px: Annotated[
+        float, Field(ge=0, description="shift of whole images from exposure to exposure, rms an axis [px]")
+    ] = 0.0
     hardware: dict[str, Any] = Field(default_factory=dict, description="the device and how it is set; kept as it is")
     twin: dict[str, Any] = Field(
         default_factory=dict, description="the virtual camera's own settings; kept as they are"
@@ -235,8 +239,7 @@ def rig_toml(
                 "rotation_wxyz": quaternion_from_rotation(camera.world_from_camera.rotation).tolist(),
             },
         }
-        if camera.residual_px:
-            table["residual_px"] = camera.residual_px
+        table |= {key: value for key in ("residual_px", "shake_px") if (value := getattr(camera, key))}
         for key, kept in (("hardware", hardware), ("twin", twin)):
             if kept and camera.name in kept:
                 table[key] = dict(kept[camera.name])
@@ -253,7 +256,7 @@ def camera_of(table: CameraTable, path: Path) -> Camera:
         )
     lens: Lens = LENS_MODELS[table.lens.model](**table.lens.model_dump(exclude={"model"}))
     pose = Pose(rotation_from_quaternion(table.pose.rotation_wxyz), np.array(table.pose.position_m))
-    return Camera(table.name, table.size[0], table.size[1], lens, pose, table.residual_px)
+    return Camera(table.name, table.size[0], table.size[1], lens, pose, table.residual_px, table.shake_px)
 
 
 def _check_plausible(camera: Camera, path: Path) -> None:

@@ -1,0 +1,55 @@
+"""What the shake of cameras does to points: a shift that all points of a frame set which are near each other share.
+
+A camera's body that shakes shifts all image points of an exposure alike (Luhmann et al., Close-Range Photogrammetry,
+3rd ed., section 2.4, error propagation). A point's covariance counts that as an error of its own; the mean of many
+points, or a joint's centre that is found from all of a person's markers, has it whole, and distances hardly have it.
+"""
+
+import numpy as np
+
+from mosca.camera.projection import project_with_jacobians
+from mosca.data.arrays import Array
+from mosca.data.rig import Rig
+
+LEAST_OWN = 0.1
+"""Share of a point's variance, at least, that is taken to be its own: each image's noise of detection."""
+
+
+def shake_covariance(rig: Rig, xyz: Array) -> tuple[Array, Array]:
+    """Return the covariances (n, 3, 3) [m^2] that the shake of a rig's cameras gives to points ``xyz`` (n, 3) [m].
+
+    And in how many cameras' images each point is (n,).
+
+    Of points that all cameras see whose image they are in, and that are triangulated with the cameras' own errors
+    (``shake_px``, ``residual_px``) for weights; which camera a body hides a point from is not considered: there the
+    shift is larger. 0 where no camera is known to shake, and for points in fewer than two images.
+    """
+    shake2 = np.array([camera.shake_px**2 for camera in rig.cameras])
+    variance = shake2 + np.array([camera.residual_px**2 for camera in rig.cameras])
+    covariance, images = np.zeros((len(xyz), 3, 3)), np.zeros(len(xyz))
+    if not len(xyz) or not shake2.any():
+        return covariance, images
+    variance = np.where(variance > 0.0, variance, variance[variance > 0.0].min())
+    normal, moved = np.zeros_like(covariance), np.zeros_like(covariance)
+    for camera, own, shaken in zip(rig.cameras, variance, shake2, strict=True):
+        found = project_with_jacobians(camera, xyz)
+        u, v = found.xy_px.T
+        inside = (u > -0.5) & (u < camera.width - 0.5) & (v > -0.5) & (v < camera.height - 0.5)
+        slopes = np.where(inside[:, None, None], found.by_point, 0.0)
+        square = slopes.transpose(0, 2, 1) @ slopes
+        normal += square / own
+        moved += square * (shaken / own**2)
+        images += inside
+    seen = images >= 2
+    inverse = np.linalg.inv(normal[seen])
+    covariance[seen] = inverse @ moved[seen] @ inverse
+    return covariance, images
+
+
+def without(covariance: Array, shared: Array) -> Array:
+    """Return covariances (n, 3, 3) less a ``shared`` part (n, 3, 3), but LEAST_OWN of them in each direction."""
+    root = np.linalg.cholesky(covariance)
+    inverse = np.linalg.inv(root)
+    share, axes = np.linalg.eigh(inverse @ shared @ inverse.transpose(0, 2, 1))
+    left = (axes * np.maximum(1.0 - share, LEAST_OWN)[:, None, :]) @ axes.transpose(0, 2, 1)
+    return np.asarray(root @ left @ root.transpose(0, 2, 1))
