@@ -22,8 +22,9 @@ from pathlib import Path
 
 from tests.mutations.mutant import ROOT, Mutant, read_mutants
 
-LONGEST_S = 900
-"""A mutant whose tests take longer hangs: it is noticed."""
+COMPILING_S = 900
+"""A mutant whose tests take so much longer than all tests without any mutant hangs, and is noticed: compiling what it
+changes takes some minutes on a slow machine."""
 
 
 @dataclass(frozen=True)
@@ -47,20 +48,23 @@ def copied_tree(target: Path) -> None:
             shutil.copy2(ROOT / name, target / name)
 
 
-def noticed_by(tree: Path, tests: Sequence[str], all_of_them: bool = False) -> str:
-    """Return what fails of the ``tests`` in a tree, the first one or ``all_of_them``; empty where nothing does."""
+def noticed_by(tree: Path, tests: Sequence[str], longest_s: float | None) -> str:
+    """Return what fails of the ``tests`` in a tree: the first one, or where ``longest_s`` is None all; empty: nothing.
+
+    ``longest_s``: time after which they are ended [s].
+    """
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--tier", "full", *tests]
     run = subprocess.Popen(
-        command if all_of_them else [*command, "-x"],
+        command if longest_s is None else [*command, "-x"],
         cwd=tree, env={**os.environ, "PYTHONPATH": str(tree), "COLUMNS": "200"}, text=True,
         stdout=subprocess.PIPE, stderr=subprocess.STDOUT, start_new_session=True,
     )  # fmt: skip
     try:
-        said, _ = run.communicate(timeout=LONGEST_S)
+        said, _ = run.communicate(timeout=longest_s)
     except subprocess.TimeoutExpired:
         os.killpg(run.pid, signal.SIGKILL)
         run.communicate()
-        return f"no end within {LONGEST_S} s"
+        return f"no end within {longest_s:.0f} s"
     if run.returncode == 0:
         return ""
     lines = [line for line in said.splitlines() if line.startswith(("FAILED ", "ERROR "))]
@@ -102,7 +106,9 @@ def main() -> int:
     with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
         tree = Path(folder)
         copied_tree(tree)
-        wrong = noticed_by(tree, sorted({test for one in wanted for test in one.tests}), all_of_them=True)
+        begin = time.perf_counter()
+        wrong = noticed_by(tree, sorted({test for one in wanted for test in one.tests}), None)
+        longest_s = time.perf_counter() - begin + COMPILING_S
         if wrong:
             print(f"without any mutant these fail: {wrong}", file=sys.stderr)
             return 2
@@ -110,7 +116,7 @@ def main() -> int:
             begin, path = time.perf_counter(), tree / mutant.file
             sound = path.read_text()
             path.write_text(mutant.applied(sound))
-            outcomes.append(Outcome(mutant, noticed_by(tree, mutant.tests), time.perf_counter() - begin))
+            outcomes.append(Outcome(mutant, noticed_by(tree, mutant.tests, longest_s), time.perf_counter() - begin))
             path.write_text(sound)
             last = outcomes[-1]
             print(f"{mutant.name}: {last.by or 'NOT NOTICED'} ({last.seconds:.0f} s)", flush=True)
