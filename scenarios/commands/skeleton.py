@@ -96,8 +96,14 @@ class Selection:
     rig: Path | None = None
 
     def markers(self, tracks: Tracks, labels: Sequence[str]) -> MarkerFrames:
-        """Return the markers called ``labels`` frame by frame."""
-        return marker_frames(tracks, labels, None if self.rig is None else read_rig(self.rig))
+        """Return the markers called ``labels`` frame by frame; InputError where the rig says nothing of shake."""
+        rig = None if self.rig is None else read_rig(self.rig)
+        if rig is not None and not any(camera.shake_px for camera in rig.cameras):
+            raise InputError(
+                f"{self.rig}: no camera has shake_px, what it shakes by; 'mosca calibrate' finds and writes it; "
+                "leave --rig out where it is not known"
+            )
+        return marker_frames(tracks, labels, rig)
 
     def read(self, path: Path) -> Tracks:
         """Return the labelled samples of the tracks in ``path``; InputError where there is none."""

@@ -2,6 +2,7 @@
 
 import os
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -87,6 +88,18 @@ def test_reading_by_hand(tmp_path: Path) -> None:
     np.testing.assert_allclose(left.world_from_camera.rotation, [[0, 0, 1], [-1, 0, 0], [0, -1, 0]], atol=1e-15)
     np.testing.assert_array_equal(left.world_from_camera.translation, [2.0, -1.5, 2.2])
     np.testing.assert_array_equal(right.world_from_camera.rotation, np.eye(3))
+
+
+def test_errors_of_the_cameras_read_back(tmp_path: Path) -> None:
+    path = tmp_path / "again.toml"
+    path.write_text(GOOD)
+    rig = read_rig(path)
+    stated = Rig((replace(rig.cameras[0], residual_px=0.02, shake_px=0.03), rig.cameras[1]))
+    write_rig(stated, path)
+    first, second = tomllib.loads(path.read_text())["camera"]
+    assert (first["residual_px"], first["shake_px"]) == (0.02, 0.03)
+    assert not {"residual_px", "shake_px"} & set(second)
+    assert [(one.residual_px, one.shake_px) for one in read_rig(path).cameras] == [(0.02, 0.03), (0.0, 0.0)]
 
 
 def test_hardware_tables_and_uncalibrated_cameras(tmp_path: Path) -> None:

@@ -303,6 +303,39 @@ def test_stated_covariances_hold_the_errors(fitted):
     assert 1.5 < np.mean(nees) < 4.5
 
 
+SHIFT_M = 4e-4
+
+
+@pytest.mark.parametrize(("told", "least", "most"), [(True, 1.2, 3.3), (False, 4.0, np.inf)])
+def test_a_shift_of_all_markers_is_in_the_joints_covariances(fitted, told, least, most):
+    """Control: each marker is said to have it for itself, so that it is averaged over the markers.
+
+    What does not change in a take is left out: the fit's error, which the covariances have too, hence less than 3.
+    """
+    subject, frames, centres, _ = fitted[0]
+    n, shift = len(frames), SHIFT_M**2 * np.eye(3)
+    moved = np.random.default_rng(1).normal(0, SHIFT_M, (n, 1, 3))
+    own = frames.covariance if told else frames.covariance + shift
+    shared = np.tile(shift if told else 0 * shift, (n, 1, 1))
+    seen = MarkerFrames(frames.labels, frames.frame, frames.time_ns, frames.xyz + moved, own, shared)
+    errors, covariance = _errors((subject, seen, centres, track_subject(subject, seen)))
+    hips = errors[:, :2] - errors[:, :2].mean(axis=0)
+    assert least < np.mean(np.einsum("nji,njik,njk->nj", hips, np.linalg.inv(covariance[:, :2]), hips)) < most
+
+
+def test_frames_that_err_alike_count_as_fewer(model):
+    """Noise that stays for four frames at a time leaves a quarter of the frames' information."""
+    still, rng = take(model, 0, 40, noise=1e-9)[0], np.random.default_rng(3)
+    sizes = []
+    for length in (1, 4):
+        noise = np.repeat(rng.normal(0, NOISE_M, (40 // length, len(model.labels), 3)), length, axis=0)
+        covariance = np.broadcast_to(NOISE_M**2 * np.eye(3), still.covariance.shape)
+        frames = MarkerFrames(still.labels, still.frame, still.time_ns, still.xyz + noise, covariance)
+        sizes.append(np.linalg.eigvalsh(fit_subject(model, frames).covariance))
+    known = slice(0, len(sizes[0]) // 2)  # by the markers; the prior knows the rest as well
+    assert 2.5 < np.median(sizes[1][known] / sizes[0][known]) < 5.0
+
+
 def _errors(one):
     _, _, centres, found = one
     joints = [found.joints.joints.index(name) for name in CENTRES]

@@ -45,6 +45,10 @@ def test_repeats_tell_what_lasts(lasting_px):
     stated = [camera.residual_px for camera in with_residuals(calibration).cameras]
     # 240 coordinates of marks at stands: 5 % of the variance; of noise 0.02 / sqrt(8) at most its root is left
     assert stated == pytest.approx([lasting_px] * 3, rel=0.15, abs=0.004)
+    # nothing shook
+    assert [camera.shake_px for camera in with_residuals(calibration).cameras] == pytest.approx([0.0] * 3, abs=0.004)
+    shaken = with_residuals(replace(calibration, body_px=0.03))
+    assert [camera.shake_px for camera in shaken.cameras] == [0.03] * 3
 
 
 def test_the_covariance_holds_what_lasts(monkeypatch):

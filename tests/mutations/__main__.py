@@ -49,7 +49,7 @@ def copied_tree(target: Path) -> None:
 
 
 def noticed_by(tree: Path, tests: Sequence[str], longest_s: float | None) -> str:
-    """Return what fails of the ``tests`` in a tree: the first one, or where ``longest_s`` is None all; empty: nothing.
+    """Return what fails of ``tests`` in a tree: the first one, or where ``longest_s`` is None all; empty: nothing.
 
     ``longest_s``: time after which they are ended [s].
     """

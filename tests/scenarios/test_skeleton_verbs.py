@@ -11,7 +11,9 @@ import pytest
 from command_line import mosca, refusal
 from skeleton_takes import RATE_HZ, legs_model, poses, take, write_legs
 
+from mosca.data.files.rig_file import write_rig
 from mosca.data.motion.bvh import read_bvh
+from mosca.data.rig import Camera, OpenCVLens, Pose, Rig
 from mosca.data.tracks import Tracks
 from mosca.formats.bodies.subject_file import read_subject
 from mosca.formats.joints.angles_csv import read_angles_csv
@@ -143,6 +145,32 @@ def test_all_files_of_a_take(fitted, tmp_path):
     picture = ElementTree.parse(tmp_path / "a.svg").getroot()
     assert picture.tag == "{http://www.w3.org/2000/svg}svg"
     assert not [value for one in picture.iter() for value in one.attrib.values() if "var(" in value]
+
+
+def test_a_rig_says_what_shakes_all_joints(fitted, tmp_path):
+    """Cameras around the person that shake by 0.5 px: centres are known the worse for it, rotations better."""
+    folder, _, _ = fitted
+    lens = OpenCVLens(1000.0, 1000.0, 500.0, 500.0)
+    turns = [
+        np.array([[-np.sin(a), 0, -np.cos(a)], [np.cos(a), 0, -np.sin(a)], [0, -1, 0]]) for a in (0, 1.5, 3, 4.5)
+    ]
+    poses_of = [Pose(turn, np.array([0.0, 0.0, 1.0]) - 4.0 * turn[:, 2]) for turn in turns]
+    for shake_px in (0.5, 0.0):
+        cameras = [Camera(f"c{k}", 1000, 1000, lens, p, shake_px=shake_px) for k, p in enumerate(poses_of)]
+        write_rig(Rig(tuple(cameras)), tmp_path / f"rig{shake_px}.toml")
+    words = ["skeleton", "track", "anna.npz", "--subject", "s.npz", "--out"]
+    for file, more in (("a.csv", []), ("b.csv", ["--rig", tmp_path / "rig0.5.toml"])):
+        done = mosca(*words, tmp_path / file, *more, cwd=folder)
+        assert done.returncode == 0, done.stderr
+    alone, shaken = (read_joints_csv(tmp_path / file) for file in ("a.csv", "b.csv"))
+    more = np.trace(shaken.centre_covariance - alone.centre_covariance, axis1=2, axis2=3)
+    # 0.5 px of 1,000 at 4 m are 2 mm in each of four images: 1 to 2 mm an axis
+    assert 1e-3 < np.sqrt(np.nanmedian(more) / 3) < 2e-3
+    of_rotations = [np.trace(one.rotation_covariance, axis1=2, axis2=3) for one in (alone, shaken)]
+    assert np.nanmedian(of_rotations[1] / of_rotations[0]) < 1.0
+    told = refusal(*words, tmp_path / "c.csv", "--rig", tmp_path / "rig0.0.toml", cwd=folder)
+    assert "rig0.0.toml: no camera has shake_px" in told
+    assert not (tmp_path / "c.csv").exists()
 
 
 def test_a_walk_is_drawn_over_its_gait_cycles(fitted, tmp_path):
