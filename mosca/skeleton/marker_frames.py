@@ -98,7 +98,7 @@ def _told_apart(rig: Rig, xyz: Array, covariance: Array, n_cameras: Array) -> tu
     shared[some], images = shake_covariance(rig, np.nanmean(xyz[some], axis=1))
     each = n_cameras[some].sum(axis=1) / seen[some].sum(axis=1)
     share[some] = turned_alike(each / np.maximum(images, 1))
-    own, known = np.array(covariance), seen & (np.trace(covariance, axis1=2, axis2=3) > 0)
+    own, known = np.array(covariance), seen & (np.linalg.eigvalsh(covariance)[..., 0] > 0)
     own[known] = without(own[known], np.broadcast_to((share[:, None, None] * shared)[:, None], own.shape)[known])
     return shared, own
 
