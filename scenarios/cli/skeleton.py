@@ -13,7 +13,9 @@ PERSON = click.option(
 )
 FRAMES = click.option("--frames", metavar="FIRST:LAST", help="read these frames alone")
 RIG = click.option(
-    "--rig", type=FILE, help="the calibrated cameras: joints' errors then have what these shake all markers by"
+    "--rig",
+    type=FILE,
+    help="rig file of the cameras: their shake, which shifts all markers alike, is told apart in the stated errors",
 )
 
 

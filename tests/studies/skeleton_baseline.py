@@ -3,7 +3,8 @@
 Run: ``python -m tests.studies.skeleton_baseline [--actions ACTION ...] [--skins off moderate] [--seconds S]
 [--seeds N] [--each] [--stiffness K ...]``. Rms over joints, frames and seeds of the centres' distances [mm] and of
 the rotations' angles [deg]; "both": only joints whose rotation both state. 60 markers, 0.3 mm noise a coordinate, no
-cameras.
+cameras. ``--scenarios people/walk_rigid ...``: through images, both of one run of a scenario, scored as its metrics
+``joint_center_rms`` and ``joint_angle_rms`` are.
 """
 
 import argparse
@@ -15,8 +16,15 @@ import numpy as np
 
 from mosca.data.joint_motion import JointMotion
 from mosca.skeleton.fit import fit_subject
+from mosca.skeleton.marker_frames import marker_frames
+from mosca.skeleton.model import HUMAN, read_skeleton_model
 from mosca.skeleton.spring_fit import JOINT_STIFFNESS, spring_fit
 from mosca.skeleton.track import track_subject
+from scenarios.run.scenario import run_scenario
+from scenarios.score.people import centre_errors, joint_scores, rotation_errors
+from scenarios.spec.catalog import find
+from scenarios.spec.scenario import load_scenario
+from scenarios.types import RunOptions
 from tests.studies.skeleton_actor import actor_take, joint_errors, rms
 
 Errors = dict[str, tuple[float, float]]
@@ -56,6 +64,24 @@ def row(name: str, errors: list[list[Errors]], spent_ms: list[list[float]]) -> l
     return lines
 
 
+def in_scenario(name: str) -> str:
+    """Return a line of the errors of a scenario's own skeleton and of springs in every second frame of its tracks."""
+    path = find(name)
+    done = run_scenario(load_scenario(path), name, path.parent, RunOptions(page=False))
+    assert done.person is not None
+    assert done.truth is not None
+    model = done.person.subject.model
+    frames = marker_frames(done.person.labelled, model.labels)
+    springs = spring_fit(read_skeleton_model(HUMAN, model.labels), frames.select(np.arange(0, len(frames), 2)))
+    scored = joint_scores(centre_errors(springs, done.truth), rotation_errors(springs, done.truth))
+    own = {metric.name: metric.value for metric in done.record.metrics}
+    cells = [
+        f"{1e3 * value('joint_center_rms'):7.2f} mm {np.rad2deg(value('joint_angle_rms')):5.2f} deg"
+        for value in (own.__getitem__, lambda metric: scored[metric].value)
+    ]
+    return f"{name:22} joint fit {cells[0]}   springs {cells[1]}"
+
+
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n", maxsplit=1)[0])
@@ -65,7 +91,12 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--stiffness", nargs="+", type=float, default=[JOINT_STIFFNESS])
     parser.add_argument("--each", action="store_true", help="each joint too")
+    parser.add_argument("--scenarios", nargs="+", default=[], help="through images, in place of the actions")
     given = parser.parse_args()
+    if given.scenarios:
+        for name in given.scenarios:
+            print(in_scenario(name), flush=True)
+        return
     print(f"springs: joint stiffness {given.stiffness} of a marker's")
     print(f"{'':33} {'centres':>9} {'rotations':>9} {'ms/frame':>8}\n{'':33} {'mm':>9} {'deg, both':>9}")
     for action in given.actions:
