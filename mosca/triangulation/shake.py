@@ -14,6 +14,8 @@ from mosca.data.rig import Rig
 LEAST_OWN = 0.1
 """Share of a point's variance, at least, that is left as its own, so that a covariance stays one; 0.05 and 0.2 give
 the joints of two takes the same nees to 0.001."""
+WORST_CONDITION = 1e12
+"""Of a normal matrix: beyond it cameras stand in one place, and double precision does not tell a distance."""
 
 
 def shake_covariance(rig: Rig, xyz: Array) -> tuple[Array, Array]:
@@ -41,7 +43,7 @@ def shake_covariance(rig: Rig, xyz: Array) -> tuple[Array, Array]:
         normal += square / own
         moved += square * (shaken / own**2)
         images += inside
-    seen = images >= 2
+    seen = (images >= 2) & (np.linalg.cond(normal) < WORST_CONDITION)
     inverse = np.linalg.inv(normal[seen])
     covariance[seen] = inverse @ moved[seen] @ inverse
     return covariance, images

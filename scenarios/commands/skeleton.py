@@ -103,7 +103,13 @@ class Selection:
                 f"{self.rig}: no camera has shake_px, what it shakes by; 'mosca calibrate' finds and writes it; "
                 "leave --rig out where it is not known"
             )
-        return marker_frames(tracks, labels, rig)
+        found = marker_frames(tracks, labels, rig)
+        if rig is not None and found.seen.any() and not found.shared.any():
+            raise InputError(
+                f"{self.rig}: no two of its cameras see the markers; give the rig that measured these tracks, or "
+                "leave --rig out"
+            )
+        return found
 
     def read(self, path: Path) -> Tracks:
         """Return the labelled samples of the tracks in ``path``; InputError where there is none."""

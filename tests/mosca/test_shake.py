@@ -62,6 +62,13 @@ def test_a_point_that_one_camera_sees_has_none():
     assert not covariance.any()
 
 
+def test_cameras_in_one_place_tell_no_distance():
+    camera = shaking().cameras[0]
+    covariance, images = shake_covariance(Rig((camera, replace(camera, name="other"))), np.zeros((1, 3)))
+    assert images.tolist() == [2]
+    assert not covariance.any()
+
+
 def test_what_is_taken_off_leaves_a_covariance():
     own = np.diag([1.0, 2.0, 3.0])
     np.testing.assert_allclose(without(own[None], 0.25 * own[None])[0], 0.75 * own, rtol=1e-12)

@@ -3,6 +3,7 @@
 import os
 import re
 import xml.etree.ElementTree as ElementTree
+from dataclasses import replace
 from pathlib import Path
 
 import ezc3d
@@ -170,6 +171,12 @@ def test_a_rig_says_what_shakes_all_joints(fitted, tmp_path):
     assert np.nanmedian(of_rotations[1] / of_rotations[0]) < 1.0
     told = refusal(*words, tmp_path / "c.csv", "--rig", tmp_path / "rig0.0.toml", cwd=folder)
     assert "rig0.0.toml: no camera has shake_px" in told
+    behind = [
+        replace(camera, world_from_camera=Pose(turns[0], 9.0 * turns[0][:, 2]), shake_px=0.5) for camera in cameras
+    ]
+    write_rig(Rig(tuple(behind)), tmp_path / "elsewhere.toml")
+    told = refusal(*words, tmp_path / "c.csv", "--rig", tmp_path / "elsewhere.toml", cwd=folder)
+    assert "elsewhere.toml: no two of its cameras see the markers" in told
     assert not (tmp_path / "c.csv").exists()
 
 
