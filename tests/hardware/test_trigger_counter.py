@@ -140,12 +140,12 @@ class LineOf(External):
 
 
 def test_withheld_pulses_are_told_from_those_that_the_camera_ignored(tmp_path, monkeypatch):
-    """Device cam0 misses a tenth of its pulses; the counter values of its frames show it."""
+    """Device cam0 misses a fifth of its pulses, others at each address; the counter values of its frames show it."""
     needs_aravis()
     wait_long_for_packets(monkeypatch)
     address, pulses = free_address(), 150
     rig = read_hardware(rig_file(tmp_path / "rig.toml", address, exposure_us=500.0))
-    faults = Faults(withheld=0.1, seed=5)
+    faults = Faults(withheld=0.2, seed=5)
     with (
         served(ArraySource(2, 300, SHAPE), first_address=address, faults={"cam0": faults}) as devices,
         HardwareSource(rig, pulses, trigger_opener=lambda rig, drivers: LineOf(devices)) as source,
@@ -165,7 +165,7 @@ def test_withheld_pulses_are_told_from_those_that_the_camera_ignored(tmp_path, m
     inside = [k for k in withheld if min(got["cam0"]) < k]
     # pulses after the last one wanted were counted too
     assert sum(k < max(got["cam0"]) for k in inside) <= account.cameras["cam0"].unreached <= len(inside)
-    assert account.cameras["cam0"].unreached > 5
+    assert account.cameras["cam0"].unreached > 5  # 30 are expected; one draw in a hundred million has so few
     assert account.cameras["cam1"].unreached == 0
     assert any("camera 'cam0': by its trigger counter" in note and "did not reach it" in note for note in notes)
 

@@ -40,8 +40,10 @@ def test_boundaries_spend_the_error_rate_and_no_more():
 
 def test_a_tail_in_the_stagewise_ordering_is_an_integral_over_paths():
     times, low, high, z = (0.2, 0.5, 1.0), (-3.0, -2.4), (2.6, 2.2), 1.1
-    paths = stats.multivariate_normal(np.zeros(3), walk_covariance(np.array(times)))
-    two = stats.multivariate_normal(np.zeros(2), walk_covariance(np.array(times[:2])))
+    # its integrals are by random points, as many as it takes
+    exact = {"seed": 1, "maxpts": 10_000_000, "abseps": 1e-7, "releps": 1e-7}
+    paths = stats.multivariate_normal(np.zeros(3), walk_covariance(np.array(times)), **exact)
+    two = stats.multivariate_normal(np.zeros(2), walk_covariance(np.array(times[:2])), **exact)
     first = stats.norm.sf(2.6)
     second = two.cdf([2.6, 9.0], lower_limit=[-3.0, 2.2])
     last = paths.cdf([2.6, 2.2, 9.0], lower_limit=[-3.0, -2.4, 1.1])
