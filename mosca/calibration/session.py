@@ -129,15 +129,15 @@ def with_residuals(calibration: Calibration) -> Rig:
     """
     sightings, cameras = calibration.sightings, []
     shake_px = float(np.nan_to_num(calibration.body_px))
-    for k, stated in enumerate(calibration.rig.cameras):
-        camera = replace(stated, shake_px=shake_px)
+    for k, camera in enumerate(calibration.rig.cameras):
         if len(calibration.lasting_px) and np.isfinite(calibration.lasting_px[k]):
-            cameras.append(replace(camera, residual_px=float(calibration.lasting_px[k])))
-            continue
-        mine = calibration.used & (sightings.camera == sightings.cameras.index(camera.name))
-        noise = np.trace(sightings.covariance_px2[mine], axis1=1, axis2=2) / 2
-        left = float(np.mean(calibration.sigma_px[k] ** 2) - np.mean(noise)) if mine.any() else 0.0
-        cameras.append(replace(camera, residual_px=math.sqrt(left) if left > 0 else 0.0))
+            residual_px = float(calibration.lasting_px[k])
+        else:
+            mine = calibration.used & (sightings.camera == sightings.cameras.index(camera.name))
+            noise = np.trace(sightings.covariance_px2[mine], axis1=1, axis2=2) / 2
+            left = float(np.mean(calibration.sigma_px[k] ** 2) - np.mean(noise)) if mine.any() else 0.0
+            residual_px = math.sqrt(left) if left > 0 else 0.0
+        cameras.append(replace(camera, residual_px=residual_px, shake_px=shake_px))
     return Rig(tuple(cameras))
 
 

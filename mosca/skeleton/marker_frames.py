@@ -8,7 +8,7 @@ import numpy as np
 from mosca.data.arrays import Array, set_read_only
 from mosca.data.rig import Rig
 from mosca.data.tracks import Tracks
-from mosca.triangulation.shake import shake_covariance, without
+from mosca.triangulation.camera_shake import shake_covariance, without
 
 
 @dataclass(frozen=True, eq=False)

@@ -79,8 +79,10 @@ class FitInputs:
 def person_of(spec: Scenario, tracks: Tracks, truth: Truth, given: FitInputs) -> Person:
     """Return the person in ``tracks``, fitted to what is given. InputError where too few markers have labels."""
     labelled = with_labels(spec, tracks, truth)
-    own = marker_frames(labelled, labels_of(labelled), given.rig)
-    subject = fitted(own if given.movement is None else given.movement)
+    movement = given.movement
+    if movement is None:
+        movement = marker_frames(labelled, labels_of(labelled), given.rig)
+    subject = fitted(movement)
     if isinstance(spec.fault, LabelFault):
         labelled = with_labels_swapped(labelled, spec.fault.pairs)
     return posed(subject, labelled, spec.capture.frame_rate_hz, given.rig)

@@ -272,8 +272,10 @@ def _fit_inputs(
     spec: Scenario, folder: Path, built: _Built, believed: Rig, options: RunOptions, timings: dict[str, float]
 ) -> FitInputs | None:
     """Return what the skeleton is fitted to; None where the scenario has none."""
-    if spec.skeleton is None or spec.skeleton.fit_to == "take":
-        return None if spec.skeleton is None else FitInputs(None, believed)
+    if spec.skeleton is None:
+        return None
+    if spec.skeleton.fit_to == "take":
+        return FitInputs(None, believed)
     with timed(timings, "calibration_take"):
         movement = calibration_take(spec, folder, built.cameras, believed, built.settings, options)
     return FitInputs(movement, believed)

@@ -10,7 +10,7 @@ from scipy.optimize import least_squares
 from mosca.camera.projection import project
 from mosca.data.rig import MoscaLens, Rig
 from mosca.skeleton.marker_frames import turned_alike
-from mosca.triangulation.shake import LEAST_OWN, shake_covariance, without
+from mosca.triangulation.camera_shake import LEAST_OWN, shake_covariance, without
 
 LENS = MoscaLens(8.0, 330.0, 240.0, 0.01, 0.01, -0.006, 1e-3, -1.5e-5, 0, 1e-4, 5e-5)
 SHAKE_PX = (0.05, 0.08, 0.03, 0.06)

@@ -7,7 +7,7 @@ points, or a joint's centre that is found from all of a person's markers, has it
 
 import numpy as np
 
-from mosca.camera.projection import project_with_jacobians
+from mosca.camera.projection import inside_image, project_with_jacobians
 from mosca.data.arrays import Array
 from mosca.data.rig import Rig
 
@@ -36,8 +36,7 @@ def shake_covariance(rig: Rig, xyz: Array) -> tuple[Array, Array]:
     normal, moved = np.zeros_like(covariance), np.zeros_like(covariance)
     for camera, own, shaken in zip(rig.cameras, variance, shake2, strict=True):
         found = project_with_jacobians(camera, xyz)
-        u, v = found.xy_px.T
-        inside = (u > -0.5) & (u < camera.width - 0.5) & (v > -0.5) & (v < camera.height - 0.5)
+        inside = inside_image(camera, found.xy_px)
         slopes = np.where(inside[:, None, None], found.by_point, 0.0)
         square = slopes.transpose(0, 2, 1) @ slopes
         normal += square / own
