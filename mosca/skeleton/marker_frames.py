@@ -94,13 +94,21 @@ def _told_apart(rig: Rig, xyz: Array, covariance: Array, n_cameras: Array) -> tu
     """
     seen = n_cameras > 0
     some = np.flatnonzero(seen.any(axis=1))
-    shared, share = np.zeros((len(xyz), 3, 3)), np.zeros(len(xyz))
-    shared[some], images = shake_covariance(rig, np.nanmean(xyz[some], axis=1))
+    shared, alike = np.zeros((len(xyz), 3, 3)), np.zeros((len(xyz), 3, 3))
     each = n_cameras[some].sum(axis=1) / seen[some].sum(axis=1)
-    share[some] = turned_alike(each / np.maximum(images, 1))
+    shared[some], alike[some] = common_shift(rig, np.nanmean(xyz[some], axis=1), each)
     own, known = np.array(covariance), seen & (np.linalg.eigvalsh(covariance)[..., 0] > 0)
-    own[known] = without(own[known], np.broadcast_to((share[:, None, None] * shared)[:, None], own.shape)[known])
+    own[known] = without(own[known], np.broadcast_to(alike[:, None], own.shape)[known])
     return shared, own
+
+
+def common_shift(rig: Rig, middle: Array, images: Array) -> tuple[Array, Array]:
+    """Return what the cameras' shake shifts a body by (n, 3, 3) [m^2], and what of it turns no segment (n, 3, 3).
+
+    ``middle`` (n, 3) of its markers [m]; ``images`` (n,) that each of them has on average.
+    """
+    shared, most = shake_covariance(rig, middle)
+    return shared, turned_alike(images / np.maximum(most, 1))[:, None, None] * shared
 
 
 def turned_alike(seen_by: Array) -> Array:

@@ -20,6 +20,7 @@ from mosca.skeleton.start import starting_pose
 
 FEWEST_MARKERS = 6
 """Fewer markers than this leave a pose to its prior: no result."""
+NO_SHIFT = np.zeros((3, 3))
 LOST = 0.3
 """A pose is looked for afresh where the mean weight of its markers falls below this."""
 
@@ -70,11 +71,14 @@ class SkeletonTracker:
         """Return what ``JointReader.read`` does, of a pose that ``step`` has returned."""
         return self.reader.read(solution)
 
-    def joints_at(self, solution: PoseSolution, frame: int, time_ns: int) -> JointMotion:
-        """Return the joints of a pose that ``step`` has returned, as the motion of one instant."""
-        centre, centre_covariance, matrices, rotation_covariance = self.joints(solution)
+    def joints_at(self, solution: PoseSolution, frame: int, time_ns: int, shared: Array = NO_SHIFT) -> JointMotion:
+        """Return the joints of a pose that ``step`` has returned, as the motion of one instant.
+
+        ``shared`` (3, 3) [m^2]: of a shift of all markers, which shifts all joints, and turns none.
+        """
+        centre, own, matrices, rotation_covariance = self.joints(solution)
         return JointMotion(
-            np.array([frame]), np.array([time_ns]), self.reader.joints, centre[None], centre_covariance[None],
+            np.array([frame]), np.array([time_ns]), self.reader.joints, centre[None], (own + shared)[None],
             _quaternions(matrices)[None], rotation_covariance[None],
         )  # fmt: skip
 
@@ -99,7 +103,7 @@ def track_subject(
         q[k] = solution.q
         residual[k] = np.where(frames.seen[k], np.linalg.norm(solution.residual, axis=1), np.nan)
         centre[k], own, matrices, rotation_covariance[k] = tracker.joints(solution)
-        centre_covariance[k] = own + frames.shared[k]  # a shift of all markers shifts all joints, and turns none
+        centre_covariance[k] = own + frames.shared[k]
         rotation[k] = _quaternions(matrices)
     progress(n, n)
     joints = JointMotion(

@@ -77,6 +77,8 @@ def run_live_command(options: LiveOptions, report: Callable[[str], None]) -> lis
         log = None if options.out is None else stack.enter_context(_log(options.out, stack))
         person = None if options.skeleton is None else LivePerson(options.skeleton, options.joints, stack)
         source = opened_live(options, stack)
+        if person is not None:
+            person.measured_by(source.rig)
         show = LiveShow(options, source.rig, stack) if options.rrd is not None or options.view else None
         virtual = live_virtual(options, source, () if show is None else show.logs, stack)
         stream = stack.enter_context(LiveStream(options, source, person)) if options.stream else None

@@ -50,6 +50,10 @@ class LivePerson:
         self.posed = self.frames = self._named = 0
         self._first_ns = self._found_ns = None  # type: int | None
 
+    def measured_by(self, rig: Rig) -> None:
+        """Tell the cameras whose shake is told apart from the markers' own errors."""
+        self._live.rig = rig
+
     def step(self, samples: Samples) -> tuple[list[LivePose], Mapping[tuple[int, int], str]]:
         """Follow the frames of ``samples`` that are later than those before; return poses, and the labels."""
         poses = []

@@ -1,11 +1,14 @@
 """A person followed live: names of unlabelled tracks by closed truth, poses as those of labelled ones."""
 
 from collections import Counter
+from dataclasses import replace
 from itertools import permutations
 
 import numpy as np
 import pytest
+from rigs import looking_at
 
+from mosca.data.rig import Camera, OpenCVLens, Rig
 from mosca.data.rotations import rotation_from_vector
 from mosca.data.tracks import Samples
 from mosca.skeleton import live as live_module
@@ -58,6 +61,35 @@ def renumbered(samples, number):
     """Return samples whose tracks have the numbers ``number[track]``."""
     columns = {name: getattr(samples, name) for name in Samples.__dataclass_fields__}
     return Samples(**columns | {"track": np.array([number.get(k, k) for k in samples.track.tolist()])})
+
+
+def test_shake_that_all_markers_share_is_stated_as_offline(person):
+    """Rotations are the surer for it, centres are not; an unknown covariance stays one."""
+    subject, frames = person
+    places = [(5 * np.cos(angle), 5 * np.sin(angle), 1.5) for angle in (0.3, 1.8, 3.4, 5.0)]
+    poses = [looking_at(np.array(place), (0.0, 0.2, 0.9)) for place in places]
+    lens = OpenCVLens(500.0, 500.0, 328.0, 245.5)
+    rig = Rig(tuple(Camera(f"cam_{k}", 656, 491, lens, pose, shake_px=0.05) for k, pose in enumerate(poses)))
+    tracks, _ = take(legs_model(), 40, seed=2)
+    here = marker_frames(tracks, subject.model.labels, rig)
+    assert here.shared.any(axis=(1, 2)).all()
+    clean = disturbed(frames.select(np.arange(40)), 0.0, 0.0, 0.0)
+    offline, plain = track_subject(subject, here).joints, track_subject(subject, frames).joints
+    with LiveSkeleton(subject, rig=rig) as live:
+        for k, one in enumerate(clean.samples):
+            pose = live.step(int(frames.frame[k]), int(frames.time_ns[k]), one)
+    last = len(here) - 1
+    assert pose.joints is not None
+    covariances = (
+        (pose.joints.centre_covariance[0], offline.centre_covariance[last], plain.centre_covariance[last]),
+        (pose.joints.rotation_covariance[0], offline.rotation_covariance[last], plain.rotation_covariance[last]),
+    )
+    for found, expected, without_rig in covariances:
+        np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-12)
+        assert not np.allclose(expected, without_rig, rtol=0.05)
+    unknown = replace(clean.samples[0], covariance=np.full_like(clean.samples[0].covariance, np.nan))
+    with LiveSkeleton(subject, rig=rig) as live:
+        assert live.step(0, 0, unknown).joints is None
 
 
 def test_clean_tracks_get_all_names_and_the_poses_of_labelled_ones(person):
