@@ -25,17 +25,20 @@ from reports.plots import limit_mm, pictures
 from reports.record import Metric, RunRecord
 from reports.units import duration, figure, shown
 
-TILES = (
-    ("position_rms", "Position error, rms"),
-    ("relative_accuracy", "Of the working space"),
-    ("completeness", "Completeness"),
-    ("ghosts_per_frame", "Ghosts per frame"),
-    ("length_rms", "Certified length, rms"),
-    ("static_noise", "Scatter at rest, rms"),
-    ("reprojection_rms", "Reprojection residual, rms"),
-    ("frame_rate", "Speed"),
-)
-"""The headline figures of a page: the first four of these that the record has."""
+TILES = {
+    "position_rms": "Position error, rms",
+    "relative_accuracy": "Of the working space",
+    "completeness": "Completeness",
+    "ghosts_per_frame": "Ghosts per frame",
+    "length_rms": "Certified length, rms",
+    "static_noise": "Scatter at rest, rms",
+    "reprojection_rms": "Reprojection residual, rms",
+    "frame_rate": "Speed",
+}
+"""The headline figures of a page, with names of their own."""
+OF_EVERY_RUN = ("sets_complete", "frames_complete")
+"""Limits that every run has."""
+MOST_TILES = 4
 
 
 def write_page(path: Path, record: RunRecord, evidence: Evidence, squares: ErrorBudget | None = None) -> None:
@@ -272,12 +275,19 @@ def write_rendered(path: Path, template: str, **values: Any) -> None:
     write_text(path, templates.get_template(template).render(**values))
 
 
+def _headlines(record: RunRecord) -> list[Metric]:
+    """Return the metrics of the cards: those of ``TILES`` that are judged, others that are, the rest of ``TILES``."""
+    named = [metric for name in TILES if (metric := record.metric(name)) is not None]
+    judged, left = [], []
+    for metric in named:
+        (left if metric.as_it_must is None else judged).append(metric)
+    own = [m for m in record.metrics if m.as_it_must is not None and m.name not in {*TILES, *OF_EVERY_RUN}]
+    return [*judged, *own, *left][:MOST_TILES]
+
+
 def _tiles(record: RunRecord) -> list[dict[str, str]]:
     tiles = []
-    for name, text in TILES:
-        metric = record.metric(name)
-        if metric is None:
-            continue
+    for metric in _headlines(record):
         (value,), unit = shown((metric.value,), metric.unit, metric.name)
         note = f"limit {bound(metric)}" if metric.limit is not None else "no limit"
         verdict = {True: "✓ as it must be", False: "✗ not as it must be", None: ""}[metric.as_it_must]
@@ -288,9 +298,16 @@ def _tiles(record: RunRecord) -> list[dict[str, str]]:
         tone = {True: "near" if near else "good", False: "bad", None: ""}[metric.as_it_must]
         verdict += ", nearly missed" if near else ""
         tiles.append(
-            {"name": text, "value": figure(value), "unit": unit, "note": note, "verdict": verdict, "tone": tone}
+            {
+                "name": TILES.get(metric.name, _words(metric.name).capitalize()),
+                "value": figure(value),
+                "unit": unit,
+                "note": note,
+                "verdict": verdict,
+                "tone": tone,
+            }
         )
-    return tiles[:4]
+    return tiles
 
 
 def _metric_row(metric: Metric) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from reports.content import content_digest
 from reports.error_tables import Cell, number_cell
 from reports.glossary import term
 from reports.margins import NEAR, share_used
-from reports.page import relative_address
+from reports.page import OF_EVERY_RUN, relative_address
 from reports.record import Metric, RunRecord
 from reports.suite.history import MOST_DRAWN, PastResult
 from reports.suite.sparkline import sparkline
@@ -21,8 +21,6 @@ MUST = {"pass": "must pass", "fail": "must fail", "caught": "must be caught", "d
 AS_IT_MUST = {"pass": "passed", "fail": "failed", "caught": "caught", "diagnosed": "diagnosed"}
 HEADLINES = ("position_rms", "relative_accuracy")
 """Metrics whose history is drawn, the first of these that has a limit; else the first limit of the scenario's own."""
-OF_EVERY_RUN = ("sets_complete", "frames_complete")
-"""Limits that every run has."""
 
 
 @dataclass(frozen=True)

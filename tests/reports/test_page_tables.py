@@ -131,6 +131,21 @@ def test_cards_say_their_verdict_in_words_and_colour(tmp_path: Path) -> None:
     assert verdicts == [["✓ limit met"], ["✗ limit broken"], ["✓ limit met, nearly missed"], []]
 
 
+def test_cards_show_what_is_judged_first(tmp_path: Path) -> None:
+    metrics = (
+        Metric("position_rms", 2.0e-4, "m", 9),
+        Metric("completeness", 0.99, "1", 9, limit=0.98, sense="at_least", passed=True),
+        Metric("sets_complete", 1.0, "1", 9, limit=0.98, sense="at_least", passed=True),
+        Metric("joint_center_rms", 1e-3, "m", 9, limit=2e-3, passed=True),
+        Metric("joint_angle_rms", 1e-3, "rad", 9, limit=2e-3, passed=True),
+    )
+    write_page(tmp_path / "p.html", example_record(metrics=metrics), example_evidence(views=0))
+    cards = re.findall(r'<div class="card tile ?\w*">(.*?)</div>', (tmp_path / "p.html").read_text("utf-8"))
+    names = [re.sub("<[^>]*>", " ", inside).split("  ")[0].strip() for inside in cards]
+    wanted = ["Completeness", "Joint center rms", "Joint angle rms", "Position error, rms"]
+    assert [name.startswith(one) for name, one in zip(names, wanted, strict=True)] == [True] * 4
+
+
 def test_a_curve_ends_where_a_frame_is_missing() -> None:
     frames = np.array([0, 2, 4, 10, 12, 14])
     pieces = pieces_between_gaps(frames)
