@@ -107,10 +107,6 @@ class Factor:
             raise ValueError(f"banded solve: LAPACK dtbtrs returned {info}")
         return np.asarray(found).reshape(random.shape)
 
-    def log_determinant(self) -> float:
-        """Return log det T."""
-        return float(2 * np.log(self.lower[0]).sum())
-
     def inverse_blocks(self, unknowns: int) -> Array:
         """Return of T^-1 the blocks between coefficients k + o and k of each triple of unknowns.
 
