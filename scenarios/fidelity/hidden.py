@@ -57,7 +57,7 @@ def occlusion(quick: bool) -> Check:
     shares = [seen_over_time(where, WITNESS, SIZE, SIGMA, lines_per_px=n).share for n in (24, 48)]
     return Check(
         "What hides a marker",
-        "visible share of an 8 px marker, and the centre of light of what is left of it",
+        "visible share of an 8 px marker, and the centre of light of its visible part",
         "MuJoCo's ray caster (mj_multiRay) along 24 scan lines a pixel, edges found by bisection",
         about(abs(shares[0] - shares[1]), "of the share"),
         (*rows, *_faults()),

@@ -94,8 +94,8 @@ CROPS: tuple[Panels, ...] = (
         "defocus",
         "Defocus",
         ("sharp everywhere", "8 mm at f/1.4, focused at 2 m"),
-        "Markers of 9 px at 0.7, 2 and 6 m. The blur circle follows from focal length, f-number and distance; the "
-        "pupil is cut into patches and each images the marker exactly.",
+        "Markers of 9 px at 0.7, 2 and 6 m. The blur circle follows from focal length, f-number and distance. The "
+        "pupil is divided into patches, and each patch images the marker exactly.",
         "lenses/defocus",
         _defocus,
     ),
@@ -103,8 +103,8 @@ CROPS: tuple[Panels, ...] = (
         "coma",
         "Coma",
         (WITHOUT, "10 px long in the corners"),
-        "Markers of 3 px all over an image; light falls outwards in a comet's tail that grows with the distance from "
-        "the middle. Dark parts are brightened, and the coma is several times a usable lens's.",
+        "Markers of 3 px all over an image. Light falls outwards in a comet's tail that grows with the distance "
+        "from the middle. Dark parts are brightened, and the coma is several times that of a usable lens.",
         "lenses/coma",
         lambda: pair(
             stage(markers(3.0, *product((-54.0, -18.0, 18.0, 54.0), (-38.0, 0.0, 38.0)))),
@@ -129,8 +129,8 @@ CROPS: tuple[Panels, ...] = (
         "dust",
         "Dust",
         (WITHOUT, "25 specks"),
-        "Specks on the sensor's glass take part of the light of background and markers; a marker beside one leans "
-        "away from it.",
+        "Specks on the sensor's glass take part of the light of background and markers. The image of a marker "
+        "beside a speck shifts away from it.",
         "light/dust",
         lambda: pair(
             stage(markers(8.0, *product((-40.0, 0.0, 40.0), (-25.0, 25.0)))),
@@ -142,8 +142,8 @@ CROPS: tuple[Panels, ...] = (
         "glare",
         "Veiling glare",
         (WITHOUT, "5 % of all light comes again as haze"),
-        "A lamp 60 times as bright as a marker. Lens surfaces scatter a share of it over the image, where it adds "
-        "light and noise. Dark parts are brightened.",
+        "A lamp 60 times as bright as a marker. Lens surfaces scatter a share of its light over the image, which "
+        "adds signal and noise. Dark parts are brightened.",
         "light/glare",
         _glare,
     ),
@@ -151,8 +151,8 @@ CROPS: tuple[Panels, ...] = (
         "fisheye",
         "Fisheye to 190 degrees",
         ("a lens of 90 degrees", "a fisheye of 190 degrees"),
-        "Rings of equal markers 15 to 92 degrees off the axis at 1.5 m, by a straight lens and by the equidistant "
-        "one of a body-worn camera: the last ring lies behind its plane.",
+        "Rings of equal markers 15 to 92 degrees off the axis at 1.5 m, through a rectilinear lens and through the "
+        "equidistant lens of a body-worn camera. The last ring lies behind the camera's plane.",
         "lenses/fisheye_190",
         _fisheye,
         zoom=3,
@@ -161,8 +161,8 @@ CROPS: tuple[Panels, ...] = (
         "vibration",
         "Vibration blur",
         ("still mount", "4 px rms at 60-120 Hz, 6 ms exposure"),
-        "The mount's pose is a function of continuous time: what it does within an exposure blurs all markers alike, "
-        "and what it does between exposures moves them.",
+        "The mount's pose is a function of continuous time. Its motion within an exposure blurs all markers alike; "
+        "its motion between exposures moves them.",
         "mounts/vibration",
         lambda: pair(
             stage(markers(7.0, *product((-42.0, 0.0, 42.0), (-28.0, 0.0, 28.0)))),
@@ -176,7 +176,7 @@ CROPS: tuple[Panels, ...] = (
         "Motion blur and strobe",
         ("at rest", "18 px in an exposure", "with a strobe a tenth as long"),
         "Paths are integrated over the exposure, not drawn, also where they bend or speed up. The strobe is ten "
-        "times as bright, so that it gives as much light.",
+        "times as bright, so it gives as much light.",
         "timing/strobe",
         _motion_blur,
     ),
@@ -193,8 +193,8 @@ CROPS: tuple[Panels, ...] = (
         "lamps",
         "Lamps that blink",
         ("pulse 0", "pulse 1"),
-        "Active markers say their numbers by being on or off from frame to frame; an exposure that meets an edge of "
-        "the code gets part of the light.",
+        "Active markers show their numbers by being on or off from frame to frame. An exposure that includes an "
+        "edge of the code gets part of the light.",
         "targets/blinking_lamps",
         _lamps,
     ),

@@ -151,8 +151,8 @@ CROPS: tuple[Panels, ...] = (
         "hot_and_dead_pixels",
         "Hot and dead pixels",
         (WITHOUT, "0.6 % hot, 0.6 % dead"),
-        "Drawn once for a camera and then the same in all its frames. A hot pixel is taken for a small marker, a "
-        "dead one in a marker moves its centroid.",
+        "Drawn once for a camera and then the same in all its frames. A hot pixel is taken for a small marker; a "
+        "dead pixel in a marker moves its centroid.",
         "sensors/hot_and_dead_pixels",
         _hot_and_dead_pixels,
         zoom=8,
@@ -161,8 +161,8 @@ CROPS: tuple[Panels, ...] = (
         "fixed_patterns",
         "DSNU and PRNU",
         (WITHOUT, "150 e- and 4 %", "difference, 8 times"),
-        "Each pixel has a dark signal and a response of its own (EMVA 1288): the patterns stay where they are while "
-        "noise changes. Brightness is stretched; in the difference grey means none.",
+        "Each pixel has its own dark signal and response (EMVA 1288). The patterns stay the same while noise "
+        "changes. Brightness is stretched; in the difference grey means none.",
         "sensors/fixed_patterns",
         _fixed_patterns,
         zoom=6,
@@ -171,7 +171,7 @@ CROPS: tuple[Panels, ...] = (
         "uneven_background",
         "Uneven background",
         ("even", "gradient and a soft spot"),
-        "A window to one side and a spot of light on the wall: both add electrons and their noise, and pull "
+        "A window to one side and a spot of light on the wall. Both add electrons and their noise, and pull "
         "centroids along the gradient. Brightness is stretched a little.",
         "light/uneven_background",
         lambda: pair(
@@ -195,7 +195,7 @@ CROPS: tuple[Panels, ...] = (
         "Mirror images",
         (WITHOUT, "above a floor that reflects half"),
         "The image of each marker stands where plane geometry has it, dimmer by the reflectance. Such images are "
-        "consistent in all cameras: only the volume of interest tells them from markers.",
+        "consistent in all cameras: only the volume of interest separates them from markers.",
         "light/polished_floor",
         _mirror,
     ),
@@ -203,8 +203,8 @@ CROPS: tuple[Panels, ...] = (
         "shiny_spot",
         "Shiny spot",
         (WITHOUT, "a chromed screw"),
-        "A fixed bright place that throws the ring light back, four times as bright as a marker; it may shine to "
-        "some cameras only.",
+        "A fixed bright place that reflects the ring light, four times as bright as a marker. It may shine to some "
+        "cameras only.",
         "light/shiny_spots_outside",
         _shiny_spot,
     ),
@@ -212,8 +212,8 @@ CROPS: tuple[Panels, ...] = (
         "context",
         "Context image and bright clothing",
         ("markers alone", "with scene and body", "and reflective stripes"),
-        "What is seen besides the markers: rays through the lens meet floor and limbs, shaded in even light and in "
-        "the camera's own; reflective tape shines like markers. Dark parts are brightened.",
+        "The scene besides the markers: rays through the lens meet floor and limbs, shaded in even light and in the "
+        "camera's own. Reflective tape shines like markers. Dark parts are brightened.",
         "light/reflective_stripe",
         _context,
         zoom=3,
@@ -222,8 +222,8 @@ CROPS: tuple[Panels, ...] = (
         "coded_target",
         "Coded target",
         ("facing the camera", "turned by 55 degrees"),
-        "A dot within a ring of sectors that say its number. Contours of lines and arcs go through the lens and are "
-        "integrated over each pixel; the tape sends less at an angle.",
+        "A dot within a ring of sectors that encode its number. Contours of lines and arcs go through the lens and "
+        "are integrated over each pixel. The tape reflects less at an angle.",
         "targets/test_field",
         _coded_target,
     ),
@@ -232,7 +232,7 @@ CROPS: tuple[Panels, ...] = (
         "Checkerboard",
         ("facing the camera", "turned by 55 degrees"),
         "Black squares printed on white paper: a figure of straight contours, bent by the lens and integrated like "
-        "the others. Blur and noise are all that keeps its corners from being exact.",
+        "the others. Only blur and noise keep its corners from being exact.",
         "targets/checkerboard",
         _checkerboard,
     ),
@@ -240,8 +240,8 @@ CROPS: tuple[Panels, ...] = (
         "limb_darkening",
         "Limb darkening and shading",
         ("even", "rim lacks 80 %", "rim 50 %, lit from the left"),
-        "A retroreflective ball is darker towards its rim, and one lit from the side has its centre of light off its "
-        "middle: an error that no detection can see.",
+        "A retroreflective ball is darker towards its rim. A ball lit from the side has its centre of light off its "
+        "middle, an error that no detection can see.",
         "targets/shaded_spheres",
         _limb_darkening,
         zoom=6,
@@ -250,8 +250,8 @@ CROPS: tuple[Panels, ...] = (
         "hidden_and_merging",
         "Partly hidden and merging markers",
         ("apart and in view", "behind a limb (left), with a neighbour (right)"),
-        "The edge of what hides a marker cuts its image exactly, within a pixel too, and its centroid moves; two "
-        "images that run into each other become one detection.",
+        "The edge of an occluding object cuts a marker's image exactly, also within a pixel, and its centroid "
+        "moves. Two images that run into each other become one detection.",
         "subjects/actor",
         _hidden_and_merging,
     ),

@@ -49,7 +49,7 @@ def figures(quick: bool) -> Check:
         rows.append(Row(f"fault: {name}: pixels", off_peak, "of peak", PIXEL, control=True))
     return Check(
         "Printed figures",
-        "centre of light, and every pixel, of what is printed on a tilted plate",
+        "centre of light, and every pixel, of figures printed on a tilted plate",
         "dense polygons of the definition: moments by the shoelace formula, pixels by Green's theorem",
         f"{about(centroids_apart(wanted, coarse), 'px')}, {about(pixels_apart(wanted, coarse), 'of the peak')}",
         tuple(rows),
@@ -84,7 +84,7 @@ def profiles(quick: bool) -> Check:
     rows.append(Row("fault: shading with y flipped", centroids_apart(*pair), "px", PROFILE_PX, control=True))
     return Check(
         "Limb darkening and shading",
-        "centre of light, and every pixel, of markers whose rim lacks half the light and one side is brighter",
+        "centre of light, and every pixel, of markers with half the light missing at the rim and one brighter side",
         "points of light in Gauss-Legendre rings, each with the brightness of the law",
         about(own, "px"),
         tuple(rows),

@@ -48,7 +48,7 @@ def sensors(quick: bool) -> Check:
         rows.append(Row(f"fault: {name}", off[what][0], "of it", off[what][1], control=True))
     return Check(
         "Sensor (EMVA 1288)",
-        "what the photon transfer method and stacks of even images find with what the data sheet says",
+        "figures found by photon transfer and stacks of even images with those of the data sheet",
         "the measuring procedure of EMVA 1288, release 4.0 linear, which knows counts only",
         f"its spread over {SHAPE[0] * SHAPE[1]:,} pixels: K 0.2 %, dark noise 0.3 %; saturation in steps of 4 %",
         tuple(rows),
