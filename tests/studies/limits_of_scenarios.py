@@ -23,11 +23,17 @@ from scenarios.spec.scenario import load_scenario
 
 HEAD = """# Limits on errors
 
-A limit on an error is 1.4 times the largest of five seeds, two digits, or follows from its scenario's budget as the
-text there says (`spaces/*`, `subjects/actor`, `boxing`, `dance`, `jump`); none may be looser than 1.5 times. *Stated*
-is the error that the points' covariances state (median of the seeds): detection noise, shake and calibration;
-*factor* is the largest error over it. `python -m tests.studies.limits_of_scenarios reports/baselines FOLDER ...
---table docs/limits.md` writes this page from suites of other seeds (`mosca suite --set seed=2 --out FOLDER`).
+The table compares the limits on errors of the quick scenarios with the errors of five seeds.
+
+- A limit is 1.4 times the largest error of five seeds, with two digits. Or it follows from the scenario's error
+  budget, as the text in the scenario says (`spaces/*`, `subjects/actor`, `boxing`, `dance`, `jump`). No limit may be
+  looser than 1.5 times the largest error.
+- *Stated* is the error that the covariances of the points state: detection noise, shake of the camera bodies and
+  calibration (median of the seeds).
+- *Factor* is the largest error divided by the stated error.
+
+`python -m tests.studies.limits_of_scenarios reports/baselines FOLDER ... --table docs/limits.md` writes this page
+from suites of other seeds (`mosca suite --set seed=2 --out FOLDER`).
 
 """
 ERRORS = ("position_rms", "relative_accuracy")
