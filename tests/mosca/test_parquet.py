@@ -7,6 +7,7 @@ from pyarrow import parquet
 
 from mosca.data.tracks import Tracks
 from mosca.errors import InputError
+from mosca.formats.tracks import parquet as tracks_parquet
 from mosca.formats.tracks.tracks_csv import COLUMNS
 from mosca.formats.tracks.tracks_file import read_tracks, write_tracks
 
@@ -81,16 +82,15 @@ def test_other_content_is_told_in_one_line(tmp_path, columns, told):
     assert "\n" not in str(raised.value)
 
 
-def test_what_lacks_a_column_or_would_fill_the_memory_is_refused(tmp_path):
+def test_what_lacks_a_column_or_would_fill_the_memory_is_refused(tmp_path, monkeypatch):
     parquet.write_table(foreign().drop_columns(["syz"]), tmp_path / "a.parquet")
     with pytest.raises(InputError, match="no column 'syz'"):
         read_tracks(tmp_path / "a.parquet")
-    # 100 million rows that are all the same take some kB
-    n = 100_000_000
-    many = pyarrow.array(np.zeros(1_000_000, np.int8))
-    columns = {name: pyarrow.chunked_array([many] * (n // len(many))) for name in foreign().column_names}
-    parquet.write_table(pyarrow.table(columns), tmp_path / "b.parquet")
-    assert (tmp_path / "b.parquet").stat().st_size < 1e7
+    # a million rows that are all the same take some kB
+    monkeypatch.setattr(tracks_parquet, "SMALL_BYTES", 2**20)
+    same = pyarrow.array(np.zeros(1_000_000, np.int8))
+    parquet.write_table(pyarrow.table(dict.fromkeys(foreign().column_names, same)), tmp_path / "b.parquet")
+    assert (tmp_path / "b.parquet").stat().st_size < 1e5
     with pytest.raises(InputError, match="bytes of memory; at most"):
         read_tracks(tmp_path / "b.parquet")
 
