@@ -278,9 +278,8 @@ def write_rendered(path: Path, template: str, **values: Any) -> None:
 def _headlines(record: RunRecord) -> list[Metric]:
     """Return the metrics of the cards: those of ``TILES`` that are judged, others that are, the rest of ``TILES``."""
     named = [metric for name in TILES if (metric := record.metric(name)) is not None]
-    judged, left = [], []
-    for metric in named:
-        (left if metric.as_it_must is None else judged).append(metric)
+    judged = [metric for metric in named if metric.as_it_must is not None]
+    left = [metric for metric in named if metric.as_it_must is None]
     own = [m for m in record.metrics if m.as_it_must is not None and m.name not in {*TILES, *OF_EVERY_RUN}]
     return [*judged, *own, *left][:MOST_TILES]
 
