@@ -15,18 +15,22 @@ from scenarios.cli.progress import Progress
 @click.argument("what")
 @click.option("--artefact", type=FILE, help="acceptance file: artefacts, certificates, measuring lines, limits")
 @click.option("--rig", type=FILE, help="rig file of a recording  [default: rig.toml in it]")
-@click.option("--fps", type=POSITIVE, help="frame rate of a recording that does not tell its own [Hz]")
-@click.option("--source", help="of a scenario: twin | recording:DIR | hardware:RIG.toml  [default: twin]")
-@click.option("--seed", type=int, help="another seed than the scenario's")
+@click.option("--fps", type=POSITIVE, help="frame rate of a recording that does not state its own [Hz]")
+@click.option(
+    "--source", help="source of a scenario's frames: twin | recording:DIR | hardware:RIG.toml  [default: twin]"
+)
+@click.option("--seed", type=int, help="seed in place of the scenario's")
 @SET
-@click.option("--arrivals", type=FILE, help="when results were available: .csv  [default: arrivals.csv in WHAT]")
+@click.option(
+    "--arrivals", type=FILE, help="times at which results were available: .csv  [default: arrivals.csv in WHAT]"
+)
 @click.option("--workers", type=click.IntRange(1, 64), help="rendering threads  [default: all cores]")
 @click.option("--out", type=OUT_FOLDER, help="folder for acceptance.json and .html  [default: runs/acceptance/WHAT]")
 def accept(out: Path | None, **given: Any) -> None:
-    """Test by certified artefacts, in the manner of VDI/VDE 2634-1, ASTM E3064 and ASTM E3124.
+    """Run acceptance tests with certified artefacts, in the manner of VDI/VDE 2634-1, ASTM E3064 and ASTM E3124.
 
     WHAT is a scenario with [acceptance], a run folder, a file of tracks (.npz, .csv, .parquet, .c3d, .trc), or a
-    recording, which is reconstructed first. Each error stands beside its expanded uncertainty and its limit.
+    recording, which is reconstructed first. Each error is shown with its expanded uncertainty and its limit.
 
     Exit codes: 0 conforming, 1 not conforming, 3 undecided, 2 an input error.
 

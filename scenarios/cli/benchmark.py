@@ -49,31 +49,38 @@ class BenchmarkOptions:
 @click.option(
     "--out", type=OUT_FOLDER, default=Path("runs/benchmark"), show_default=True, help="folder of the result"
 )
-@click.option("--quick", is_flag=True, help="two data sets alone")
-@click.option("--set", "sets", multiple=True, metavar="NAME", help="these data sets alone  [repeatable]")
-@click.option("--entrant", "entrants", multiple=True, metavar="NAME", help="these entrants alone  [repeatable]")
+@click.option("--quick", is_flag=True, help="run two data sets only")
+@click.option("--set", "sets", multiple=True, metavar="NAME", help="run only this data set  [repeatable]")
+@click.option("--entrant", "entrants", multiple=True, metavar="NAME", help="run only this entrant  [repeatable]")
 @click.option(
     "--passphrase",
     metavar="TEXT",
-    help="what seeds are drawn from  [default: the published round's, else a fresh one]",
+    help="text from which the seeds are drawn  [default: the published round's, else a new one]",
 )
-@click.option("--fresh", is_flag=True, help="draw a passphrase that nobody has known")
-@click.option("--twice", is_flag=True, help="run all entrants twice; figures that differ are told, and exit code 1")
+@click.option("--fresh", is_flag=True, help="draw a new passphrase that nobody has known")
+@click.option(
+    "--twice", is_flag=True, help="run all entrants twice; figures that differ are reported, with exit code 1"
+)
 @click.option(
     "--limit", "limit_s", type=click.FloatRange(1, 86400), metavar="SECONDS",
-    help="longest that a phase of an entrant may take on a set  [default: 300]",
+    help="longest time for a phase of an entrant on a set  [default: 300]",
 )  # fmt: skip
-@click.option("--export", type=OUT_FOLDER, help="write the data sets with their truth into this folder, run nothing")
+@click.option("--export", type=OUT_FOLDER, help="only write the data sets and their truth into this folder")
 @click.option("--tune", is_flag=True, help="tune settings on the tuning seeds (changes settings.toml)")
-@click.option("--cache", type=OUT_FOLDER, help="where environments are kept  [default: ~/.cache/mosca-benchmark]")
 @click.option(
-    "--workers", type=click.IntRange(1, 64), help="rendering threads, and entrants side by side  [default: all cores]"
+    "--cache", type=OUT_FOLDER, help="folder of the entrants' environments  [default: ~/.cache/mosca-benchmark]"
+)
+@click.option(
+    "--workers",
+    type=click.IntRange(1, 64),
+    help="rendering threads, and entrants at the same time  [default: all cores]",
 )
 def benchmark(**given: Any) -> None:
-    """Compare mosca with other programs on the same images: a leaderboard.
+    """Compare mosca with other programs on the same images, and write a leaderboard.
 
     Each entrant runs in an environment of its own, built at the first run. OUT/leaderboard.html is the page.
-    Exit code 1: an entrant gave no result on a set, or other figures the second time; the table says which and why.
+    Exit code 1: an entrant gave no result on a set, or other figures the second time. The table states which entrant
+    and why.
 
     \b
     Example:  mosca benchmark --quick --out runs/benchmark

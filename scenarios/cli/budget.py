@@ -10,17 +10,23 @@ from scenarios.cli.progress import Progress
 
 @click.command()
 @click.argument("scenario", type=SCENARIO)
-@click.option("--metric", default="position_rms", show_default=True, help="a root mean square")
+@click.option("--metric", default="position_rms", show_default=True, help="metric to split up, a root mean square")
 @click.option(
     "--by", type=click.Choice(["source", "camera"]), default="source", show_default=True,
-    help="'camera': the own sources of error of each camera together",
+    help="'camera': the sources of error of each single camera are taken together",
 )  # fmt: skip
 @click.option("--sources", help="NAME,NAME,...: switch only these off  [default: all that the scenario has]")
-@click.option("--seeds", type=click.IntRange(1, 1000), default=3, show_default=True, help="takes of their own noise")
+@click.option(
+    "--seeds",
+    type=click.IntRange(1, 1000),
+    default=3,
+    show_default=True,
+    help="number of takes, each with its own noise",
+)
 @click.option("--seconds", type=Number(0.2, 600), default=2.0, show_default=True, help="length of each take [s]")
 @click.option(
     "--orders", type=click.IntRange(2, 10000), default=32, show_default=True,
-    help="random orders of more than 8 sources or cameras; up to 8 all subsets are run",
+    help="random orders that are drawn for more than 8 sources or cameras; for up to 8 all subsets are run",
 )  # fmt: skip
 @click.option("--workers", type=click.IntRange(1, 64), default=2, show_default=True, help="processes")
 @click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE", help="change a key of the scenario")
@@ -39,9 +45,10 @@ def budget(
     overrides: tuple[str, ...],
     out: Path | None,
 ) -> None:
-    """Which source of error costs what: Shapley values of the mean square, with 95 % intervals.
+    """Split an error among its sources: Shapley values of the mean square, with 95 % intervals.
 
-    Sources are switched off in all subsets, each with the same random numbers; contributions and remainder add up.
+    Sources are switched off in all subsets, each time with the same random numbers. The contributions and the
+    remainder add up to the whole.
 
     \b
     Example:  mosca budget actor --sources occlusion,noise,calibration --seeds 2 --seconds 1

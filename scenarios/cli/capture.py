@@ -19,12 +19,14 @@ EXIT_LOST = 1
 
 @click.command()
 @click.option("--rig", required=True, type=FILE, help="rig file with [camera.hardware] and [hardware]")
-@click.option("--out", required=True, type=FILE, help="folder of the recording; must not be there yet")
-@click.option("--frames", type=click.IntRange(min=1), help="end after so many pulses  [default: Ctrl-C]")
-@click.option("--seconds", type=POSITIVE, help="end after so long")
-@click.option("--detections", is_flag=True, help="keep what is detected, no images")
+@click.option("--out", required=True, type=FILE, help="folder of the recording; must not exist yet")
+@click.option("--frames", type=click.IntRange(min=1), help="end after this many pulses  [default: Ctrl-C]")
+@click.option("--seconds", type=POSITIVE, help="end after this time [s]")
+@click.option("--detections", is_flag=True, help="keep the detections only, no images")
 @click.option("--view", is_flag=True, help="show images, detections and points live in the Rerun viewer")
-@click.option("--settings", type=FILE, help="TOML file as of mosca reconstruct, for --detections and --view")
+@click.option(
+    "--settings", type=FILE, help="TOML file of settings as in mosca reconstruct, for --detections and --view"
+)
 @click.option("--program", type=FILE, help="TOML file of commands to send and events to record")
 def capture(
     rig: Path,

@@ -15,10 +15,18 @@ from scenarios.cli.options import EXIT_BROKEN, EXIT_PASSED, FILE, OUT_FOLDER, ec
 @click.argument("results", nargs=-1, type=FILE)
 @click.option("--out", type=OUT_FOLDER, default=Path("runs/certificate"), show_default=True, help="folder to write")
 @click.option("--pdf", is_flag=True, help="also write certificate.pdf (needs the extra 'certificate')")
-@click.option("--title", default="Certificate of measurement performance", show_default=True, help="its heading")
-@click.option("--customer", default="", help="for whom it is")
-@click.option("--issued", metavar="YYYY-MM-DD", help="day that stands on it  [default: today]")
-@click.option("--check", "checked", type=FILE, metavar="CERTIFICATE", help="tell which of its files changed since")
+@click.option(
+    "--title", default="Certificate of measurement performance", show_default=True, help="heading of the certificate"
+)
+@click.option("--customer", default="", help="customer that it is issued to")
+@click.option("--issued", metavar="YYYY-MM-DD", help="date of issue  [default: today]")
+@click.option(
+    "--check",
+    "checked",
+    type=FILE,
+    metavar="CERTIFICATE",
+    help="report which files of this certificate changed since",
+)
 def certificate(
     results: tuple[Path, ...],
     out: Path,
@@ -28,13 +36,13 @@ def certificate(
     issued: str | None,
     checked: Path | None,
 ) -> None:
-    """Write what acceptance tests, claims, budgets and runs found as a page to hand over, or check one.
+    """Write a certificate from results of acceptance tests, claims, budgets and runs, or check a certificate.
 
-    RESULTS are their folders. Of several of one thing the last counts, and the others are its history; several
-    things of one kind, such as two rigs, stand side by side.
+    RESULTS are the folders of these results. Of several results of the same subject the last counts, and the others
+    are its history. Different subjects of one kind, such as two rigs, are shown side by side.
 
     Exit codes: 0 conforming, 1 not conforming, 3 undecided, 2 an input error; with --check 1 where a file changed or
-    is not there.
+    is missing.
 
     \b
     Example:  mosca certificate runs/acceptance/ball_bar runs/claims/quick_cloud --out runs/certificate --pdf

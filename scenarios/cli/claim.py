@@ -18,15 +18,15 @@ EXITS = {"conforming": EXIT_PASSED, "not conforming": EXIT_BROKEN, "undecided": 
 
 @click.command()
 @click.argument("claim", type=FILE)
-@click.option("--jobs", type=click.IntRange(1, 256), help="runs at a time  [default: all cores]")
+@click.option("--jobs", type=click.IntRange(1, 256), help="runs at the same time  [default: all cores]")
 @click.option("--scheduler", metavar="ADDRESS", help="make the runs on this Dask cluster, e.g. tcp://10.0.0.5:8786")
 @click.option("--out", type=OUT_FOLDER, help="folder for result.json and claim.html  [default: runs/claims/CLAIM]")
 def claim(claim: Path, jobs: int | None, scheduler: str | None, out: Path | None) -> None:
-    """Judge what is claimed of a scenario over many runs: seeds, rigs, calibrations drawn anew.
+    """Judge a claim about a scenario over many runs with newly drawn seeds, rigs or calibrations.
 
-    CLAIM is a file or the name of a built-in claim. Runs are made until the claim is decided; a false verdict has at
-    most the probability that the file states, however often it is looked at. Runs that are done are kept: after
-    Ctrl-C the same command goes on.
+    CLAIM is a file or the name of a built-in claim. Runs are made until the claim is decided. The probability of a
+    false verdict is at most what the file states, however often the result is looked at. Finished runs are kept:
+    after Ctrl-C the same command continues.
 
     Exit codes: 0 conforming, 1 not conforming, 3 undecided, 2 an input error.
 

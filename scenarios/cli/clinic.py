@@ -10,31 +10,31 @@ from scenarios.cli.options import EXIT_BROKEN, EXIT_PASSED, FILE, POSITIVE
 
 @click.command()
 @click.argument("take", type=FILE)
-@click.option("--rig", type=FILE, help="rig file that it was measured with  [default: rig.toml in TAKE]")
+@click.option("--rig", type=FILE, help="rig file with which the take was measured  [default: rig.toml in TAKE]")
 @click.option("--tracks", type=FILE, help="labelled tracks of the take  [default: tracks.npz or .csv in TAKE]")
 @click.option(
     "--calibration",
     type=FILE,
-    help="record of its calibration, as 'mosca calibrate' writes it  [default: RIG.calibration.json]",
+    help="record of the rig's calibration, as 'mosca calibrate' writes it  [default: RIG.calibration.json]",
 )
-@click.option("--fps", type=POSITIVE, help="frame rate of a recording that does not tell its own [Hz]")
+@click.option("--fps", type=POSITIVE, help="frame rate of a recording that does not state its own [Hz]")
 @click.option(
     "--known-length",
     "lengths",
     type=POSITIVE,
     multiple=True,
     metavar="M",
-    help="distance of two markers of a rigid body, measured by tape [m]; may be given several times",
+    help="distance of two markers of a rigid body, measured by tape [m]  [repeatable]",
 )
 @click.option(
     "--tape-sigma-mm", type=POSITIVE, default=1.0, show_default=True, help="standard deviation of --known-length"
 )
 @click.option("--json", "as_json", is_flag=True, help="print JSON")
 def clinic(as_json: bool, lengths: tuple[float, ...], tape_sigma_mm: float, **given: Any) -> None:
-    """Name the likeliest cause of a fault in a take, with its evidence and what to do next.
+    """Name the likeliest cause of a fault in a take, with its evidence and the next step.
 
-    TAKE is a recording or a run folder. Exit codes: 0 nothing is wrong that can be seen, 1 a cause is named or
-    a part could not be judged, 2 an error in the input.
+    TAKE is a recording or a run folder. Exit codes: 0 no fault was found, 1 a cause is named or a part could not be
+    judged, 2 an error in the input.
 
     \b
     Example:  mosca clinic recordings/take_1 --rig rig.toml --known-length 0.6

@@ -11,7 +11,7 @@ from scenarios.cli.progress import Progress
 
 @click.group()
 def demo() -> None:
-    """Make something to try the other commands on."""
+    """Make example data for the other commands."""
 
 
 @demo.command("lab")
@@ -19,13 +19,14 @@ def demo() -> None:
 @click.option(
     "--scenario", type=SCENARIO, default="drone", show_default=True, help="scenario with a [calibration], or its file"
 )
-@click.option("--seconds", type=float, default=2.0, show_default=True, help="length of the take")
+@click.option("--seconds", type=float, default=2.0, show_default=True, help="length of the take [s]")
 @click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE", help="change a key of the scenario")
 @click.option("--workers", type=click.IntRange(1, 64), help="rendering threads  [default: all cores]")
 def demo_lab(folder: Path, scenario: str, seconds: float, overrides: tuple[str, ...], workers: int | None) -> None:
-    """Write a small lab: images of a calibration, a take, and the truth apart.
+    """Write the data of a small lab: images for a calibration, a take, and the truth in a folder of its own.
 
-    Calibrate, reconstruct and judge it as you would your own; the commands stand at the end, and in FOLDER/README.md.
+    Calibrate, reconstruct and judge it like your own lab. The commands are printed at the end, and written to
+    FOLDER/README.md.
 
     \b
     Example:  mosca demo lab lab

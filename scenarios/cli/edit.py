@@ -21,16 +21,18 @@ from scenarios.cli.options import FILE, OUT_FILE, POSITIVE, echo_lines
     flag_value="all",
     help="undo the last N edits of TAKE  [no N: all of them]",
 )
-@click.option("--fps", type=POSITIVE, help="frame rate to state in .c3d and .trc, or of a .bvh  [default: its own]")
+@click.option(
+    "--fps", type=POSITIVE, help="frame rate to state in .c3d and .trc, or of a .bvh  [default: TAKE's own]"
+)
 @click.option("--metres-per-unit", type=POSITIVE, default=0.01, show_default=True, help="unit of .bvh files [m]")
 def edit(
     take: Path, edits: Path | None, out: Path, undo: str | None, fps: float | None, metres_per_unit: float
 ) -> None:
-    """Edit tracks, or the motion of a skeleton, by a file of operations.
+    """Edit tracks, or the motion of a skeleton, with a file of operations.
 
-    EDITS is a TOML file of [[edit]] tables: trim, swap, rename, fill, filter, offset, delete; of a .bvh file trim,
-    filter, rotate, foot_lock, retarget. What they changed is kept beside OUT, in OUT.edits.toml and OUT.edits.npz,
-    and can be undone to the bit.
+    EDITS is a TOML file of [[edit]] tables: trim, swap, rename, fill, filter, offset, delete; for a .bvh file trim,
+    filter, rotate, foot_lock, retarget. The changes are kept beside OUT, in OUT.edits.toml and OUT.edits.npz, and can
+    be undone to the bit.
 
     \b
     Example:  mosca edit take.c3d edits.toml --out edited.npz

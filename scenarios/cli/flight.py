@@ -44,22 +44,32 @@ def flight() -> None:
 
 @flight.command("map")
 @click.argument("scenario", type=SCENARIO)
-@click.option("--latency", type=Numbers(1, 1000), default="20:100:20", show_default=True, help="mean delays [ms]")
 @click.option(
-    "--dropout", type=Numbers(0, 1), default="0,0.2,0.4,0.6", show_default=True, help="shares of poses lost"
+    "--latency", type=Numbers(1, 1000), default="20:100:20", show_default=True, help="mean delays of the poses [ms]"
+)
+@click.option(
+    "--dropout",
+    type=Numbers(0, 1),
+    default="0,0.2,0.4,0.6",
+    show_default=True,
+    help="shares of the poses that are lost",
 )
 @click.option("--runs", type=click.IntRange(2, 1000), default=10, show_default=True, help="flights of each setting")
-@click.option("--seconds", type=Number(1, 600), default=5.0, show_default=True, help="scored length of each [s]")
+@click.option(
+    "--seconds", type=Number(1, 600), default=5.0, show_default=True, help="scored length of each flight [s]"
+)
 @click.option("--workers", type=click.IntRange(1, 64), default=2, show_default=True, help="processes")
 @click.option("--out", type=OUT_FILE, help="the map as a table: .csv")
 @click.option("--plot", type=OUT_FILE, help="the map as a picture: .svg")
 @click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE", help="change a key of the scenario")
 def map_(latency: tuple[float, ...], **options: Any) -> None:
-    """Crashes and position error of SCENARIO's flight over latency and dropout, with 95 % intervals.
+    """Map crashes and position error of SCENARIO's flight over latency and dropout, with 95 % intervals.
 
-    Poses are drawn from the covariance that the rig predicts; a few frame sets are rendered to measure the images.
+    Poses are drawn from the covariance that the rig predicts. A few frame sets are rendered to measure the noise of
+    the images.
 
-    Without prediction, the latency is printed from which on the linear loop is unstable.
+    Without prediction (flight.compensate=false) the command also prints the latency above which the linear loop is
+    unstable.
 
     \b
     Example:  mosca flight map flight/hover --latency 20:100:20 --dropout 0,0.2,0.4,0.6 --runs 10 --plot map.svg

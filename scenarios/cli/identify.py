@@ -22,20 +22,20 @@ from scenarios.cli.progress import Progress
     metavar="CENTRE,BACK-FRONT,RIGHT-LEFT",
     help="targets that define the body's axes  [default: T8,T6-T10,T13-T3; with --body those of its file]",
 )
-@click.option("--inputs", metavar="A,B", help="columns of COMMANDS that drive it  [default: left and right]")
-@click.option("--validate", type=FILE, nargs=2, metavar="TRACKS COMMANDS", help="another take, to try the model on")
+@click.option("--inputs", metavar="A,B", help="columns of COMMANDS that drive the body  [default: left and right]")
+@click.option("--validate", type=FILE, nargs=2, metavar="TRACKS COMMANDS", help="another take, to validate the model")
 @click.option(
-    "--orders", type=click.IntRange(1, 6), default=3, show_default=True, help="orders from 1 to this are tried"
+    "--orders", type=click.IntRange(1, 6), default=3, show_default=True, help="highest order that is tried, from 1 on"
 )
 @click.option(
     "--delay",
     type=Number(0.001, 10),
     default=0.2,
     show_default=True,
-    help="the motion may lag behind the commands, or be ahead of them, by this [s]",
+    help="largest delay of the motion against the commands that is tried, in either direction [s]",
 )
 def identify(tracks: Path, commands: Path, validate: tuple[Path, Path] | None, **options: Any) -> None:
-    """Identify how a driven body answers to its commands: v_x and yaw rate by linear models, with their intervals.
+    """Identify linear models from the commands of a driven body to its v_x and yaw rate, with intervals.
 
     TRACKS holds the targets of a body that drives on a floor (.npz, .csv, .parquet, .c3d, .trc); COMMANDS is a .csv
     with a clock (time_s or time_ns of the tracks' session, or frame) and columns left and right, in the unit of the

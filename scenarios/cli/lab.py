@@ -25,40 +25,42 @@ SHARE = Number(0.0, 1.0)
     "--address",
     default="127.0.0.2",
     show_default=True,
-    help="first camera's address; the others follow. On an interface: one that it has, e.g. 192.168.7.10/24",
+    help="address of the first camera; the others follow. On an interface: one of its own, e.g. 192.168.7.10/24",
 )
-@click.option("--rate", type=Number(0, 10_000, min_open=True), help="pulses [Hz]  [default: the source's]")
-@click.option("--seconds", type=POSITIVE, help="end after this  [default: Ctrl-C]")
-@click.option("--loop", is_flag=True, help="after the last frame comes the first")
-@click.option("--ahead", type=click.IntRange(min=1), help="pulses kept in memory  [default: what 1 GiB holds]")
+@click.option("--rate", type=Number(0, 10_000, min_open=True), help="pulse rate [Hz]  [default: the source's]")
+@click.option("--seconds", type=POSITIVE, help="end after this time [s]  [default: Ctrl-C]")
+@click.option("--loop", is_flag=True, help="start again with the first frame after the last")
+@click.option("--ahead", type=click.IntRange(min=1), help="pulses kept in memory  [default: as many as 1 GiB holds]")
 @click.option("--loss", type=SHARE, default=0.0, help="share of stream packets that are lost")
 @click.option("--withhold", type=SHARE, default=0.0, help="share of trigger pulses that do not reach a camera")
 @click.option("--reboot", "reboots", multiple=True, metavar="CAMERA@S", help="this camera reboots after S seconds")
 @click.option("--drift", type=Number(), default=0.0, metavar="PPM", help="the clocks drift from -PPM to +PPM")
-@click.option("--seed", type=click.IntRange(min=0), default=0, help="of the losses and the stream's faults")
+@click.option("--seed", type=click.IntRange(min=0), default=0, help="seed of the losses and of the stream's faults")
 @click.option("--switchover", is_flag=True, help="cameras can be taken over with a key (control switchover)")
-@click.option("--rig-out", type=OUT_FILE, help="write a rig file with which 'mosca capture --rig' grabs from them")
+@click.option(
+    "--rig-out", type=OUT_FILE, help="write a rig file with which 'mosca capture --rig' records these cameras"
+)
 @click.option(
     "--trigger",
     type=click.Choice(["Line1", "serial", "Software", "Action1", "Off"]),
     default="Line1",
     show_default=True,
-    help="what the cameras wait for; serial: Line1, pulsed by an emulated generator on a serial port",
+    help="trigger of the cameras; serial: Line1, pulsed by an emulated generator on a serial port",
 )
 @click.option("--workers", type=click.IntRange(1, 64), help="rendering threads  [default: all cores]")
 @stream_options(None, "--stream-address")
 @click.option(
     "--tracks",
     type=FILE,
-    help="streamed tracks: a run folder, or a file whose frames are pulses  [default: the truth]",
+    help="tracks to stream: a run folder, or a file whose frames are pulses  [default: the truth]",
 )
 @fault_options
 def twin_serve(**given: Any) -> None:
     """Serve virtual cameras or a recording as GigE Vision cameras, for any client of the standard.
 
-    WHAT is a scenario (file or name), a recording, or a rig file whose [twin] table names one of them. The line's
-    pulses begin, with pulse 0 and frame 0, once all cameras acquire, and stop when none does. With --stream
-    each pulse also sends the markers and bodies of that instant, on the same clock (docs/streams.md).
+    WHAT is a scenario (file or name), a recording, or a rig file whose [twin] table names one of them. Pulses on the
+    trigger line begin, with pulse 0 and frame 0, once all cameras acquire, and stop when no camera acquires. With
+    --stream each pulse also sends the markers and bodies of that instant, on the same clock (docs/streams.md).
 
     \b
     Example:  mosca twin serve subjects/drone --seconds 60 --rig-out served.toml

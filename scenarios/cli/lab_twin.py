@@ -19,14 +19,14 @@ if TYPE_CHECKING:
 @click.argument("recordings", nargs=-1, required=True, metavar="KIND:FOLDER ...")
 @click.option("--out", type=OUT_FILE, required=True, help="lab file to write")
 @click.option("--rig", type=FILE, help="rig file of the calibrated cameras; needed for moving:FOLDER")
-@click.option("--fps", type=POSITIVE, help="frame rate of recordings that do not tell their own [Hz]")
+@click.option("--fps", type=POSITIVE, help="frame rate of recordings that do not state their own [Hz]")
 @click.option("--bits", type=click.IntRange(8, 16), help="significant bits of a pixel  [default: as recorded]")
 def fit(recordings: tuple[str, ...], out: Path, rig: Path | None, fps: float | None, bits: int | None) -> None:
-    """Fit virtual cameras to your own: each parameter with its uncertainty, from ordinary recordings.
+    """Fit virtual cameras to your own cameras: each parameter with its uncertainty, from ordinary recordings.
 
     KIND is dark (caps on the lenses), lit (an even bright surface, no targets), static (targets at rest) or moving (a
-    wand or a person with markers). What they do not tell is named with the recording that would. The file goes to
-    mosca run --lab and mosca twin predict.
+    wand or a person with markers). Parameters that these recordings do not determine are named, with the recording
+    that would. mosca run --lab and mosca twin predict read the file.
 
     \b
     Example:  mosca twin fit dark:lab/dark lit:lab/lit static:lab/still moving:lab/walk --rig rig.toml --out lab.toml
@@ -45,17 +45,20 @@ def fit(recordings: tuple[str, ...], out: Path, rig: Path | None, fps: float | N
 @click.command("predict")
 @click.argument("scenario", type=SCENARIO)
 @click.option("--lab", type=FILE, required=True, help="lab file of mosca twin fit")
-@click.option("--draws", type=click.IntRange(3, 1000), default=8, show_default=True, help="of the lab's parameters")
+@click.option(
+    "--draws", type=click.IntRange(3, 1000), default=8, show_default=True, help="draws of the lab's parameters"
+)
 @click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE", help="change a key of the scenario")
-@click.option("--out", type=OUT_FOLDER, help="run folder of the estimates' run  [default: none]")
+@click.option("--out", type=OUT_FOLDER, help="run folder of the run with the estimates  [default: none]")
 @click.option("--workers", type=click.IntRange(1, 64), help="rendering threads  [default: all cores]")
 def predict(
     scenario: str, lab: Path, draws: int, overrides: tuple[str, ...], out: Path | None, workers: int | None
 ) -> None:
-    """Predict what your lab will measure in a planned experiment, each metric with a 95 % interval.
+    """Predict the metrics of a planned experiment in your lab, each with a 95 % interval.
 
     SCENARIO runs with the lab's cameras in place of its own, once with the estimates and --draws times with
-    parameters and seeds drawn about them. Calibration errors are in it where the scenario has a [calibration].
+    parameters drawn about the estimates and other seeds. Calibration errors are included where the scenario has a
+    [calibration].
 
     \b
     Example:  mosca twin predict rigs/wand_lengths --lab lab.toml --draws 8 --out runs/predicted

@@ -65,7 +65,7 @@ from scenarios.run.interrupt import EXIT_STOPPED, was_interrupted
 @click.group(cls=GroupedCommands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
 @click.version_option(__version__, prog_name="mosca")
 @click.option("-v", "--verbose", count=True, help="log each stage of the work; -vv: more")
-@click.option("-q", "--quiet", is_flag=True, help="log errors alone, and show no progress")
+@click.option("-q", "--quiet", is_flag=True, help="log errors only, and show no progress")
 def cli(verbose: int, quiet: bool) -> None:
     """A digital-twin testbench for photogrammetric marker motion capture.
 
@@ -76,25 +76,29 @@ def cli(verbose: int, quiet: bool) -> None:
 
 @cli.command()
 @click.argument("scenario", type=SCENARIO)
-@click.option("--source", default="twin", help="twin | recording:DIR | hardware:RIG.toml", show_default=True)
-@click.option("--seed", type=int, help="another seed than the scenario's")
+@click.option(
+    "--source", default="twin", help="source of frames: twin | recording:DIR | hardware:RIG.toml", show_default=True
+)
+@click.option("--seed", type=int, help="seed in place of the scenario's")
 @click.option(
     "--set", "overrides", multiple=True, metavar="KEY=VALUE", help="change a key, e.g. capture.duration_s=2"
 )
 @click.option("--out", type=OUT_FOLDER, help="run folder  [default: runs/SCENARIO]")
 @click.option("--rrd", is_flag=True, help="also write run.rrd for the Rerun viewer")
 @click.option(
-    "--images", type=IMAGES, help="with --rrd: images of so many frame sets, evenly, or of all  [default: 100]"
+    "--images",
+    type=IMAGES,
+    help="with --rrd: store the images of this many frame sets, evenly spread, or of all  [default: 100]",
 )
 @click.option("--record", type=OUT_FOLDER, help="also record the frames into this folder")
 @click.option(
     "--truth",
     type=FILE,
-    help="truth.npz, or your own truth.csv (label,time_ns,x,y,z), to score other frames than the twin's against  "
-    "[default: beside them]",
+    help="truth.npz, or your own truth.csv (label,time_ns,x,y,z), to score frames that are not the twin's  "
+    "[default: the truth beside the frames]",
 )
 @click.option("--workers", type=click.IntRange(1, 64), help="rendering threads  [default: all cores]")
-@click.option("--lab", type=FILE, help="lab file of mosca twin fit: its cameras instead of the scenario's")
+@click.option("--lab", type=FILE, help="lab file of mosca twin fit, with cameras to use in place of the scenario's")
 def run(
     scenario: str,
     *,
@@ -112,7 +116,7 @@ def run(
     """Run one scenario from scene to score and write its run folder.
 
     SCENARIO is a file or the name of a built-in scenario. On a recording or a rig without a truth, limits that need
-    one are named as not judged; lengths, rigidity, static noise and residuals are judged all the same.
+    a truth are reported as not judged. Lengths, rigidity, static noise and residuals are still judged.
 
     \b
     Example:  mosca run actor --set capture.duration_s=2 --out runs/try
@@ -175,14 +179,20 @@ def list_() -> None:
 @cli.command()
 @click.argument("path", type=OUT_FILE)
 @click.option(
-    "--subject", type=click.Choice(["cloud", "actor", "drone", "robot"]), default="cloud", show_default=True
+    "--subject",
+    type=click.Choice(["cloud", "actor", "drone", "robot"]),
+    default="cloud",
+    show_default=True,
+    help="what is filmed",
 )
-@click.option("--cameras", type=click.IntRange(2, 100), default=4, show_default=True, help="on a ring")
 @click.option(
-    "--claim", default="1 mm", show_default=True, help="largest rms error: '1 mm', or '0.05 %' of the space"
+    "--cameras", type=click.IntRange(2, 100), default=4, show_default=True, help="number of cameras, on a ring"
+)
+@click.option(
+    "--claim", default="1 mm", show_default=True, help="limit of the rms error: '1 mm', or '0.05 %' of the space"
 )
 def new(path: Path, subject: str, cameras: int, claim: str) -> None:
-    """Write a commented scenario file to start from, and the schema by which editors complete it.
+    """Write a commented scenario file to start from, and the schema with which editors complete its keys.
 
     \b
     Example:  mosca new my_lab.toml --subject actor --cameras 6 --claim "0.5 mm"
@@ -197,7 +207,7 @@ def new(path: Path, subject: str, cameras: int, claim: str) -> None:
 @click.argument("runs", nargs=-1, required=True, type=FILE)
 @click.option("--out", type=OUT_FILE, default=Path("comparison.html"), show_default=True, help="page to write")
 def report(runs: tuple[Path, ...], out: Path) -> None:
-    """Compare run folders, or records, on one page: what differs first, then figures where they are comparable.
+    """Compare run folders, or records, on one page: first the differences, then the figures that are comparable.
 
     \b
     Example:  mosca report runs/before runs/after --out comparison.html
@@ -213,7 +223,7 @@ def report(runs: tuple[Path, ...], out: Path) -> None:
 
 @cli.command()
 @click.argument("run", type=FILE)
-@click.option("--web", is_flag=True, help="in a browser instead of a window")
+@click.option("--web", is_flag=True, help="open in a browser instead of a window")
 def view(run: Path, web: bool) -> None:
     """Open a run in the Rerun viewer: cameras, images, detections, tracks and truth on one timeline.
 
@@ -260,14 +270,14 @@ cli.add_command(cli_station.station)
 
 @cli.group()
 def twin() -> None:
-    """Inspect the virtual cameras themselves, serve them, or fit them to your own."""
+    """Check the virtual cameras, serve them as GigE Vision cameras, or fit them to your own cameras."""
 
 
 @twin.command("fidelity")
-@click.option("--quick", is_flag=True, help="fewer cases, in a few seconds; without other renderers")
+@click.option("--quick", is_flag=True, help="run fewer cases, in a few seconds, without other renderers")
 @click.option("--out", type=OUT_FOLDER, help="folder for fidelity.html (with pictures) and fidelity.json")
 def twin_fidelity(quick: bool, out: Path | None) -> None:
-    """Hold the virtual cameras against outside witnesses and print each figure beside its bar.
+    """Compare the virtual cameras with independent references, and print each figure beside its limit.
 
     \b
     Example:  mosca twin fidelity --quick --out runs/fidelity
@@ -307,7 +317,7 @@ SCHEMAS = {
 @cli.command()
 @click.argument("kind", type=click.Choice([*SCHEMAS]), metavar="KIND")
 def schema(kind: str) -> None:
-    """Print the JSON schema of the files of a KIND: scenario, claim, plan, acceptance, rig, target, marker-model.
+    """Print the JSON schema of one KIND of file: scenario, claim, plan, acceptance, rig, target, marker-model.
 
     \b
     Example:  mosca schema scenario > scenario.schema.json

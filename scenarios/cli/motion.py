@@ -17,7 +17,9 @@ def motion() -> None:
 @click.argument("source", type=FILE)
 @click.argument("out", type=OUT_FILE)
 @click.option("--skeleton", type=FILE, help="ASF file that belongs to an AMC file")
-@click.option("--fps", type=POSITIVE, help="frame rate, where the file lies or cannot say  [default: AMC 120 Hz]")
+@click.option(
+    "--fps", type=POSITIVE, help="frame rate, where the file states none or a wrong one  [default: AMC 120 Hz]"
+)
 @click.option("--metres-per-unit", type=POSITIVE, help="unit of a BVH file  [default: 0.01 m, for SOURCE and OUT]")
 def convert(source: Path, out: Path, skeleton: Path | None, fps: float | None, metres_per_unit: float | None) -> None:
     """Read an AMC file with its skeleton, or a BVH file, and write a BVH file.

@@ -94,7 +94,7 @@ class OutFolder(click.Path):
 SCENARIO = ScenarioName()
 FILE = click.Path(path_type=Path)
 OUT_FILE, OUT_FOLDER = OutFile(), OutFolder(path_type=Path)
-LAG = click.option("--lag", type=int, metavar="FRAMES", help="smooth each position with so many frames after it")
+LAG = click.option("--lag", type=int, metavar="FRAMES", help="smooth each position with this many later frames")
 SET = click.option(
     "--set", "overrides", multiple=True, metavar="KEY=VALUE", help="change a setting, e.g. detection.false_alarms=0.1"
 )

@@ -15,7 +15,7 @@ from scenarios.cli.progress import Progress
 @click.option("--verify", is_flag=True, help="also simulate the plan, calibrated from images")
 @click.option(
     "--evaluations", type=click.IntRange(200, 1_000_000), default=8000, show_default=True,
-    help="of the objective, for the most cameras; fewer cameras get a third each",
+    help="evaluations of the objective for the most cameras; each smaller number of cameras gets a third",
 )  # fmt: skip
 @click.option("--curve/--no-curve", default=True, show_default=True, help="also plan with fewer cameras")
 @click.option("--workers", type=click.IntRange(1, 64), help="rendering threads of --verify  [default: all cores]")
@@ -23,10 +23,11 @@ from scenarios.cli.progress import Progress
     "--out", type=OUT_FOLDER, help="new folder for rig, scenario, result and page  [default: runs/plans/VOLUME]"
 )
 def plan(volume: Path, verify: bool, evaluations: int, curve: bool, workers: int | None, out: Path | None) -> None:
-    """Plan where cameras are to stand, where they look and with which lenses.
+    """Plan the positions, the directions and the lenses of cameras.
 
-    VOLUME is a file with the volume, the room, obstacles, cameras on sale and a budget. The standard deviation that
-    90 % of the markers do not exceed is made small, as predicted from image noise, calibration and visibility.
+    VOLUME is a file with the volume, the room, obstacles, cameras on sale and a budget. The plan minimises the
+    standard deviation that 90 % of the markers do not exceed, as predicted from image noise, calibration and
+    visibility.
 
     \b
     Example:  mosca plan docs/examples/plan_room.toml --evaluations 1000 --no-curve --out runs/plans/try

@@ -12,7 +12,9 @@ from scenarios.cli.progress import Progress
 
 @click.command()
 @click.argument("recording", type=FILE)
-@click.option("--target", required=True, type=FILE, help="target file (TOML): what was put before the cameras")
+@click.option(
+    "--target", required=True, type=FILE, help="target file (TOML): the target that was shown to the cameras"
+)
 @click.option(
     "--out",
     required=True,
@@ -22,22 +24,22 @@ from scenarios.cli.progress import Progress
 @click.option(
     "--lens",
     type=click.Choice(["mosca", "opencv", "fisheye"]),
-    help="lens model  [default: the one that predicts held-out views best; of measured points what their file says]",
+    help="lens model  [default: the one that predicts held-out views best; for measured points that of their file]",
 )
 @click.option(
     "--free",
     metavar="NAME,NAME...",
-    help="lens parameters to estimate  [default: all; of a wand or measured points those that they determine]",
+    help="lens parameters to estimate  [default: all; for a wand or measured points those that these determine]",
 )
 @click.option(
     "--pixel-pitch-mm",
     type=POSITIVE,
     default=0.01,
     show_default=True,
-    help="mx of a Mosca lens (data sheet of the sensor); it is held and only sets the unit of c",
+    help="mx of a Mosca lens (data sheet of the sensor); it is held fixed and only sets the unit of c",
 )
-@click.option("--known", type=FILE, help="earlier rig of these cameras, to hold the new one against")
-@click.option("--exterior-only", is_flag=True, help="keep the lenses of --known, find the poses anew")
+@click.option("--known", type=FILE, help="earlier rig of these cameras, with which the new one is compared")
+@click.option("--exterior-only", is_flag=True, help="keep the lenses of --known, and estimate the poses anew")
 @click.option(
     "--axes",
     type=FILE,
@@ -52,26 +54,28 @@ from scenarios.cli.progress import Progress
     metavar="RECORDING BAR",
     help="recording of a certified scale bar and its target file: checks the scale",
 )
-@click.option("--fps", type=POSITIVE, help="frame rate of a recording that does not tell its own [Hz]")
+@click.option("--fps", type=POSITIVE, help="frame rate of a recording that does not state its own [Hz]")
 @click.option(
-    "--every", type=click.IntRange(min=1), default=1, show_default=True, help="use each so many-th frame set"
+    "--every", type=click.IntRange(min=1), default=1, show_default=True, metavar="N", help="use every N-th frame set"
 )
 @click.option(
     "--reference",
     type=click.IntRange(min=0),
-    help="frame set in which field or board is the world  [default: the first]",
+    help="frame set in which the pose of field or board defines the world frame  [default: the first]",
 )
 @click.option(
-    "--leave-out-unseen", is_flag=True, help="calibrate the others where a camera saw too little of the target"
+    "--leave-out-unseen",
+    is_flag=True,
+    help="leave out cameras that saw too little of the target, and calibrate the others",
 )
 @SET
 def calibrate(**given: Any) -> None:
     """Calibrate cameras from images of a target: interior and exterior orientation, with precision and verdict.
 
     The target file's kind selects the method: a test field or a board (its first pose is the world frame), a wand
-    (focal lengths estimated, scale from its length; give --axes), or points measured in the images before. A wand's
-    image points may come from a table of EasyWand, DLTdv or Argus (RECORDING ends in .csv), those of a
-    single light from a session of MultiCamSelfCal (points.dat; see docs/calibration.md).
+    (focal lengths estimated, scale from its length; give --axes), or points measured in the images beforehand. A
+    wand's image points may come from a table of EasyWand, DLTdv or Argus (RECORDING ends in .csv). The image points
+    of a single light may come from a session of MultiCamSelfCal (points.dat; see docs/calibration.md).
 
     \b
     Example:  mosca calibrate lab/field --target field.toml --out rig.toml
@@ -89,7 +93,7 @@ def calibrate(**given: Any) -> None:
 
 @click.group()
 def rig() -> None:
-    """Check rig files, compare them, convert them to other programs' files."""
+    """Check and compare rig files, and convert them to and from files of other programs."""
 
 
 @rig.command("check")
@@ -100,13 +104,13 @@ def rig() -> None:
     "--flash",
     type=FILE,
     metavar="RECORDING",
-    help="say how cameras are synchronised that all filmed a light that flashed (docs/capture.md)",
+    help="report the synchronisation of cameras that all filmed a flashing light (docs/capture.md)",
 )
-@click.option("--fps", type=POSITIVE, help="flash: frame rate of a recording that does not tell its own [Hz]")
+@click.option("--fps", type=POSITIVE, help="with --flash: frame rate of a recording that does not state its own [Hz]")
 def rig_check(path: Path | None, devices: bool, live: bool, flash: Path | None, fps: float | None) -> None:
-    """Read a rig file and report how its cameras' views overlap, or the state of its devices.
+    """Read a rig file and report the overlap of its cameras' views, or the state of its devices.
 
-    --live exits with 1 where a pulse has no whole frame of each camera.
+    With --live the exit code is 1 if a pulse lacks a whole frame of any camera.
 
     \b
     Example:  mosca rig check rig.toml
@@ -163,7 +167,7 @@ def rig_check(path: Path | None, devices: bool, live: bool, flash: Path | None, 
     type=click.Choice(["similarity", "rigid", "none"]),
     default="rigid",
     show_default=True,
-    help="common motion taken off before comparing",
+    help="common motion that is removed before the comparison",
 )
 def rig_compare(a: Path, b: Path, align: Literal["similarity", "rigid", "none"]) -> None:
     """Compare two calibrations on their rays (px) and in the volume (mm); parameters may differ where rays agree.
@@ -181,8 +185,10 @@ def rig_compare(a: Path, b: Path, align: Literal["similarity", "rigid", "none"])
 @click.argument("source", type=FILE)
 @click.argument("out", type=FILE)
 @click.option("--format", "format_", help="format to write (see below)  [default: mosca]")
-@click.option("--unit", type=click.Choice(["m", "mm"]), help="unit of the source's lengths, where it cannot say")
-@click.option("--size-px", type=(int, int), help="image width and height, where the source cannot say")
+@click.option(
+    "--unit", type=click.Choice(["m", "mm"]), help="unit of the source's lengths, where the source does not state it"
+)
+@click.option("--size-px", type=(int, int), help="image width and height, where the source does not state them")
 @click.option("--pixel-mm", type=(float, float), help="pixel pitch x and y, where a format needs it [mm]")
 @click.option(
     "--max-residual-px",
@@ -200,7 +206,7 @@ def rig_convert(
     pixel_mm: tuple[float, float] | None,
     max_residual_px: float,
 ) -> None:
-    """Read a calibration of another program, or write one for it, with what is lost stated.
+    """Read a calibration of another program, or write one for it, and report what is lost.
 
     Formats: mosca, aniposelib (Pose2Sim), caliscope, opencv, qtm, openptv; multicamselfcal is only read.
 
@@ -217,14 +223,16 @@ def rig_convert(
 
 @click.group()
 def target() -> None:
-    """Make what is put before the cameras."""
+    """Print calibration targets, and find the scale of a print."""
 
 
 @target.command("sheet")
 @click.argument("path", type=FILE)
-@click.option("--out", required=True, type=OUT_FILE, help="sheet to write: .pdf or .svg; more sheets get numbers")
-@click.option("--page", type=click.Choice(["A4", "A3", "A2", "letter"]), help="paper  [default: what it takes]")
-@click.option("--colour", type=click.Choice(["white", "black"]), default="white", show_default=True, help="of dots")
+@click.option("--out", required=True, type=OUT_FILE, help="sheet to write: .pdf or .svg; further sheets get numbers")
+@click.option("--page", type=click.Choice(["A4", "A3", "A2", "letter"]), help="paper  [default: as large as needed]")
+@click.option(
+    "--colour", type=click.Choice(["white", "black"]), default="white", show_default=True, help="colour of the dots"
+)
 def target_sheet(path: Path, out: Path, page: str | None, colour: Literal["white", "black"]) -> None:
     """Print a target file's coded targets or board, with a ruler that shows whether the printer kept the size.
 
@@ -258,7 +266,9 @@ def target_sheet(path: Path, out: Path, page: str | None, colour: Literal["white
 @click.option(
     "--page", type=click.Choice(["A4", "A3", "A2", "letter"]), help="paper of the sheet  [default: as printed]"
 )
-@click.option("--colour", type=click.Choice(["white", "black"]), default="white", show_default=True, help="of dots")
+@click.option(
+    "--colour", type=click.Choice(["white", "black"]), default="white", show_default=True, help="colour of the dots"
+)
 def target_scale(
     path: Path,
     ruler: tuple[float, float] | None,

@@ -14,21 +14,31 @@ from scenarios.cli.progress import Progress
 @click.argument("camera", type=FILE)
 @click.argument("field", type=FILE)
 @click.option("--out", type=OUT_FILE, help="the camera's poses with covariance: .csv")
-@click.option("--name", help="the moving camera in CAMERA  [default: its only one]")
-@click.option("--fps", type=POSITIVE, help="frame rate of recordings without times of their own")
+@click.option("--name", help="name of the moving camera in CAMERA  [default: its only camera]")
+@click.option("--fps", type=POSITIVE, help="frame rate of recordings without times of their own [Hz]")
 @click.option(
-    "--row-time", type=Number(0, 0.001), help="rolling shutter: from row to row [s]  [default: the recording's]"
+    "--row-time", type=Number(0, 0.001), help="rolling shutter: delay from row to row [s]  [default: the recording's]"
 )
-@click.option("--fewest", type=click.IntRange(4), default=6, show_default=True, help="targets a pose needs")
+@click.option(
+    "--fewest", type=click.IntRange(4), default=6, show_default=True, help="least number of targets for a pose"
+)
 @click.option("--tracks", type=FILE, help="the rig's tracks of the body that carries the camera")
 @click.option("--body", type=FILE, help="that body's definition (.toml)")
-@click.option("--seat", type=FILE, help="rig file whose pose of the camera is body_from_camera  [default: estimated]")
+@click.option(
+    "--seat", type=FILE, help="rig file in which the camera's pose is body_from_camera  [default: estimated]"
+)
 @click.option("--rig", type=FILE, help="the rig's calibration, for --registration and --rig-recording")
-@click.option("--registration", type=FILE, help="the rig's images of the field  [default: its frame is the rig's]")
-@click.option("--rig-recording", type=FILE, help="the rig's images of the flight, for the lamp in them")
-@click.option("--light", type=float, nargs=3, metavar="X Y Z", help="the blinking lamp, field axes [m]")
-@click.option("--light-diameter", type=POSITIVE, default=0.04, show_default=True, help="its diameter [m]")
-@click.option("--offset", type=float, help="how far the camera's stamps are ahead of the rig's [s]  [default: 0]")
+@click.option(
+    "--registration", type=FILE, help="the rig's images of the field  [default: the field's frame is the rig's]"
+)
+@click.option("--rig-recording", type=FILE, help="the rig's images of the flight, which show the lamp")
+@click.option(
+    "--light", type=float, nargs=3, metavar="X Y Z", help="position of the blinking lamp in the field's axes [m]"
+)
+@click.option("--light-diameter", type=POSITIVE, default=0.04, show_default=True, help="diameter of the lamp [m]")
+@click.option(
+    "--offset", type=float, help="time by which the camera's stamps are ahead of the rig's [s]  [default: 0]"
+)
 def self_orient(recording: Path, camera: Path, field: Path, **options: Any) -> None:
     """Find a moving camera's poses from a test field in its images, and compare them with a rig's.
 

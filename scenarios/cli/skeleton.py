@@ -9,19 +9,19 @@ from scenarios.cli.options import FILE, OUT_FILE, POSITIVE, Number, echo_lines
 from scenarios.cli.progress import Progress
 
 PERSON = click.option(
-    "--person", metavar="NAME", help="read the labels NAME:LABEL alone, where a take has several people"
+    "--person", metavar="NAME", help="read only the labels NAME:LABEL, where a take has several people"
 )
-FRAMES = click.option("--frames", metavar="FIRST:LAST", help="read these frames alone")
+FRAMES = click.option("--frames", metavar="FIRST:LAST", help="read only these frames")
 RIG = click.option(
     "--rig",
     type=FILE,
-    help="rig file of the cameras: their shake, which shifts all markers alike, is told apart in the stated errors",
+    help="rig file of the cameras: the stated errors then treat shake, which shifts all markers alike, separately",
 )
 
 
 @click.group()
 def skeleton() -> None:
-    """Joints of people from labelled tracks: a model fitted to one take, its joints found in others."""
+    """Fit a skeleton model of a person to one take of labelled tracks, and find its joints in other takes."""
 
 
 @skeleton.command("fit")
@@ -46,8 +46,8 @@ def skeleton_fit(
     """Fit a skeleton to labelled tracks: segment lengths, joint centres and markers of one person.
 
     TRACKS is a .npz, .csv, .parquet, .c3d or .trc file of a take that moves every joint. Labels are those of the
-    model, with or without a person before them (Anna:LKNE). Lengths are printed with their uncertainty; joints that
-    the take does not tell are named.
+    model, with or without the name of a person before them (Anna:LKNE). Lengths are printed with their uncertainty;
+    joints that the take does not determine are named.
 
     \b
     Example:  mosca skeleton fit range_of_motion.c3d --out anna.npz
@@ -61,13 +61,13 @@ def skeleton_fit(
 
 @skeleton.command("track")
 @click.argument("tracks", type=FILE)
-@click.option("--subject", required=True, type=FILE, help="what 'skeleton fit' wrote")
+@click.option("--subject", required=True, type=FILE, help="file that 'skeleton fit' wrote")
 @click.option("--out", type=OUT_FILE, help="joint centres and rotations with covariances: .csv")
 @click.option("--angles", type=OUT_FILE, help="joint angles (ISB) with standard deviations: .csv")
 @click.option("--bvh", type=OUT_FILE, help="the skeleton in motion, in centimetres: .bvh")
 @click.option("--mot", type=OUT_FILE, help="OpenSim's coordinates: .mot")
 @click.option("--c3d", type=OUT_FILE, help="markers, joint centres and angles: .c3d")
-@click.option("--plot", type=OUT_FILE, help="picture of the joint angles, over gait cycles where there are: .svg")
+@click.option("--plot", type=OUT_FILE, help="picture of the joint angles, over gait cycles where there are any: .svg")
 @click.option("--rrd", type=OUT_FILE, help="markers and bones for the Rerun viewer ('mosca view'): .rrd")
 @FRAMES
 @PERSON
@@ -81,7 +81,7 @@ def skeleton_fit(
     type=Number(-360, 360),
     default=0.0,
     show_default=True,
-    help="direction of walking, about the vertical from the world's x, which pelvis angles are about [deg]",
+    help="direction of walking, measured about the vertical from the world's x; pelvis angles refer to it [deg]",
 )
 @click.option(
     "--opensim-model",

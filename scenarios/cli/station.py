@@ -23,8 +23,16 @@ LISTEN_HELP = "endpoint to listen on, with the address of the interface, e.g. tc
 def _trusted(command: Callable[..., None]) -> Callable[..., None]:
     """Add the options that say whose messages are taken."""
     for option in (
-        click.option("--insecure", is_flag=True, help="take every program's messages, on a network of their own"),
-        click.option("--key", type=FILE, help="key file that all stations share; without it this PC only"),
+        click.option(
+            "--insecure",
+            is_flag=True,
+            help="accept messages of every program; only for a network of the stations' own",
+        ),
+        click.option(
+            "--key",
+            type=FILE,
+            help="key file that all stations share; without it only endpoints of this PC can be used",
+        ),
     ):
         command = option(command)
     return command
@@ -41,18 +49,18 @@ def _trust(key: Path | None, insecure: bool) -> "Trust":
 
 @click.group()
 def station() -> None:
-    """More cameras by more PCs: stations detect, one reconstructs (docs/stations.md)."""
+    """Use more cameras on several PCs: stations detect, one station reconstructs (docs/stations.md)."""
 
 
 @station.command("detect")
 @click.option("--rig", required=True, type=FILE, help="rig file (TOML) with this station's cameras")
 @click.option("--name", required=True, help="this station's name, e.g. A")
 @click.option(
-    "--connect", required=True, multiple=True, help="where the reconstructing station is, e.g. tcp/10.0.0.1:7447"
+    "--connect", required=True, multiple=True, help="endpoint of the reconstructing station, e.g. tcp/10.0.0.1:7447"
 )
 @click.option("--recording", type=FILE, help="play this recording instead of opening the cameras")
-@click.option("--fps", type=POSITIVE, help="frame rate of a recording that does not tell its own [Hz]")
-@click.option("--seconds", type=POSITIVE, help="end after this  [default: Ctrl-C]")
+@click.option("--fps", type=POSITIVE, help="frame rate of a recording that does not state its own [Hz]")
+@click.option("--seconds", type=POSITIVE, help="end after this time [s]  [default: Ctrl-C]")
 @click.option("--settings", type=FILE, help=SETTINGS_HELP)
 @_trusted
 @SET
@@ -68,7 +76,7 @@ def detect(
     insecure: bool,
     overrides: tuple[str, ...],
 ) -> None:
-    """Detect on this PC's cameras and send what is found.
+    """Detect targets in the images of this PC's cameras, and send the detections.
 
     \b
     Example:  mosca station detect --rig left.toml --name A --connect tcp/10.0.0.1:7447 --key rig.key
@@ -81,16 +89,16 @@ def detect(
 
 @station.command("reconstruct")
 @click.option("--rig", required=True, type=FILE, help="rig file (TOML) with the cameras of all stations")
-@click.option("--stations", required=True, help="their names, e.g. A,B")
+@click.option("--stations", required=True, help="names of the stations, e.g. A,B")
 @click.option("--listen", required=True, multiple=True, help=LISTEN_HELP)
 @click.option("--out", required=True, type=OUT_FILE, help="tracks: .npz, .csv, .parquet, .c3d or .trc")
-@click.option("--seconds", type=POSITIVE, help="end after this  [default: when all end]")
+@click.option("--seconds", type=POSITIVE, help="end after this time [s]  [default: when all stations end]")
 @click.option(
     "--deadline-ms",
     type=Number(0, 10_000),
     default=30.0,
     show_default=True,
-    help="a set waits so long for its cameras",
+    help="longest time that a frame set waits for its cameras",
 )
 @click.option("--settings", type=FILE, help=SETTINGS_HELP)
 @_trusted
@@ -107,7 +115,7 @@ def reconstruct(
     insecure: bool,
     overrides: tuple[str, ...],
 ) -> None:
-    """Merge what stations detect into tracks. Exit code 1 where a camera is missing in any set.
+    """Merge the detections of stations into tracks. Exit code 1 where a camera is missing in any frame set.
 
     \b
     Example:  mosca station reconstruct --rig all.toml --stations A,B --listen tcp/10.0.0.1:7447 --key rig.key
@@ -125,7 +133,9 @@ def reconstruct(
 
 @station.command("rig")
 @click.option("--of", "name", default="reconstruct", show_default=True, help="the station whose rig file is wanted")
-@click.option("--connect", required=True, multiple=True, help="where it, or the reconstructing station, is")
+@click.option(
+    "--connect", required=True, multiple=True, help="endpoint of that station, or of the reconstructing station"
+)
 @click.option("--out", required=True, type=OUT_FILE, help="rig file to write")
 @_trusted
 def rig_of(name: str, connect: tuple[str, ...], out: Path, key: Path | None, insecure: bool) -> None:

@@ -45,19 +45,21 @@ def stream_options(default: str | None, address: str = "--address") -> Callable[
         ),
         click.option(
             address, "address" if address == "--address" else "stream_address",
-            help="of this machine, to serve at  [default: 127.0.0.1, this machine alone]",
+            help="address of this machine to serve at  [default: 127.0.0.1, this machine alone]",
         ),
-        click.option("--multicast", metavar="GROUP", help="natnet: to a group, as 239.255.42.99  [default: unicast]"),
-        click.option("--command-port", type=_PORT, help="natnet; 0: a free one  [default: 1510]"),
-        click.option("--data-port", type=_PORT, help="natnet; 0: a free one  [default: 1511]"),
+        click.option(
+            "--multicast", metavar="GROUP", help="natnet: multicast group, e.g. 239.255.42.99  [default: unicast]"
+        ),
+        click.option("--command-port", type=_PORT, help="natnet: command port; 0: a free port  [default: 1510]"),
+        click.option("--data-port", type=_PORT, help="natnet: data port; 0: a free port  [default: 1511]"),
         click.option("--protocol", type=click.Choice(VERSIONS), help="natnet: version  [default: 3.1]"),
         click.option(
             "--unlabelled", type=click.IntRange(0, 1000),
-            help="lsl: places for markers without a label  [default: 32 in a stream without labels, else 0]",
+            help="lsl: number of slots for markers without a label  [default: 32 in a stream without labels, else 0]",
         ),
-        click.option("--port", type=_PORT, help="foxglove; 0: a free one  [default: 8765]"),
+        click.option("--port", type=_PORT, help="foxglove: port; 0: a free port  [default: 8765]"),
         click.option("--up", type=click.Choice(["z", "y"]), help="axis of the stream that points up  [default: z]"),
-        click.option("--app-name", help="name that the server gives itself  [default: mosca]"),
+        click.option("--app-name", help="name under which the server announces itself  [default: mosca]"),
     )  # fmt: skip
 
     def add(command: Any) -> Any:
@@ -73,7 +75,7 @@ def fault_options(command: Any) -> Any:
     command = click.option("--faults", type=FILE, help="TOML file of a stream's faults over time")(command)
     return click.option(
         "--fault", "fault", multiple=True, metavar="NAME[=VALUE][@AT_S[+FOR_S]]",
-        help="a fault of the stream on demand  [repeatable]",
+        help="make this fault in the stream  [repeatable]",
     )(command)  # fmt: skip
 
 

@@ -62,20 +62,29 @@ class SuiteOptions:
 
 @click.command()
 @click.argument("paths", nargs=-1, type=FILE)
-@click.option("--tier", type=click.Choice(["quick", "full"]), default="quick", show_default=True)
+@click.option(
+    "--tier",
+    type=click.Choice(["quick", "full"]),
+    default="quick",
+    show_default=True,
+    help="full: also the slow ones",
+)
 @click.option(
     "--set",
     "overrides",
     multiple=True,
     metavar="KEY=VALUE",
-    help="change a key in each, e.g. seed=2; then nothing is compared with the committed baselines  [repeatable]",
+    help="change a key in each scenario, e.g. seed=2; then nothing is compared with the committed baselines  "
+    "[repeatable]",
 )
-@click.option("--jobs", type=click.IntRange(1, 256), help="scenarios at a time  [default: all cores]")
+@click.option("--jobs", type=click.IntRange(1, 256), help="scenarios at the same time  [default: all cores]")
 @click.option("--scheduler", metavar="ADDRESS", help="run them on this Dask cluster, e.g. tcp://10.0.0.5:8786")
 @click.option("--out", type=OUT_FOLDER, default=Path("runs/suite"), show_default=True, help="folder of run folders")
 @click.option("--junit", type=OutFile(makes_folders=True), help="write JUnit XML here")
 @click.option("--compare", type=FILE, help="folder of baselines to compare with  [default: the committed ones]")
-@click.option("--update-baselines", is_flag=True, help="make these results the baselines (say why in CHANGELOG)")
+@click.option(
+    "--update-baselines", is_flag=True, help="make these results the baselines (state the reason in CHANGELOG)"
+)
 @click.option(
     "--baselines", type=OUT_FOLDER, help="folder that --update-baselines writes to  [default: the committed ones]"
 )
@@ -85,18 +94,19 @@ class SuiteOptions:
     type=FILE,
     multiple=True,
     help="with --update-baselines: folder of a run of the same product with other processor features "
-    "(.ci/processors makes them); how far metrics differ is stated in the baselines and tolerated  [repeatable]",
+    "(.ci/processors makes them); the differences of metrics are stated in the baselines and tolerated  "
+    "[repeatable]",
 )
 @click.option(
     "--history", type=OutFile(makes_folders=True),
-    help="file of JSON lines that these results are appended to and the page draws  [default: OUT/history.jsonl]",
+    help="file of JSON lines to which these results are appended; the page plots it  [default: OUT/history.jsonl]",
 )  # fmt: skip
 def suite(**given: Any) -> None:
     """Run all scenarios of a tier (or those in PATH ...) on all cores, and compare with the baselines.
 
     PATH is a scenario file, a folder of them, or the name of a built-in scenario or folder, as subjects.
 
-    OUT/suite.html is their page: expected and found, the nearest limit, the history over commits.
+    OUT/suite.html shows the expected and the found outcome, the nearest limit and the history over commits.
 
     \b
     Example:  mosca suite --tier quick --junit runs/suite.xml

@@ -25,16 +25,16 @@ from scenarios.run.interrupt import EXIT_STOPPED
 @click.argument("key")
 @click.argument("values", nargs=-1, required=True, metavar="VALUE...")
 @click.option(
-    "--set", "overrides", multiple=True, metavar="KEY=VALUE", help="change another key in each  [repeatable]"
+    "--set", "overrides", multiple=True, metavar="KEY=VALUE", help="change another key in each run  [repeatable]"
 )
-@click.option("--jobs", type=click.IntRange(1, 256), help="runs at a time  [default: all cores]")
+@click.option("--jobs", type=click.IntRange(1, 256), help="runs at the same time  [default: all cores]")
 @click.option("--out", type=OUT_FOLDER, default=Path("runs/sweep"), show_default=True, help="folder of run folders")
 def sweep(
     scenario: str, key: str, values: tuple[str, ...], overrides: tuple[str, ...], jobs: int | None, out: Path
 ) -> None:
-    """Run one scenario with several values of one key: a table, and a page with each figure over the values.
+    """Run one scenario with several values of one key; print a table, and plot each figure over the values.
 
-    OUT/sweep.html draws figures with their intervals and limits, and links the runs' own pages.
+    OUT/sweep.html shows the figures with their intervals and limits, and links the runs' own pages.
 
     \b
     Example:  mosca sweep spaces/space_1m cameras.count 3 4 6 --out runs/cameras

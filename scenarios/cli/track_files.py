@@ -9,7 +9,7 @@ from scenarios.cli.options import FILE, OUT_FILE, OUT_FOLDER, POSITIVE, echo_lin
 
 @click.group()
 def tracks() -> None:
-    """Look into files of tracks, see them on a page, and convert them: .npz, .csv, .parquet, .c3d, .trc."""
+    """Inspect files of tracks, show them on a page, and convert them: .npz, .csv, .parquet, .c3d, .trc."""
 
 
 @tracks.command("info")
@@ -35,7 +35,9 @@ def tracks_info(path: Path) -> None:
 @click.argument("path", type=FILE)
 @click.argument("out", type=OUT_FILE)
 @click.option("--fps", type=POSITIVE, help="frame rate stated in C3D and TRC [Hz]  [default: that of the samples]")
-@click.option("--only", "names", multiple=True, metavar="NAME", help="keep the marker of this name  [repeatable]")
+@click.option(
+    "--only", "names", multiple=True, metavar="NAME", help="keep only the marker of this name  [repeatable]"
+)
 def tracks_convert(path: Path, out: Path, fps: float | None, names: tuple[str, ...]) -> None:
     """Write tracks in another format, that of OUT's suffix: .npz, .csv, .parquet, .c3d, .trc (OpenSim).
 
@@ -52,7 +54,7 @@ def tracks_convert(path: Path, out: Path, fps: float | None, names: tuple[str, .
 @click.argument("out", type=OUT_FILE)
 @click.option("--rig", type=FILE, help="cameras to show  [default: rig.toml of TAKE, or none]")
 def tracks_page(take: Path, out: Path, rig: Path | None) -> None:
-    """Write a page on which tracks can be seen: a 3D view to turn and play, gaps, residuals, extent.
+    """Write a page that shows tracks: a 3D view to turn and play, gaps, residuals, extent.
 
     TAKE is a file of tracks, of this program or another one, or a run folder. OUT opens in a browser, offline.
 
@@ -68,19 +70,19 @@ def tracks_page(take: Path, out: Path, rig: Path | None) -> None:
 @click.argument("take", type=FILE)
 @click.argument("out", type=OUT_FOLDER)
 @click.option(
-    "--rig", type=FILE, help="cameras' properties and places  [default: rig.toml of TAKE or of the recording]"
+    "--rig", type=FILE, help="properties and poses of the cameras  [default: rig.toml of TAKE or of the recording]"
 )
 @click.option("--no-cameras", is_flag=True, help="leave the cameras out: ROS has no model for every lens")
-@click.option("--recording", type=FILE, help="images of this recording, too")
+@click.option("--recording", type=FILE, help="also write the images of this recording")
 @click.option(
-    "--max-residual-px", type=POSITIVE, default=0.1, show_default=True, help="how far off ROS's lens model may be"
+    "--max-residual-px", type=POSITIVE, default=0.1, show_default=True, help="largest misfit of ROS's lens model [px]"
 )
 def tracks_ros2(
     take: Path, out: Path, rig: Path | None, no_cameras: bool, recording: Path | None, max_residual_px: float
 ) -> None:
     """Write a take as a ROS 2 bag, the folder OUT: point clouds, poses, transforms, camera infos, images.
 
-    TAKE is a file of tracks, or a run folder, whose poses of bodies and rig are taken, too.
+    TAKE is a file of tracks, or a run folder. Of a run folder the poses of bodies and the rig are also written.
 
     \b
     Example:  mosca tracks ros2 runs/subjects/drone drone_bag

@@ -65,12 +65,15 @@ def _exclude(what: str, options: dict[str, object]) -> None:
 @click.argument("recording", type=FILE)
 @click.option("--rig", required=True, type=FILE, help="rig file (TOML; also aniposelib, Caliscope, Pose2Sim)")
 @click.option("--out", required=True, type=OUT_FILE, help="tracks: .npz, .csv, .parquet, .c3d or .trc")
-@click.option("--fps", type=float, help="frame rate of a recording that does not tell its own [Hz]")
+@click.option("--fps", type=float, help="frame rate of a recording that does not state its own [Hz]")
 @click.option("--settings", type=FILE, help="TOML file with [background], [detection], [match], [track] and [volume]")
 @SET
 @click.option("--labels", type=FILE, help="marker model that names the tracks; 'mosca labels learn' makes one")
 @click.option(
-    "--fill", type=float, metavar="SECONDS", help="fill gaps up to this, marked and with their own uncertainty"
+    "--fill",
+    type=float,
+    metavar="SECONDS",
+    help="fill gaps up to this length; filled samples are marked and have their own uncertainty",
 )
 @LAG
 @click.option(
@@ -78,20 +81,23 @@ def _exclude(what: str, options: dict[str, object]) -> None:
     is_flag=True,
     help="cameras that are not synchronised: each frame at its own instant, trajectories as functions of time",
 )
-@click.option("--rate", type=float, help="continuous: samples a second  [default: the fastest camera's rate]")
+@click.option("--rate", type=float, help="with --continuous: samples a second  [default: the fastest camera's rate]")
 @click.option(
     "--clocks",
     type=click.Choice(["auto", "common", "own"]),
-    help="continuous: whether all stamps are of one clock  [default: auto, by what the recording says]",
+    help="with --continuous: whether all stamps are of one clock  [default: auto, as the recording states]",
 )
 @click.option(
-    "--search", type=float, help="continuous: how far apart the cameras may have been started [s]  [default: 10]"
+    "--search",
+    type=float,
+    help="with --continuous: largest difference of the cameras' start times [s]  [default: 10]",
 )
 @click.option(
     "--worn",
     type=FILE,
     metavar="LAMPS.toml",
-    help="continuous: cameras are worn on limbs and carry lamps that blink numbers; where they are comes from these",
+    help="with --continuous: cameras are worn on limbs and carry lamps that blink numbers; poses are estimated "
+    "from these",
 )
 def reconstruct(**given: Any) -> None:
     """Reconstruct tracks from a recording of real (or rendered) images.
@@ -115,7 +121,7 @@ def reconstruct(**given: Any) -> None:
 
 @click.group()
 def labels() -> None:
-    """Learn a subject's markers from tracks, and name tracks by them."""
+    """Label tracks: learn a subject's marker model, and name tracks by a model, a template or codes."""
 
 
 @labels.command()
@@ -129,10 +135,12 @@ def labels() -> None:
     "limbs",
     multiple=True,
     metavar="LIMB=LABEL,...",
-    help="markers that move as one, e.g. head=LFHD,RFHD,LBHD; then a still pose is enough",
+    help="markers that move as one body, e.g. head=LFHD,RFHD,LBHD; then a static pose is enough",
 )
 @click.option(
-    "--frames", metavar="FIRST:LAST", help="learn from these frames alone, where every name is right  [default: all]"
+    "--frames",
+    metavar="FIRST:LAST",
+    help="learn only from these frames, in which every name is right  [default: all]",
 )
 def learn(tracks: Path, out: Path, names: tuple[str, ...], limbs: tuple[str, ...], frames: str | None) -> None:
     """Learn a marker model from a stretch of tracks whose labels are known.
@@ -172,8 +180,8 @@ def apply(tracks: Path, model: Path, out: Path, fps: float | None) -> None:
     "--set",
     "set_name",
     metavar="NAME|FILE.toml",
-    help="marker set: plug-in-gait, cmu, face, or a file of a template or a surface model  [default: which of many "
-    "markers of a body there are is not known]",
+    help="marker set: plug-in-gait, cmu, face, or a file of a template or a surface model  [default: many markers of "
+    "a body, of which any may be absent]",
 )
 @click.option(
     "--static", type=FILE, help="labelled take of this person with these markers, a static pose for instance"
@@ -190,7 +198,7 @@ def auto(
     probabilities: Path | None,
     fps: float | None,
 ) -> None:
-    """Name the tracks of a person, or of a face, by a template: no training and, unless given, no static pose.
+    """Name the tracks of a person or a face by a template, without training; a static pose is optional.
 
     \b
     Example:  mosca labels auto take2.c3d --set plug-in-gait --out named.c3d
@@ -206,10 +214,14 @@ def auto(
     "--out", required=True, type=OUT_FILE, help="the same tracks with labels: .npz, .csv, .parquet, .c3d or .trc"
 )
 @click.option(
-    "--name", "names", multiple=True, metavar="NUMBER=LABEL", help="label of a lamp  [default: lamp/NUMBER, all]"
+    "--name",
+    "names",
+    multiple=True,
+    metavar="NUMBER=LABEL",
+    help="label of a lamp  [default: lamp/NUMBER for all lamps]",
 )
 @click.option(
-    "--frames-per-bit", type=click.IntRange(min=1), default=1, show_default=True, help="pulses that a bit lasts"
+    "--frames-per-bit", type=click.IntRange(min=1), default=1, show_default=True, help="length of a bit in pulses"
 )
 @click.option("--in-step", is_flag=True, help="bit 0 begins at pulse 0  [default: at an unknown pulse]")
 @click.option("--fps", type=POSITIVE, help="frame rate to state in .c3d and .trc  [default: from the samples' times]")
@@ -234,18 +246,18 @@ def blink(
 @click.option(
     "--out", required=True, type=OUT_FILE, help="tracks, labelled code/NUMBER: .npz, .csv, .parquet, .c3d or .trc"
 )
-@click.option("--fps", type=POSITIVE, help="frame rate of a recording that does not tell its own [Hz]")
+@click.option("--fps", type=POSITIVE, help="frame rate of a recording that does not state its own [Hz]")
 @click.option(
     "--colour",
     type=click.Choice(["white", "black", "both"]),
     default="white",
     show_default=True,
-    help="of dots and sectors",
+    help="colour of dots and sectors",
 )
 def coded(
     recording: Path, rig: Path, out: Path, fps: float | None, colour: Literal["white", "black", "both"]
 ) -> None:
-    """Track coded targets: the number of each is its identity and its correspondence.
+    """Track coded targets; the number of each target gives its identity and its correspondence.
 
     \b
     Example:  mosca labels coded lab/take4 --rig rig.toml --out take4.csv
@@ -261,7 +273,7 @@ def coded(
 
 @click.group()
 def bodies() -> None:
-    """Learn rigid bodies from tracks, and find their poses (6 degrees of freedom) in others."""
+    """Learn rigid bodies from tracks, and find their poses (6 degrees of freedom) in other tracks."""
 
 
 @bodies.command("learn")
@@ -273,9 +285,9 @@ def bodies() -> None:
     multiple=True,
     required=True,
     metavar="NAME=TRACK,...",
-    help="which tracks are a body's markers, e.g. drone=0,3,4,7",
+    help="the tracks of a body's markers, e.g. drone=0,3,4,7",
 )
-@click.option("--frames", metavar="FIRST:LAST", help="learn from these frames alone  [default: all]")
+@click.option("--frames", metavar="FIRST:LAST", help="learn only from these frames  [default: all]")
 def learn_bodies(tracks: Path, out: Path, named: tuple[str, ...], frames: str | None) -> None:
     """Learn rigid bodies from a stretch of tracks that shows all their markers.
 
@@ -293,13 +305,13 @@ def learn_bodies(tracks: Path, out: Path, named: tuple[str, ...], frames: str | 
 @click.argument("tracks", type=FILE)
 @click.option("--bodies", "definitions", required=True, type=FILE, help="their definitions: .toml")
 @click.option("--out", required=True, type=OUT_FILE, help="poses: .csv with covariances, or .tum of one body")
-@click.option("--body", metavar="NAME", help="this body alone  [default: all; .tum: the only one]")
+@click.option("--body", metavar="NAME", help="find only this body  [default: all; .tum: the only one]")
 @click.option("--tracks-out", type=OUT_FILE, help="the same tracks, labelled by their bodies")
 @click.option("--fps", type=POSITIVE, help="frame rate to state in .c3d and .trc  [default: from the times]")
 def find_bodies(
     tracks: Path, definitions: Path, out: Path, body: str | None, tracks_out: Path | None, fps: float | None
 ) -> None:
-    """Find the poses of rigid bodies in tracks, with covariances; a pose that is not sure is withheld.
+    """Find the poses of rigid bodies in tracks, with covariances; uncertain poses are withheld.
 
     \b
     Example:  mosca bodies find take2.csv --bodies bodies.toml --out poses.csv
@@ -314,7 +326,7 @@ def find_bodies(
 @click.option("--out", required=True, type=OUT_FILE, help="one set of tracks: .npz, .csv, .parquet, .c3d or .trc")
 @click.option("--fps", type=POSITIVE, help="frame rate to state in .c3d and .trc  [default: from the samples' times]")
 def zones(tracks: tuple[Path, ...], out: Path, fps: float | None) -> None:
-    """Stitch the tracks of several zones into one set; all have the same pulses and the same frame.
+    """Stitch the tracks of several zones into one set; all share the same pulses and the same world frame.
 
     A shift between the zones' frames is measured where they overlap, reported and corrected; the first file's frame
     is the reference.

@@ -21,20 +21,27 @@ from scenarios.cli.progress import Progress
     help="displacements along the normal of the targets' plane, or in space",
 )
 @click.option(
-    "--direction", type=(float, float, float), metavar="X Y Z", help="along this direction instead of the normal"
+    "--direction",
+    type=(float, float, float),
+    metavar="X Y Z",
+    help="displacements along this direction instead of the normal",
 )
 @click.option(
     "--rigid",
     metavar="all | A,B,C",
-    help="take out the rigid motion of all targets, or of these, which are on the carrier",
+    help="remove the rigid motion of all targets, or of these targets on the carrier",
 )
 @click.option("--fps", type=POSITIVE, help="frame rate [Hz]  [default: that of the tracks' times]")
-@click.option("--frames", metavar="FIRST:LAST", help="read these frames alone")
+@click.option("--frames", metavar="FIRST:LAST", help="read only these frames")
 @click.option(
     "--lowest", "lowest_hz", type=POSITIVE, default=1.0, show_default=True, help="lowest frequency of a mode [Hz]"
 )
 @click.option(
-    "--exposure", "exposure_s", type=Number(min=0), default=0.0, help="of the cameras [s]: amplitudes are corrected"
+    "--exposure",
+    "exposure_s",
+    type=Number(min=0),
+    default=0.0,
+    help="exposure of the cameras [s], by which amplitudes are corrected",
 )
 @click.option(
     "--segment", "segment_s", type=POSITIVE, default=8.0, show_default=True, help="segment of the spectra [s]"
@@ -45,13 +52,13 @@ from scenarios.cli.progress import Progress
     type=click.IntRange(10, 200),
     default=60,
     show_default=True,
-    help="highest order of the models, two a mode and some for the noise",
+    help="highest order of the models: two per mode and some for the noise",
 )
 def vibration(tracks: Path, out: Path | None, plot: Path | None, **options: Any) -> None:
-    """Modes of vibration from tracks: frequencies, damping, shapes, noise floor, and what to beware of.
+    """Find modes of vibration in tracks: frequencies, damping, shapes, noise floor, and warnings.
 
-    TRACKS is a .npz, .csv, .parquet, .c3d or .trc file of targets on something that vibrates by forces that nobody
-    measures.
+    TRACKS is a .npz, .csv, .parquet, .c3d or .trc file of targets on a vibrating object. The forces need not be
+    measured.
 
     \b
     Example:  mosca vibration panel.csv --out modes.json --plot spectra.svg --exposure 0.001

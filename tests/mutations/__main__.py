@@ -79,7 +79,9 @@ def table(outcomes: Sequence[Outcome]) -> str:
     lines = [
         "# Bugs that are noticed",
         "",
-        f"{caught} of {len(outcomes)} planted bugs are noticed; `tests/mutations` holds the lists.",
+        "This page shows which tests notice bugs that are planted in the code, one at a time. "
+        f"{caught} of {len(outcomes)} planted bugs are noticed.",
+        "`tests/mutations` holds the lists of bugs. "
         "`python -m tests.mutations --table docs/mutations.md` writes this page.",
         "",
         "| bug | file | noticed by |",

@@ -10,19 +10,26 @@ from tests.studies.constants.screen import ABSOLUTE, OTHERS, RELATIVE
 PAGE = ROOT / "docs" / "constants.md"
 HEAD = """# Constants
 
-Each float constant by which the product decides something: what it is, in the words that stand at it in the code, on
-what its value stands, and what becomes of headline figures at half and at twice its value. Guards against divisions
-by zero, ends of iterations at rounding, units and mathematics are not listed, nor are settings, which have their own
-descriptions ([Files](reference/index.md)), nor counts.
+This page lists each float constant that decides something in the product: its description from the code, the basis
+of its value, and the effect of half and of twice the value on headline figures. Not listed are guards against
+divisions by zero, ends of iterations at rounding, units, mathematics and counts. Settings are not listed either: they
+have their own descriptions ([Files](reference/index.md)).
 
-`python -m tests.studies.constants page` writes this page; a test holds it to the code.
+`python -m tests.studies.constants page` writes this page; a test compares it with the code.
 
-*stands on*: **outcome**, its words state what other values gave; **source**, a publication, a standard, a probability
-or a derivation; **trial**, takes reach it, and half and twice its value were tried; **words**, what it trades, and no
-more. *half*, *twice*: one constant changed, all else as it is:
-*flat*, no figure moved by more than {flat};
-*same*, no figure moved at all, not in the last digit: the takes do not reach the constant, or it decides nothing in
-them; else the figures that moved most. Empty: not tried.
+The column *stands on* states the basis of the value:
+
+- **outcome**: the description states the results of other values;
+- **source**: a publication, a standard, a probability or a derivation;
+- **trial**: takes reach the constant, and half and twice its value were tried;
+- **words**: the description states what the value trades off, and no more.
+
+The columns *half* and *twice* state the effect of one changed constant, with all else as it is:
+
+- *flat*: no figure moved by more than {flat};
+- *same*: no figure moved at all, not in the last digit. The takes do not reach the constant, or it decides nothing in
+  them;
+- otherwise the figures that moved most. An empty cell: not tried.
 """.format(
     flat=", ".join(
         [f"{v:g} ({k})" for k, v in ABSOLUTE.items()] + [f"{100 * v:g} % ({k})" for k, v in RELATIVE.items()]
@@ -66,15 +73,15 @@ def _tried(outcomes: Outcomes, constants: Sequence[Constant]) -> str:
     there = {one.key for one in constants}
     single = {key: of for key, of in outcomes.single.items() if key in there}
     lines = [
-        f"Tried on {outcomes.date} at commit {outcomes.commit}, with the takes {', '.join(outcomes.takes)}; "
-        "outside: images not of the project's own twin."
+        f"Tried on {outcomes.date} at commit {outcomes.commit}, with the takes {', '.join(outcomes.takes)}. "
+        "The word outside marks images that the project's own twin did not make."
     ]
     if single:
         reached = {k: of for k, of in single.items() if any(moved is not None for moved in of.values())}
         moved = [k for k, of in reached.items() if any(of.values())]
         lines.append(
-            f"Alone, {len(single)} constants: {len(single) - len(reached)} change no figure at either value, "
-            f"{len(reached) - len(moved)} are flat at both, {len(moved)} move a figure."
+            f"Changed alone: {len(single)} constants. Of these, {len(single) - len(reached)} change no figure at "
+            f"either value, {len(reached) - len(moved)} are flat at both, {len(moved)} move a figure."
         )
     for factor, groups in outcomes.flat.items():
         many = outcomes.matters.get(factor, [])
@@ -83,9 +90,10 @@ def _tried(outcomes: Outcomes, constants: Sequence[Constant]) -> str:
         left = sum(one.package in REACHED and one.key not in asked for one in constants)
         listed = ", ".join(f"`{one.removeprefix('mosca/')}`" for one in alone) or "none"
         lines.append(
-            f"Times {factor}, in groups that were bisected: {sum(map(len, groups))} constants are flat in "
-            f"{len(groups)} groups and move figures in {len(many) - len(alone)} larger ones only; these move figures "
-            f"alone: {listed}. {left} others of the packages that the takes run were not tried, or not to the end."
+            f"Changed in groups, times {factor}; a group that moved figures was bisected. {sum(map(len, groups))} "
+            f"constants are flat, in {len(groups)} groups. Larger groups that move figures although neither of their "
+            f"halves does: {len(many) - len(alone)}. Constants that move figures alone: {listed}. {left} others of "
+            "the packages that the takes run were not tried, or not to the end."
         )
     return "\n\n".join(lines) + "\n"
 
