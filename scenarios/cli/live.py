@@ -27,7 +27,7 @@ from scenarios.cli.stream_options import stream_options, stream_settings
     "--images", type=IMAGES, default=0, show_default=True,
     help="with --rrd or --view: images of this many frame sets a second, or of all shown; images add latency",
 )  # fmt: skip
-@click.option("--virtual", type=FILE, help="second MuJoCo scene (MJCF); tracked bodies move its mocap bodies")
+@click.option("--virtual", type=FILE, help="second MuJoCo scene (MJCF or URDF); tracked bodies move its mocap bodies")
 @click.option("--bodies", type=FILE, help="rigid bodies, from 'bodies learn'; a scenario has its own")
 @click.option("--bind", multiple=True, metavar="BODY=OBJECT", help="tracked body, and the mocap body that it moves")
 @click.option("--display-hz", type=POSITIVE, help="rate of the display  [default: 60]")
