@@ -1,4 +1,4 @@
-"""Bright patches of an image: what exceeds the middle of its surroundings, as sums over 8-connected pixels.
+"""Bright patches of an image: 8-connected pixels above the middle of their surroundings, as sums over each patch.
 
 A part of ``mosca.coded_targets.detect``, which describes the method. Patches are built of runs (unbroken rows of
 bright pixels), so that the dark part of an image, nearly all of it, is tested eight pixels at a time.
@@ -19,8 +19,9 @@ LANES = 8  # pixels a word
 def bright_patches(image: Array, contrast_dn: float, noise_dn: float) -> Array:
     """Return (n, N_SUMS) int64 number of pixels, sums of x, y, xx, xy, yy, and first and last column and row.
 
-    Of each patch of an image (H, W), by their first pixels. A pixel is bright when it exceeds the middle between the
-    smallest and the largest grey value around it and these differ by more than ``contrast_dn``.
+    There is a row for each patch of an image (H, W), in the order of their first pixels. A pixel is bright when it
+    exceeds the middle between the smallest and the largest grey value around it and these differ by more than
+    ``contrast_dn``.
     """
     if noise_dn > contrast_dn / 12:
         image = cv2.GaussianBlur(image, (3, 3), 0.6)

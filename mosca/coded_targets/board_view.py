@@ -16,7 +16,8 @@ from mosca.data.arrays import Array
 NO_BEND = (0.0, 0.0)
 """Radial terms of a lens without distortion."""
 FEWEST_BENT = 10
-"""Corners whose coordinates are twice as many as the ten parameters: with fewer, a wrong corner is taken for bend."""
+"""Least number of corners for radial terms: their coordinates are twice as many as the ten parameters. With fewer, a
+wrong corner is taken for bend."""
 BEYOND, STEPS = 2.0, 512
 """The radial terms are inverted by a table of so many radii, up to twice the largest one fitted: interpolation of a
 smooth curve leaves 1e-6 of it."""
@@ -47,10 +48,10 @@ class BoardView:
         return np.asarray(straight * (np.hypot(*self.size) / 2) + (np.array(self.size) - 1) / 2)
 
     def narrowest(self, points: Array) -> float:
-        """Return by how much the board's squares are magnified across where they are narrowest [px/m].
+        """Return the magnification of the board's squares across, where they are narrowest [px/m].
 
-        The least distance of opposite sides, at any of ``points`` (n, 2): a leaning square is a rhombus, narrower
-        than its sides are long.
+        It is the least distance of opposite sides at any of ``points`` (n, 2): a leaning square is a rhombus,
+        narrower than its sides are long.
         """
         step = 1e-3 * np.ptp(points, axis=0).max()
         here = self.image(points)
@@ -82,7 +83,7 @@ def fitted_view(plane: Array, xy_px: Array, size: tuple[int, int], bent: bool) -
 
 
 def _misfit(parameters: Array, plane: Array, seen: Array) -> Array:
-    """Return how far (2 n,) the points are from where the parameters have them, in half diagonals of the image."""
+    """Return the residuals (2 n,) of the points under the parameters, in half diagonals of the image."""
     homography = np.append(parameters[:8], 1.0).reshape(3, 3)
     projected = plane @ homography[:, :2].T + homography[:, 2]
     straight = projected[:, :2] / projected[:, 2:]

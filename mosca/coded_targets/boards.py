@@ -5,8 +5,8 @@ checkerboard must be seen as a whole (``findChessboardCornersSB``; Duda and Fres
 markers name the corners, at least half of them must be seen, and all corners must lie where one board before a camera
 can have them.
 
-Refinement is a fit of the corner's image (``mosca.coded_targets.corner_fit``), which also gives the covariance; the
-board's view tells how long the edges are and how the lens bends them.
+Refinement is a fit of the corner's image (``mosca.coded_targets.corner_fit``), which also gives the covariance. How
+long the edges are and how the lens bends them is computed from the board's view.
 """
 
 import math
@@ -27,19 +27,20 @@ from mosca.errors import InputError
 LEAST_SHARE = 0.5
 """Share of a ChArUco board's corners that must be seen."""
 LEAST_FITTING = 0.9
-"""Share of a ChArUco board's corners seen that must fit: a few that a marker or a finger displaced are left out; of a
-bent board more do not fit."""
+"""Share of a ChArUco board's seen corners that must fit. A few that a marker or a finger displaced are left out; more
+do not fit where the board is bent."""
 BAND = 0.7
-"""Of a ChArUco board's white gap between lines and markers the share that is looked at. Its markers are not always
-where they should be (OpenCV draws them on whole pixels): on such a board 1.4 gives corners that are 0.08 px off, 1.0
-0.05, up to 0.75 0.01 px. On boards printed well it hardly matters (sleap-anipose: 0.4 to 1.4 leave the same)."""
+"""Share that is looked at of a ChArUco board's white gap between lines and markers. Its markers are not always where
+they should be (OpenCV draws them on whole pixels): on such a board 1.4 gives corners that are 0.08 px off, 1.0 gives
+0.05, up to 0.75 gives 0.01 px. On boards printed well it hardly matters (sleap-anipose: 0.4 to 1.4 leave the
+same)."""
 FARTHEST_STEP = 0.25
-"""Largest distance of a refined corner from where the finder has it, in narrowest squares."""
+"""Largest distance of a refined corner from the place that the finder gave, in narrowest squares."""
 SYSTEMATIC_PX = 0.001
-"""Error that is no noise: corners of noise-free supersampled boards, blurs of 0.05 to 1.2 px, squares wider than 4
-blurs and 3 px, are 0.0001 to 0.0013 px rms off."""
+"""Error that is no noise: corners of noise-free supersampled boards are 0.0001 to 0.0013 px rms off (blurs of 0.05 to
+1.2 px, squares wider than 4 blurs and 3 px)."""
 FARTHEST_SHARE = 0.15
-"""Largest distance of a corner from where its board's view has it, in distances between corners."""
+"""Largest distance of a corner from its place in the board's view, in distances between corners."""
 BEYOND_SHARE = 0.3
 """Distance beyond a checkerboard's border at which its continuation is tested, in squares."""
 LEAST_ALTERNATING = 0.95
@@ -53,8 +54,9 @@ FEWEST_CORNERS = 6
 def find_board(image: Array, board: Board, camera: str = "") -> BoardDetections:
     """Return the inner corners of ``board`` in an image (H, W) of uint8 or uint16, rows of ``Board.corners()``.
 
-    A board that is absent, half occluded or cut off gives none, with the reason in ``refused``; one that can be seen
-    from behind (``Board.from_behind``) is looked for there, too. Raises InputError for another kind of image.
+    A board that is absent, half occluded or cut off gives none, with the reason in ``refused``. A board that can be
+    seen from behind (``Board.from_behind``) is also searched for from there. Raises InputError for another kind of
+    image.
     """
     if image.ndim != 2 or image.dtype not in (np.uint8, np.uint16) or 0 in image.shape:
         raise InputError(
@@ -74,7 +76,7 @@ def find_board(image: Array, board: Board, camera: str = "") -> BoardDetections:
 
 
 def other_looks(image: Array, board: Board) -> dict[str, bool]:
-    """Return the keys, with the values they would need, with which ``board`` is found in an image that refused it.
+    """Return the keys, with values, with which ``board`` would be found in an image where it was refused.
 
     Empty where it is not found inverted, mirrored or both either.
     """
@@ -89,7 +91,7 @@ def other_looks(image: Array, board: Board) -> dict[str, bool]:
 
 
 def _found(grey: Array, image: Array, board: Board, camera: str) -> BoardDetections:
-    """Return the corners of a board that faces the camera: ``image``, and black on white in 8 bits."""
+    """Return the corners of a board that faces the camera; ``grey``: ``image`` as black on white in 8 bits."""
     found = _checkerboard(grey, board) if board.dictionary is None else _charuco(grey, board)
     if isinstance(found, str):
         return BoardDetections.none(camera, found)
@@ -101,7 +103,7 @@ def _found(grey: Array, image: Array, board: Board, camera: str) -> BoardDetecti
     if rough is None:
         return BoardDetections.none(camera, NO_PLANE)
     refined, covariance = _refined(image, board, rough, corner, xy)
-    # a corner that goes far has followed other edges
+    # a corner that moves far has followed other edges
     still = np.linalg.norm(refined - xy, axis=1) <= FARTHEST_STEP * rough.spacing_px
     if board.dictionary is None and not still.all():
         return BoardDetections.none(camera, NO_CORNER)
@@ -129,7 +131,7 @@ def _refined(image: Array, board: Board, rough: "_Fit", corner: Array, xy: Array
 
 
 def _full_dn(image: Array) -> float:
-    """Return from which grey value on pixels are saturated: 255, or the largest one of an image that has 2^n - 1."""
+    """Return the grey value from which pixels are saturated: 255, or the largest of an image that has 2^n - 1."""
     most = int(image.max())
     return float(most) if most & (most + 1) == 0 and most >= 255 else math.inf
 
@@ -145,7 +147,8 @@ class _Fit(NamedTuple):
 def _view(board: Board, corner: Array, xy: Array, size: tuple[int, int]) -> _Fit | None:
     """Return how an image of ``size`` shows corners ``corner`` (n,) at ``xy`` (n, 2) [px].
 
-    Straight where that is near enough, else with radial terms where these are nearer; None where neither can be.
+    The view is straight where that is near enough, else has radial terms where these are nearer; None where neither
+    can be fitted.
     """
     plane = board.corners()[corner, :2]
     best: _Fit | None = None
@@ -189,7 +192,7 @@ def _checkerboard(image: Array, board: Board) -> tuple[Array, Array] | str:
     if along[0] * down[1] - along[1] * down[0] < 0:  # from the front, rows run to the left of columns' down
         xy = xy[:, ::-1]
     colours = [_mean_of_square(image, at) for at in (xy[:2, :2], xy[:2, 1:3])]
-    # between the first four corners lies the second square of the second row: black as the first of the first
+    # between the first four corners lies the second square of the second row: black, as the first of the first row is
     if colours[0] > colours[1]:
         xy = xy[::-1, ::-1]
     return np.arange(size[0] * size[1]), xy.reshape(-1, 2)
@@ -234,8 +237,8 @@ def _spacing(xy: Array) -> float:
 def _other_pattern(image: Array, board: Board, view: BoardView) -> str:
     """Return why the corners found are not those of the whole checkerboard, "" where they are.
 
-    OpenCV also finds a part of a larger board, or every second row of it, other ones in each image. Within the board
-    squares must alternate between black and white; beyond its sides is its margin, or the background.
+    OpenCV also finds a part of a larger board, or every second row of it, and different ones in each image. Within
+    the board squares must alternate between black and white; beyond its sides is its margin, or the background.
     """
     size = np.array([board.columns, board.rows])
     column, row = np.meshgrid(np.arange(-1, size[0] + 1), np.arange(-1, size[1] + 1))

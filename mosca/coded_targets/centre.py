@@ -1,17 +1,17 @@
 """Centres of the dots of coded targets: an ellipse fitted by least squares to the pixels of dot and plate.
 
-The light of a pixel is ``P + (Q - P) s``: s the share of it that the blurred ellipse covers, P the light of the
-plate, a plane in the dot's coordinates, Q that of the dot. The brighter of the two has curvatures besides, since the
-edge of a shadow may cross it. Each pixel is divided into ``PARTS`` x ``PARTS``, in which the edge is straight.
-Saturated pixels say only that the light is above.
+The light of a pixel is ``P + (Q - P) s``. s is the share of it that the blurred ellipse covers; P, the light of the
+plate, is a plane in the dot's coordinates, and so is Q, that of the dot. The brighter of the two has curvatures
+besides, since the edge of a shadow may cross it. Each pixel is divided into ``PARTS`` x ``PARTS``, in which the edge
+is straight. Saturated pixels show only that the light is above.
 
-A centroid is drawn by all light that is uneven, in all cameras alike: by 0.1 px where a shadow's edge crosses a dot
-of 9 px. An edge hardly is, since an even change of the light over the dot does not look like a shift of it, unless
-the dot is blurred to its middle, or saturated there. Slopes have an a-priori variance, which is learned from all dots
-of the image (Paule and Mandel 1982), and with doubt taken larger: see ``WIDER``.
+All light that is uneven shifts a centroid, in all cameras alike: by 0.1 px where a shadow's edge crosses a dot of 9
+px. It hardly shifts an edge, since an even change of the light over the dot does not look like a shift of the dot,
+unless the dot is blurred to its middle, or saturated there. Slopes have an a-priori variance. It is learned from all
+dots of the image (Paule and Mandel 1982), and taken larger where in doubt: see ``WIDER``.
 
-Weights are those of ``mosca.coded_targets.pixel_noise``; residuals correct their scale, all dots of an image together
-by the median, a dot that fits much worse by its own.
+Weights are those of ``mosca.coded_targets.pixel_noise``. Residuals correct their scale: for all dots of an image
+together by the median, for a dot that fits much worse by its own.
 """
 
 import math
@@ -32,30 +32,31 @@ PLACE, SLOPES, LEVELS, BENDS, SHAPE, BLUR = 0, 2, 6, 8, 11, 14
 curvatures of the brighter one along uu, uv, vv; the frame's AXX, AXY, AYY [px]; blur besides that of pixels [px]."""
 UNKNOWNS = 15
 PARTS = 4
-"""Of a pixel's side."""
+"""Parts of a pixel's side."""
 LEAST_BLUR_PX = 0.25 / math.sqrt(12.0)
-"""That of such a part."""
+"""Blur of such a part."""
 USUAL_BLUR_PX = 0.5
-"""The first guess, and its standard deviation, since small dots hardly tell their blur. With half or twice as much
-errors are the same within 1 %."""
+"""First guess of the blur, and its standard deviation, since small dots hardly determine their blur. With half or
+twice as much errors are the same within 1 %."""
 ANY_LIGHT = 1.0
 """Standard deviation of slopes and curvatures over the contrast: light that doubles within a radius."""
 WIDER, DOUBT = 2.0, 0.01
-"""The a-priori standard deviation of slopes over that of the image's slopes, for which the largest is taken that has
-this chance. What slopes are drawn to zero is an error that cameras share, which no covariance holds: of the points of
-12 rendered fields 87, 96 and 97 % are within 95 % at 1, 2 and 4; small dots in even light have 3.0, 3.5, 4.1 mpx."""
+"""The a-priori standard deviation of slopes over that of the image's slopes; for the latter the largest value is
+taken that has the second number as its chance. Drawing slopes to zero causes an error that cameras share, and that no
+covariance includes. Of the points of 12 rendered fields 87, 96 and 97 % are within 95 % at 1, 2 and 4; small dots in
+even light have 3.0, 3.5, 4.1 mpx."""
 HALVINGS = 40
-"""Of the interval in which a variance is searched for: to its last digit."""
+"""Number of halvings of the interval in which a variance is searched for: to its last digit."""
 END_PX, END_SHARE = 4.0, 0.6
 """The plate is looked at up to this distance from the dot [px], at most this share of the way to the ring."""
 STEPS_MOST, CLOSE_PX, ENOUGH_PX, FARTHEST = 25, 3e-4, 1e-2, 0.5
 """Largest number of steps; step length at convergence, and at which an end is accepted; largest shift in radii."""
 DAMPING, CALMER, WILDER = 1e-3, 0.2, 10.0
-"""Levenberg's and Marquardt's: first damping, factors after a better and a worse step."""
+"""In the method of Levenberg and Marquardt: first damping, factors after a better and a worse step."""
 REACH = 4.0
-"""Blurs from the edge where it ends."""
+"""Distance from the edge, in blurs, where its blur ends."""
 MISFIT = 1e-3
-"""Chance that a dot that fits has its own scale of residuals."""
+"""Chance with which a dot that fits is given its own scale of residuals."""
 
 
 def measure_dots(
@@ -68,10 +69,10 @@ def measure_dots(
 ) -> tuple[Array, Array, Array]:
     """Return centres (n, 2) [px], covariances (n, 2, 2) [px^2] and frames (n, FRAME) of ``dots``.
 
-    NaN for a centre that was not found; its frame is the one it was looked for with.
+    A centre that was not found is NaN; its frame is the one from which it was searched for.
 
-    ``image`` (H, W) shows them white; ``turned``: it is ``full_dn``, the grey value of saturated pixels, less what
-    was taken, and its brightest pixels are those of the plate. ``noise``: of the image as it was taken.
+    ``image`` (H, W) shows the dots white; ``turned``: it is ``full_dn``, the grey value of saturated pixels, less the
+    image as it was taken, and its brightest pixels are those of the plate. ``noise``: of the image as it was taken.
     """
     image, n = looked_at(image), len(dots)
     plate, contrast = dots.levels[:, PLATE_DN], dots.levels[:, CONTRAST_DN]
@@ -93,9 +94,9 @@ def measure_dots(
 
 
 def _scales(squares: Array, pixels: Array) -> Array:
-    """Return by how much (n,) the variance of the pixels of each dot exceeds what was assumed.
+    """Return the ratio (n,) of the variance of each dot's pixels to the variance that was assumed.
 
-    From their weighted ``squares`` (n,) and how many ``pixels`` (n,) there were.
+    It is computed from their weighted ``squares`` (n,) and the number of ``pixels`` (n,).
     """
     redundancy = np.maximum(pixels - UNKNOWNS, 1)
     own = squares / redundancy
@@ -106,7 +107,7 @@ def _scales(squares: Array, pixels: Array) -> Array:
 def _with_likely_slopes(found: Array, covariance: Array, contrast: Array) -> tuple[Array, Array]:
     """Return centres (n, 2) and covariances (n, 2, 2), given how uneven light falls on the dots of the image.
 
-    ``found`` (n, LEVELS) and ``covariance`` of centres and slopes, the latter free.
+    ``found`` (n, LEVELS) and ``covariance``: of centres and slopes, fitted without a prior on the slopes.
     """
     expected = np.zeros((len(found), LEVELS - SLOPES))
     for side in (slice(SLOPES, SLOPES + 2), slice(SLOPES + 2, LEVELS)):
@@ -136,7 +137,7 @@ def _variance_between(values: Array, covariance: Array) -> float:
 
 @step
 def covered_share(dx: float, dy: float, inverse: tuple[float, float, float], blur: float, slopes: Array) -> float:
-    """Return which share of a pixel a blurred ellipse covers, (dx, dy) [px] away from its centre.
+    """Return the share of a pixel that a blurred ellipse covers, (dx, dy) [px] away from its centre.
 
     ``inverse`` (xx, xy, yy) maps pixels to radii. Writes the change with x, y, AXX, AXY, AYY and blur to ``slopes``.
     """
@@ -186,7 +187,7 @@ def observe_pixel(
     edge: Array,
     slopes: Array,
 ) -> float:
-    """Return the light of the pixel at ``place`` with unknowns ``p``, whose change with them it writes to ``slopes``.
+    """Return the light of the pixel at ``place`` with unknowns ``p``; write its change with them to ``slopes``.
 
     ``at``: its coordinates in the first frame, in which slopes and curvatures are taken; ``edge`` (6,): work.
     """
@@ -247,7 +248,7 @@ def add_pixels(
             model = observe_pixel((float(column), float(row)), (u, v), turned, inverse, p, edge, slopes)
             if (value >= full_dn and model > value) or (value <= 0.0 and model < 0.0):
                 continue
-            # what may come from the ring counts as noise
+            # light that may come from the ring counts as noise
             near = 0.25 * contrast * math.erfc((ring_inner - radius) * radius / steep / spread)
             weight = 1.0 / (max(dark + gain * (model - plate), ROUNDING_DN2) + near * near)
             weighted = weight * (value - model)

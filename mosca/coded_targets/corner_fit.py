@@ -1,10 +1,11 @@
 """Places of a chessboard's corners: a model of the image is fitted to the pixels nearer to each than to the others.
 
-``mosca.coded_targets.corner_image`` states the model. Least squares by Levenberg and Marquardt, all corners of an
-image side by side, in two rounds. What they have in common is learned from the first one: the noise of black and of
-white pixels and of those at edges, where the model lacks something, from the residuals; blur and slopes of the light
-as means and spreads (method of moments; DerSimonian and Laird 1986), the second round's priors. The covariance is
-that of the fit; where residuals exceed those of the image's other corners by more than chance, multiplied by as much.
+``mosca.coded_targets.corner_image`` states the model. All corners of an image are fitted side by side, by least
+squares (Levenberg and Marquardt), in two rounds. What they have in common is learned from the first round. The noise
+of black and of white pixels, and of those at edges, where the model is incomplete, is estimated from the residuals.
+Blur and slopes of the light are estimated as means and spreads (method of moments; DerSimonian and Laird 1986), the
+second round's priors. The covariance is that of the fit. Where residuals exceed those of the image's other corners by
+more than chance, it is multiplied by as much.
 """
 
 from typing import Any, NamedTuple
@@ -36,20 +37,22 @@ LARGEST_REACH_PX = 16.0
 """Half the window's longer side, at most: longer edges would bend by more than a parabola."""
 SHARED = [BLUR_1, BLUR_2, SLOPE_X, SLOPE_Y]
 FIRST_MEANS, FIRST_SPREADS = (0.5, 0.5, 0.0, 0.0), (2.0, 2.0, 0.3, 0.3)
-"""What corners of an image have in common; mean and standard deviation before the image is known [px^2, share]."""
+"""Mean and standard deviation, before the image is known, of what corners of an image have in common [px^2,
+share]."""
 LEAST_SPREAD = 1e-6
 """Least variance of what is shared, over that of the first round's prior."""
 STEPS_MOST, CLOSE_PX, SLACK, MOST_DAMPING = 25, 3e-4, 1e-4, 1e6
-"""Steps at most, length of the last one, by what share chi-square may rise since the pixels' weights go with the
-pattern, and the damping at which no step helps any more."""
+"""Steps at most, length of the last one, share by which chi-square may rise, since the pixels' weights change with
+the pattern, and the damping at which no step helps any more."""
 FARTHEST = np.array([0.7, 0.7, 0.2, 0.2, 1.0, 1.0, np.inf, np.inf, 0.3, 0.3])
 """Longest step, in the order of the unknowns: a blurred edge's width."""
 MOST_VARIANCE, TINY, HELD = 25.0, 1e-12, 1e12
-"""Largest variance of a blur [px^2]; what keeps divisors above 0; information of what is held."""
+"""Largest variance of a blur [px^2]; what keeps divisors above 0; information on unknowns that are held."""
 DIRTY = 4.0
-"""Residuals' squares over the median of an image's corners from which a corner does not tell the noise."""
+"""Ratio of a corner's squared residuals to the median of an image's corners from which it is left out of the
+noise."""
 WORST_PX = 1.0
-"""Standard deviation of a corner of which the pixels say nothing."""
+"""Standard deviation of a corner that the pixels do not determine."""
 NONE = np.zeros((0, UNKNOWNS, UNKNOWNS))
 MANY_SIGMA = 3.0
 """Standard deviations of chi-square from which it is taken for more than chance."""
@@ -77,7 +80,7 @@ def places_of(board: Board, view: BoardView, corner: Array, xy: Array) -> Array:
     out[:, REACH] = np.minimum(0.5 * longest, LARGEST_REACH_PX)
     if board.marker_m is not None:
         gap = 0.5 * (board.square_m - board.marker_m)
-        # of a marker's edge the part beside the corner's half of the line
+        # the part of a marker's edge beside the corner's half of the line
         beside = 0.5 * (gap + half)
         for quarter, (down, right) in enumerate(((-1, -1), (-1, 1), (1, -1), (1, 1))):
             for axis, away in enumerate(((right * beside, -down * gap), (right * gap, -down * beside))):
@@ -117,7 +120,7 @@ def fitted_corners(
 
 
 class _Look(NamedTuple):
-    """What is looked at, see ``fitted_corners``."""
+    """Inputs of a fit, see ``fitted_corners``."""
 
     image: Array
     places: Array
@@ -130,7 +133,7 @@ class _Look(NamedTuple):
 
 
 def _start(look: _Look) -> Array:
-    """Return unknowns (n, UNKNOWNS) to begin with: the light of a pattern where the view has it."""
+    """Return unknowns (n, UNKNOWNS) to begin with: the light of a pattern at the place in the view."""
     out = np.zeros((len(look.places), UNKNOWNS))
     out[:, : TURN_2 + 1] = look.places[:, : TURN_2 + 1]
     out[:, [BLUR_1, BLUR_2]] = FIRST_MEANS[0]
@@ -189,7 +192,7 @@ def _scaled(normal: Array, prior: Array) -> tuple[Array, Array]:
 
 
 def _inverse(normal: Array, prior: Array) -> Array:
-    """Return covariances (n, UNKNOWNS, UNKNOWNS); 0 of what the pixels say nothing about."""
+    """Return covariances (n, UNKNOWNS, UNKNOWNS); 0 for unknowns that the pixels do not determine."""
     scaled, scale = _scaled(normal, prior)
     return np.asarray(np.linalg.pinv(scaled, hermitian=True) * scale[:, :, None] * scale[:, None, :])
 
@@ -199,19 +202,19 @@ def _covariances(
 ) -> tuple[Array, Array, Array, Array]:
     """Return normal equations and covariances, both (n, UNKNOWNS, UNKNOWNS).
 
-    And by how much residuals exceed the latter (n,), and the equations of ``_noise``.
+    Also return by how much residuals exceed the latter (n,), and the equations of ``_noise``.
     """
     every = np.arange(len(unknowns))
     normal, *_ = look.sums(unknowns, noise, every)
     held = normal.copy()
     for index in (BLUR_1, BLUR_2):
-        # an edge that is as sharp as can be: its blur takes up no noise
+        # the blur of an edge that is as sharp as can be is held, and takes up no noise
         held[:, index, index] += np.where(unknowns[:, index] <= LEAST_VARIANCE, HELD, 0.0)
     covariance = _inverse(held, prior)
     _, _, chi2, pixels, seen = look.sums(unknowns, noise, every, covariance)
     freedom = np.maximum(pixels - np.einsum("nij,nij->n", covariance, normal), 1.0)
     ratio = chi2 / freedom
-    # dirt on a corner is its own affair
+    # dirt on a corner must not count as the noise of others
     usual = ratio <= DIRTY * np.median(ratio)
     return (
         normal,
@@ -222,7 +225,7 @@ def _covariances(
 
 
 def _noise(seen: Array, before: PatternNoise) -> PatternNoise:
-    """Return the noise by its equations (3, 4)."""
+    """Return the noise from its equations (3, 4)."""
     level, slope, edge = np.linalg.lstsq(seen[:, :3], seen[:, 3])[0]
     if edge < 0:
         (level, slope), edge = np.linalg.lstsq(seen[:2, :2], seen[:2, 3])[0], 0.0

@@ -1,15 +1,15 @@
-"""The image of a chessboard's corner: what the pixels around it have, and how that changes with the corner.
+"""The image of a chessboard's corner: values of the pixels around it, and how they change with the corner.
 
-Two edges cross in c. A pixel at r = p - c has the distances ``d_i = n_i r - q_i (t_i r)^2`` from them, n_i the
-normals, t_i the directions, q_i half the curvature that the lens gives an edge. The pattern, -1 in squares of one
-colour and 1 in the others, is blurred by a Gaussian that has the variance v_i across edge i::
+Two edges cross in c. A pixel at r = p - c has the distances ``d_i = n_i r - q_i (t_i r)^2`` from them, with the
+normals n_i, the directions t_i, and q_i half the curvature that the lens gives an edge. The pattern, -1 in squares of
+one colour and 1 in the others, is blurred by a Gaussian that has the variance v_i across edge i::
 
     S = 4 Phi2(d_1 / s_1, d_2 / s_2; rho) - 2 Phi(d_1 / s_1) - 2 Phi(d_2 / s_2) + 1,    rho = n_1 n_2
 
-(Phi2: the bivariate normal integral; on edges that are not perpendicular the product of two blurred edges is no
-blurred corner). The parallel edges one square away, and the edges of a ChArUco board's markers, join as products. A
-pixel averages over its square: it is divided into parts as in ``mosca.detection.disc_fit.disc_image``, whose own
-blur joins v_i. Light is ``(a + b S) (1 + g r)``.
+(Phi2: the bivariate normal integral; for edges that are not perpendicular the product of two blurred edges is no
+blurred corner). The parallel edges one square away, and the edges of a ChArUco board's markers, are included as
+products. A pixel averages over its square: it is divided into parts as in ``mosca.detection.disc_fit.disc_image``,
+whose own blur is added to v_i. Light is ``(a + b S) (1 + g r)``.
 """
 
 import math
@@ -24,10 +24,10 @@ from mosca.numba_support.decorators import kernel, step
 
 UNKNOWNS = 10
 CX, CY, TURN_1, TURN_2, BLUR_1, BLUR_2, MEAN, CONTRAST, SLOPE_X, SLOPE_Y = range(UNKNOWNS)
-"""Of a corner: place [px], directions of its edges [rad], variances across them [px^2], mean of black and white and
-half their difference [DN], slopes of the light [share per ``PlaceOf.reach``]."""
+"""Unknowns of a corner: place [px], directions of its edges [rad], variances across them [px^2], mean of black and
+white and half their difference [DN], slopes of the light [share per ``PlaceOf.reach``]."""
 LEAST_VARIANCE = 1e-4
-"""Of a blur [px^2]: a hundredth of a pixel."""
+"""Least variance of a blur [px^2]: a hundredth of a pixel."""
 
 
 class PatternNoise(NamedTuple):
@@ -41,9 +41,9 @@ class PatternNoise(NamedTuple):
 
 X, Y, DIRECTION_1, DIRECTION_2, APART_1, APART_2, BEND_1, BEND_2, REACH, MARKERS = range(10)
 PLACE = MARKERS + 8
-"""Of a corner's surroundings as its board's view has them: place, directions, distances of the parallel edges [px],
-half curvatures [1/px], half the window's longer side [px]; distances of a marker from both edges in each quarter
-(d_1 < 0, d_2 < 0), (< 0, > 0), (> 0, < 0), (> 0, > 0) [px]."""
+"""Number of columns of a corner's surroundings by its board's view: place, directions, distances of the parallel
+edges [px], half curvatures [1/px], half the window's longer side [px]; distances of a marker from both edges in each
+quarter (d_1 < 0, d_2 < 0), (< 0, > 0), (> 0, < 0), (> 0, > 0) [px]."""
 
 
 @step
@@ -54,7 +54,7 @@ def variance_of(noise: PatternNoise, s: float) -> float:
 
 @step
 def wave(d: float, apart: float, sigma: float) -> tuple[float, float, float, float, float, float]:
-    """Return an edge (-1 to 1) at distance ``d``, its slope, its change with the variance; the same of parallels."""
+    """Return an edge (-1 to 1) at distance ``d``, its slope, its change with the variance; the same for parallels."""
     half, density = edge(d / sigma)
     e, slope, spread = 2.0 * half - 1.0, 2.0 * density / sigma, -d * density / sigma**3
     other, other_slope, other_spread = 0.0, 0.0, 0.0
@@ -81,8 +81,8 @@ def add_part(
 ) -> None:
     """Add to ``out`` (6,) the pattern at the distances ``d`` from both edges, and its changes.
 
-    With both distances, both variances and rho. ``blur``: standard deviations and rho. ``colour``: the pattern's sign
-    where squares hold markers, 0 where none do.
+    These are the changes with both distances, both variances and rho. ``blur``: standard deviations and rho.
+    ``colour``: the pattern's sign where squares hold markers, 0 where none do.
     """
     s1, s2, rho = blur
     e1, k1, v1, o1, l1, w1 = wave(d[0], place[APART_1], s1)
@@ -142,7 +142,7 @@ def pixel_light(p: Array, place: Array, colour: float, x: float, y: float, out: 
             abs(c1 * ry - s1 * rx) - FLAT * math.sqrt(p[BLUR_1]), abs(c2 * ry - s2 * rx) - FLAT * math.sqrt(p[BLUR_2])
         )
         < 1.0
-    ):  # a pixel and what the edges' bend is
+    ):  # within a pixel and the bend of the edges
         parts = parts_of(math.sqrt(min(p[BLUR_1], p[BLUR_2]) + 1.0 / 12.0))
     own = 1.0 / (12.0 * parts * parts)
     sigma = math.sqrt(p[BLUR_1] + own), math.sqrt(p[BLUR_2] + own), c1 * c2 + s1 * s2
@@ -186,10 +186,10 @@ def corner_sums(
 ) -> tuple[Array, Array, Array, Array, Array]:
     """Return normal equations (n, UNKNOWNS, UNKNOWNS) and right sides at ``unknowns`` (n, UNKNOWNS) of corners.
 
-    Then chi-square and numbers of pixels (n,), and equations (n, 3, 4) of the noise. ``places`` (n, PLACE);
+    Also return chi-square and numbers of pixels (n,), and equations (n, 3, 4) of the noise. ``places`` (n, PLACE);
     ``markers``: 1 where a board's white squares hold some, -1 where its black ones do, 0 for none; and the width of
-    the bands beside the lines that are looked at, in squares.
-    ``fitted`` (n, UNKNOWNS, UNKNOWNS): covariance, of which residuals are what is left; or empty, without the noise.
+    the bands beside the lines that are looked at, in squares. ``fitted`` (n, UNKNOWNS, UNKNOWNS): covariance of the
+    fit, by which the variance of residuals is reduced; if empty, equations of the noise are 0.
     """
     n = len(unknowns)
     normal, right = np.zeros((n, UNKNOWNS, UNKNOWNS)), np.zeros((n, UNKNOWNS))

@@ -25,12 +25,12 @@ LEANING = 0.9
 BAND_SPREAD = 0.22
 """Spacing of the radii at which a ring is sampled, as a share of the ring's width."""
 SURE = 0.4
-"""Margin from which on no other perspective is tried."""
+"""Margin from which no other perspective is tried."""
 
 
 @dataclass(frozen=True, eq=False)
 class Readings:
-    """What was read about dots."""
+    """Readings of dots."""
 
     frames: Array
     """(n, FRAME) see ``mosca.coded_targets.dots``."""
@@ -52,7 +52,7 @@ class Readings:
 
 
 def read_codes(image: Array, target: TargetAppearance, maximum_dot_px: float, least_margin: float) -> Readings:
-    """Return what is read about white dots in an image (H, W), in its pixels; some twice."""
+    """Return the readings of white dots in an image (H, W), in its pixels; some dots are read twice."""
     ring = Ring(0.5 * (target.ring_inner + target.ring_outer), least_margin)
     parts: list[Readings] = []
     for smaller, factor in _reductions(image, maximum_dot_px):
@@ -99,7 +99,7 @@ def _read(image: Array, frames: Array, target: TargetAppearance, ring: Ring) -> 
     tries = [first[unsure]]
     for g in PERSPECTIVES:
         bent = frames[unsure]
-        # the plate leans about the longer axis: along the shorter one it is nearer here and farther there
+        # the plate leans about the longer axis: along the shorter one its distance changes
         bent[:, GX], bent[:, GY] = -g * np.sin(angle[unsure]), g * np.cos(angle[unsure])
         tries.append(_tried(image, bent, target, ring))
     best = np.argmax([one.rings[:, MARGIN] for one in tries], axis=0)

@@ -13,17 +13,17 @@ A coded target is a dot within a ring of 20 sectors on a plate of the other colo
    of perspective along the shorter axis are tried too, and the most certain reading is kept.
 3. Plate. At 40 points between dot and ring and outside the ring the grey value must follow a plane, within 0.4 of
    the dot's contrast.
-4. Ring (``coded_rings``). 120 directions, at three radii. The sectors start where the squared change of light
-   has its phase. The blur between sectors is corrected. No six successive sectors of a number are alike, so each is
-   thresholded at the middle of the lightest and the darkest of the seven about it. The three radii must agree, the
-   contrast must be that of the dot, the ring's light must correlate with that of the word by 0.93, and the word must
-   be one of the code's exactly: any two numbers differ in four sectors, and no errors are corrected.
+4. Ring (``coded_rings``). It is sampled in 120 directions, at three radii. The sectors start at the phase of the
+   squared change of light. The blur between sectors is corrected. No six successive sectors of a number are alike, so
+   each is thresholded at the middle of the lightest and the darkest of the seven about it. The three radii must
+   agree, the contrast must be that of the dot, the ring's light must correlate with that of the word by 0.93, and the
+   word must be one of the code's exactly: any two numbers differ in four sectors, and no errors are corrected.
 5. Centre (``mosca.coded_targets.centre``). An ellipse is fitted to the pixels of dot and plate, with light that is
    uneven or saturated. The circle's eccentricity is not corrected here: that needs the camera's pose
    (``mosca.camera.eccentricity``).
 
-Of readings on one another's plates only the most certain is kept; a number that is read twice is refused in both
-cases. A mirrored ring is refused but for 25 of the 507 numbers, of which 13 read the same and 12 as another; only
+Where readings lie on one another's plates, only the most certain is kept. A number that is read twice is refused in
+both cases. A mirrored ring is refused but for 25 of the 507 numbers: 13 of them read the same and 12 as another. Only
 mirrors show these: where there are mirrors, restrict ``numbers``. Occlusion of up to three sectors cannot make
 another number; four or five neighbours, covered exactly and in the ring's own black, do in 0.09 % and 0.2 % of all
 cases, more than five never. (Counted over the whole code in the tests.)
@@ -101,7 +101,7 @@ DEFAULTS = CodedSettings()
 
 
 def settings_of(coded: Sequence[CodedTarget], colour: Literal["white", "black", "both"] = "both") -> CodedSettings:
-    """Return how ``coded`` targets, one or more of one size, are found, and no others."""
+    """Return the settings that find ``coded`` targets, one or more of one size, and no others."""
     first = coded[0]
     r = first.dot_radius_m
     return CodedSettings(
@@ -195,7 +195,7 @@ def _found(word: int) -> tuple[int, int] | None:
 
 
 def _surest(dots: Readings, ring_outer: float) -> Array:
-    """Return which readings remain (m,): of those on each other's plates only the most certain."""
+    """Return which readings remain (m,): only the most certain of those on each other's plates."""
     x, y, xx, xy, yy = (dots.frames[:, k] for k in (X, Y, AXX, AXY, AYY))
     dx, dy = x[:, None] - x, y[:, None] - y
     away = np.hypot(yy * dx - xy * dy, xx * dy - xy * dx) / (xx * yy - xy**2)  # in radii of the second's dot

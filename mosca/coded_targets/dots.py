@@ -2,7 +2,7 @@
 
 Called by ``mosca.coded_targets.detect``, which describes the method. Free of the GIL, one thread. A *frame* is a row
 (x, y, axx, axy, ayy, gx, gy) that maps the plate into the image: ``(x, y) + A u / (1 + g . u)``, with u in radii of
-the dot and A symmetric, so that |u| = 1 is the dot's ellipse, and g the perspective that remains. Angles on the
+the dot, A symmetric, so that |u| = 1 is the dot's ellipse, and g the perspective that remains. Angles on the
 plate run counter-clockwise seen from the front: u = r (cos t, -sin t), since y points down in the image.
 """
 
@@ -32,8 +32,8 @@ HALF_PX = 0.5  # no dot is thinner than a pixel
 SHORTEST_SECTOR_PX = 1.0  # on the ring's inner edge, where the ellipse is narrow: below, sectors run together
 ROUGHEST = 0.05  # rms distance of a contour from its ellipse, in radii, besides that of noise and pixels
 STAIN, COARSE_STAIN = 0.4, 0.6
-"""Departure of the plate from even light, as a share of the contrast, up to which it is a plate; the second before
-the frame is refined."""
+"""Largest departure of a plate from even light, as a share of the contrast; the second before the frame is
+refined."""
 
 
 class TargetAppearance(NamedTuple):
@@ -65,7 +65,7 @@ def least_contrast(target: TargetAppearance) -> float:
 def grey(image: Array, x: float, y: float) -> float:
     """Return the grey value at (x, y), which must lie within the image's pixel centres, by bilinear interpolation.
 
-    On its last row and column there is nothing to interpolate with: below them.
+    x and y must also be less than the last column and row, where there is nothing to interpolate with.
     """
     column, row = int(x), int(y)
     fx, fy = x - column, y - row
@@ -108,7 +108,7 @@ def half_extent(frame: Array) -> float:
 
 @step
 def ellipse_of(frame: Array, mxx: float, mxy: float, myy: float) -> float:
-    """Write the root of 4 M to a frame, M the second moments of its dot; return the axes' ratio, 0 for none."""
+    """Write the root of 4 M to a frame, with M the second moments of its dot; return the axes' ratio, 0 for none."""
     det = mxx * myy - mxy * mxy
     if not det > (HALF_PX / 2.0) ** 4:
         return 0.0

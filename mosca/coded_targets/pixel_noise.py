@@ -1,9 +1,9 @@
 """Noise of the pixels of an image with coded targets, learned from this image by photon transfer.
 
-``var(I) = variance + gain (I - level)`` (EMVA 1288, Release 4.0, section 2). Two grey values tell it: that of most
-pixels, and that of the dots, away from their edges. At both the variance is that of second differences along rows
-(Immerkaer 1996), by their median, which edges, stains and shading hardly touch. Dots too small for that leave the
-gain to the guess that ``mosca.detection.pixel_noise`` makes of a camera without targets.
+``var(I) = variance + gain (I - level)`` (EMVA 1288, Release 4.0, section 2). It is estimated at two grey values: that
+of most pixels, and that of the dots, away from their edges. At both the variance is that of second differences along
+rows (Immerkaer 1996), by their median, which edges, stains and shading hardly change. Where dots are too small for
+that, the gain is the guess that ``mosca.detection.pixel_noise`` makes of a camera without targets.
 """
 
 import math
@@ -47,8 +47,8 @@ def pixel_noise(
 ) -> GreyValueNoise:
     """Return the noise of the pixels of ``image`` (H, W) with dots ``frames`` (n, FRAME).
 
-    ``full_dn``: grey value of saturated pixels. ``dark_dn2``, ``gain_dn``: variance without light and what a grey
-    value adds; None where they are not known.
+    ``full_dn``: grey value of saturated pixels. ``dark_dn2``: variance without light; ``gain_dn``: increase of the
+    variance with the grey value; None where they are not known.
     """
     level, variance = _most_pixels(image)
     if dark_dn2 is not None:

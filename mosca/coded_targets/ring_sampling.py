@@ -31,9 +31,9 @@ class Ring(NamedTuple):
 
 @step
 def sector_lengths(frame: Array, start: float, radius: float, blur_px: float) -> Array:
-    """Return how long each sector (SECTORS) is in the image, at ``radius`` on the plate [``blur_px``].
+    """Return the length of each sector (SECTORS,) in the image, at ``radius`` on the plate [``blur_px``].
 
-    ``start`` of the first sector [rad].
+    ``start``: start of the first sector [rad].
     """
     lengths = np.empty(SECTORS)
     for k in range(SECTORS):
@@ -48,8 +48,8 @@ def sector_lengths(frame: Array, start: float, radius: float, blur_px: float) ->
 def sector_levels(light: Array, start: float, lengths: Array) -> Array:
     """Return the light (BANDS + 1, SECTORS) of each sector at each radius and, last, at all, sharpened.
 
-    ``start`` in steps. Blur adds a share ``a = erfc(length / sqrt(8)) / 2`` of each neighbour's light to the middle
-    of a sector; the first-order correction adds ``a / (1 - 4 a)`` times its differences from them.
+    ``start``: in steps. Blur adds a share ``a = erfc(length / sqrt(8)) / 2`` of each neighbour's light to the middle
+    of a sector. The first-order correction adds ``a / (1 - 4 a)`` times its differences from them.
     """
     raw = np.zeros((BANDS + 1, SECTORS))
     for j in range(PICKS):

@@ -1,4 +1,4 @@
-"""Images of the static scene, subtracted before detection. Guide to motion capture, "Marker Detection"."""
+"""Images of the static scene that are subtracted before detection. Guide to motion capture, "Marker Detection"."""
 
 from collections.abc import Iterable, Iterator
 
@@ -11,8 +11,8 @@ from mosca.errors import InputError
 def mean_background(images: Iterable[Array]) -> Array:
     """Return the mean (H, W) of images without targets, rounded to their type (uint8 or uint16).
 
-    Guide to motion capture, "Marker Detection": the mean of the first n frames. Raises InputError where there
-    are none or where they differ in size or type.
+    Guide to motion capture, "Marker Detection": the mean of the first n frames. Raises InputError where there are no
+    images or where they differ in size or type.
     """
     alike = _alike(images)
     first = next(alike)
@@ -27,9 +27,9 @@ def mean_background(images: Iterable[Array]) -> Array:
 def minimum_background(images: Iterable[Array]) -> Array:
     """Return the smallest value (H, W) that each pixel has in images of one camera, in their type.
 
-    For bright targets that are in every image: whatever moves by its own size leaves no trace in it, while the
-    mean keeps a share of slow targets. It lies below the mean by the noise. Raises InputError where there are
-    none or where they differ in size or type.
+    For bright targets that are in every image. A target that moves by its own size leaves no trace in the minimum,
+    while the mean keeps a share of slow targets. The minimum lies below the mean by the noise. Raises InputError
+    where there are no images or where they differ in size or type.
     """
     alike = _alike(images)
     least = next(alike).copy()

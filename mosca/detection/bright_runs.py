@@ -1,8 +1,8 @@
 """Compiled scan of a frame set's images for bright pixels, 64 at a time.
 
-Called by ``mosca.detection.frame_set_kernel``; free of the GIL, on one thread, in whole numbers only. What a run
-is: see ``mosca.detection.threshold_regions``. A *block* is 64 pixels that follow each other in memory, its *mask*
-has a bit for each that is bright.
+Called by ``mosca.detection.frame_set_kernel``. It runs without the GIL, on one thread, in whole numbers only.
+``mosca.detection.search`` defines a run. A *block* is 64 pixels that follow each other in memory; its *mask* has a
+bit for each bright pixel.
 """
 
 from typing import Any, NamedTuple
@@ -16,9 +16,9 @@ from mosca.numba_support.decorators import bare_step, step
 from mosca.numba_support.intrinsics import bits_set, bright_mask, copy_16, trailing_zeros
 
 BLOCK, SHIFT, OVER = 64, 6, 16
-"""Pixels in a block, and the power of two that it is; values that are copied at a time."""
+"""Pixels in a block, its power of two, and the number of values that are copied at a time."""
 ROW_COST = 10
-"""A row of a box is taken to cost as much as so many blocks of a whole image (an estimate)."""
+"""Assumed cost of a row of a box, in blocks of a whole image (an estimate)."""
 
 
 class SearchBoxes(NamedTuple):
@@ -82,10 +82,11 @@ def bright_blocks_within(
 ) -> int:
     """Do as ``bright_blocks`` for the blocks that reach into boxes (k, 4) x0, y0, x1, y1, ends included.
 
-    Row by row over the boxes there, from left to right, so that each block comes once and in order.
+    Rows are followed from top to bottom, and in each row the boxes from left to right, so that each block comes once
+    and in order.
     """
     height = len(pixels) // width
-    order = np.empty(len(boxes), np.int32)  # from the topmost down; few: with many boxes the whole image is scanned
+    order = np.empty(len(boxes), np.int32)  # sorted from the top; few, since with many the whole image is scanned
     for k in range(len(boxes)):
         i = k
         while i > 0 and boxes[order[i - 1], 1] > boxes[k, 1]:
@@ -173,9 +174,9 @@ def bright_runs(
 
 @step
 def scan_set(images: ImageSet, search: SearchBoxes) -> BrightPixels:
-    """Return the pixels above their limits of all images of a frame set, or those in ``search``'s boxes.
+    """Return the pixels above their limits of all images of a frame set, or only those in ``search``'s boxes.
 
-    All of an image is searched where that is faster than box by box.
+    The whole of an image is searched where that is faster than box by box.
     """
     n_images, width = len(images.addresses), images.width
     boxes, box_start = search.boxes, search.start

@@ -31,13 +31,13 @@ class CentroidRule(NamedTuple):
     """How the centroid of a region is computed."""
 
     local: bool
-    """The local background is subtracted and the mask grown; else the region is measured as it is."""
+    """Whether the local background is subtracted and the mask grown; else the region is measured as it is."""
     dilation_px: int
     """How far the mask is grown."""
 
 
 class Background(NamedTuple):
-    """Sum [DN] and number of the pixels that give a background; (0, 1): none."""
+    """Sum [DN] and number of the pixels that give a background; (0, 1) for none."""
 
     total: Any
     n: Any
@@ -47,8 +47,8 @@ class Background(NamedTuple):
 def mask_rows(runs: Array, dilation: int, height: int, width: int) -> tuple[int, Array]:
     """Return the mask of a region: its first row, and (first column, end column, own pixels) of each row.
 
-    The region's rows, filled from first to last pixel, grown by ``dilation`` px to all sides, corners
-    included; the image's border cuts the mask off.
+    The mask is the region's rows, filled from first to last pixel and grown by ``dilation`` px to all sides, corners
+    included. The image's border cuts it off.
     """
     first_row = max(runs[0, 0] - dilation, 0)
     end_row = min(runs[-1, 0] + dilation + 1, height)
@@ -66,7 +66,7 @@ def mask_rows(runs: Array, dilation: int, height: int, width: int) -> tuple[int,
 
 @bare_step
 def ring_of(image: Array, limit: int, box: tuple[int, int, int, int]) -> tuple[Any, Any]:
-    """Return sum and number of the pixels not above ``limit`` on the border of a box, as far as in the image.
+    """Return sum and number of the pixels not above ``limit`` on the border of a box, as far as it is in the image.
 
     ``box`` is (left, right, top, bottom), all inclusive.
     """
@@ -92,10 +92,9 @@ def ring_of(image: Array, limit: int, box: tuple[int, int, int, int]) -> tuple[A
 def disc_diameter(flux: float, contrast: float, spread_px2: float) -> float:
     """Return the diameter of the blurred disc that has this flux, contrast and mean squared radius.
 
-    A disc of radius R and plateau A under a Gaussian blur s has the flux pi R^2 A, at its centre the
-    contrast A (1 - exp(-R^2 / 2 s^2)) and the mean squared radius R^2 / 2 + 2 s^2: solved for R^2 by
-    fixed-point iteration. The exponential is ((1 - t/16) / (1 + t/16))^8, right to 0.003 and the same on
-    every machine.
+    A disc of radius R and plateau A under a Gaussian blur s has the flux pi R^2 A, the contrast A (1 - exp(-R^2 / 2
+    s^2)) at its centre, and the mean squared radius R^2 / 2 + 2 s^2. These are solved for R^2 by fixed-point
+    iteration. The exponential is ((1 - t/16) / (1 + t/16))^8, right to 0.003 and the same on every machine.
     """
     ratio = flux / (math.pi * contrast)
     r2 = min(ratio, spread_px2)
@@ -234,7 +233,7 @@ def measure(
 def measure_region(
     image: Array, runs: Array, region: tuple[int, int], noise: Noise, rule: CentroidRule, out: Array
 ) -> bool:
-    """Write the row of one region, unless it touches its image's border: then False. As ``measure_regions``.
+    """Write the row of one region as ``measure_regions``; return False where it touches its image's border.
 
     ``region``: its threshold and its floor [DN].
     """
@@ -261,10 +260,10 @@ def measure_region(
 
 @bare_step
 def lopsidedness(image: Array, own: Array, floor: int, row: Array) -> tuple[float, float]:
-    """Return how far the centroid of a region's bright half is from its centre [px].
+    """Return how far the centroid of a region's bright half is from its centre, along x and y [px].
 
-    Bright: above half of the contrast between the region's peak and its ``floor``. The image of a target has both in
-    one place; the light of a neighbour or of an edge ends below that level more often than not.
+    Bright: above half of the contrast between the region's peak and its ``floor``. In the image of a target both
+    coincide; the light of a neighbour or of an edge ends below that level more often than not.
     """
     half = 0.5 * (row[PEAK] + floor)
     total, sx, sy = 0.0, 0.0, 0.0

@@ -2,45 +2,48 @@
 
 What a target is. Each camera's background, its noise and its gain are learned from its images
 (``mosca.detection.local_background``, ``mosca.detection.pixel_noise``). Pixels more than 4 standard deviations of the
-background above it form 8-connected blobs; of each, pixels below 1/16 of its contrast are left out (the skirts of a
-point spread function join targets that stand apart). A connected part of what is left is a target when
+background above it form 8-connected blobs. In each blob, pixels below 1/16 of its contrast are left out, since the
+skirts of a point spread function join targets that stand apart. A connected part of the remaining pixels is a target
+when
 
 - its brightest pixel is so far above the background that the noise of all pixels of an image exceeds it
   ``false_alarms`` times on average (for 0.01 in 320,000 pixels 5.4 standard deviations),
 - the longer side of its box is longer than D_min and both are shorter than D_max.
 
-It is parted into several where a dip between two summits exceeds the noise of their difference by the same number of
-standard deviations; the parts are grown as by the paper's rule below with this contrast in the place of B.
+A part is split into several targets where a dip between two summits exceeds the noise of their difference by the same
+number of standard deviations. The parts are grown by the paper's rule below, with this contrast in the place of B.
 
 ``thresholds = "paper"`` is the rule of the Mosca paper, section 3.1. The image is thresholded at falling h, from
-``Imax - B/2`` (Imax: the largest value the camera can give) in steps of s as long as h is above h_min; a threshold
+``Imax - B/2`` (Imax: the largest value the camera can give) in steps of s as long as h is above h_min. A threshold
 that no pixel has is replaced by the next lower grey value that occurs (step 3; the paper prints "until HIST[h] = 0",
 which must read "while"). The regions of a threshold are the 8-connected components of ``I > h``. A region is accepted
 when (step 6)
 
 - both sides of its box, in pixels, lie strictly between D_min and D_max,
 - ``Bmax - Bmin > B``, with the largest and smallest grey value inside it,
-- ``N < 2``: of the targets accepted at higher thresholds, it holds at most one. N counts the connected
-  components of the output image R so far that lie inside the region. So a target that grows from one
-  threshold to the next stays one, and two that were accepted separately stay two when their regions merge at a
-  lower threshold. (Compared with the previous threshold's regions alone, as step 5 can be read, the merged blob
-  would be accepted one step later.)
+- ``N < 2``: it holds at most one of the targets accepted at higher thresholds. N counts the connected components of
+  the output image R so far that lie inside the region. Thus a target that grows from one threshold to the next stays
+  one target. Two that were accepted separately stay two when their regions merge at a lower threshold. (If N were
+  counted from the previous threshold's regions alone, as step 5 can be read, the merged blob would be accepted one
+  step later.)
 
-R is the union of the accepted regions; its components are the targets (step 9): each is the largest accepted
-region around its summit. A target that touches the image's border is cut off and is not reported.
+R is the union of the accepted regions; its components are the targets (step 9): each is the largest accepted region
+around its summit. A target that touches the image's border is cut off and is not reported.
 
-Where it is. ``centroid = "refined"``, the default, fits a blurred disc to the pixels around:
+Where it is. ``centroid = "refined"``, the default, fits a blurred disc to the pixels around the target:
 ``mosca.detection.disc_fit.camera_statistics``. ``"paper"`` is step 10 as printed: ``x* = sum x I / sum I`` over the
 region. ``"background"`` takes the region's mask m, grown by ``dilation_px`` to all sides (a region that ends above
-the lowest threshold has a neighbour and is grown by at most 1), and the local background b, the mean of the
-pixels not above the lowest threshold on the border of the box around the mask:
-``x* = sum_m x (I - b) / S``, ``S = sum_m (I - b)``. Pixels above the region's threshold that are not its own
-belong to a neighbour and are left out.
+the lowest threshold has a neighbour and is grown by at most 1). The local background b is the mean of the pixels not
+above the lowest threshold on the border of the box around the mask: ``x* = sum_m x (I - b) / S``,
+``S = sum_m (I - b)``. Pixels above the region's threshold that are not its own belong to a neighbour and are left
+out.
 
-How well. The pixel noise ``var(I) = dark + gain (I - b)`` (EMVA 1288: dark noise, quantisation and the background's
-photon noise; photon noise of the target, gain in DN per electron) goes through the centroid at first order:
+How well. The pixel noise ``var(I) = dark + gain (I - b)`` is that of EMVA 1288. The dark part is dark noise,
+quantisation and the background's photon noise; the gain, in DN per electron, gives the target's photon noise. This
+noise is propagated through the centroid to first order:
 ``C = sum_m (p - p*)(p - p*)^T var(I) / S^2 + g g^T var(b) / S^2`` with ``g = sum_m (p - p*)`` and
-``var(b) = dark / ring pixels``. The mask is taken as given: what it cuts off is not in C.
+``var(b) = dark / ring pixels``. The mask is taken as given: C does not include the error of the light that it cuts
+off.
 """
 
 from collections.abc import Collection, Sequence
@@ -90,7 +93,7 @@ __all__ = [
 
 _METHODS = {"paper": PAPER, "background": BACKGROUND, "refined": REFINED}
 BLURS = 3.0
-"""How far a target's light is taken to reach beyond its disc, in blurs of its camera."""
+"""Assumed reach of a target's light beyond its disc, in blurs of its camera."""
 _EVERYWHERE = SearchBoxes(np.empty((0, 4), np.int32), np.empty(0, np.int64))
 
 
@@ -117,10 +120,10 @@ def detect(
     bit_depth
         Number of significant bits of a pixel (8 to 16).
     background
-        (H, W), of the image's type: subtracted first, negative values becoming 0 (guide to motion capture, "Marker
-        Detection"; see ``mean_background`` and ``minimum_background``).
+        (H, W), of the image's type. It is subtracted first, and negative values become 0 (guide to motion capture,
+        "Marker Detection"; see ``mean_background`` and ``minimum_background``).
     statistics
-        Of earlier frames, see ``detect_with_statistics``.
+        Statistics of earlier frames, see ``detect_with_statistics``.
     """
     backgrounds = None if background is None else [background]
     return detect_set([image], [camera], settings, bit_depth, backgrounds, None, statistics)[0]
@@ -137,11 +140,11 @@ def detect_set(
 ) -> list[Detections]:
     """Return the targets of each image of a frame set; ``detect`` for several cameras at once.
 
-    Images of one size and type are processed without the GIL in one call, so that several threads can each
-    take a frame set; others one by one. ``windows``: for each image the boxes (k, 4) x0, y0, x1, y1 [px, ends
-    included] in which targets are searched for, or None for all of it: a target is reported, once, where it lies
-    inside one of them, off its outermost pixels. Small windows make large images fast; where there are many,
-    the whole image is scanned.
+    Images of one size and type are processed in one call without the GIL, so that several threads can each take a
+    frame set; other images are processed one by one. ``windows``: for each image the boxes (k, 4) x0, y0, x1, y1 [px,
+    ends included] in which targets are searched for, or None for all of it. A target is reported once, if it lies
+    inside a window and off its outermost pixels. Small windows make large images fast; where there are many, the
+    whole image is scanned.
     """
     return detect_with_statistics(images, cameras, settings, bit_depth, backgrounds, windows, statistics)[0]
 
@@ -156,12 +159,11 @@ def detect_with_statistics(
     statistics: CameraStatistics = NO_STATISTICS,
     refresh: Collection[str] = (),
 ) -> tuple[list[Detections], CameraStatistics]:
-    """Do as ``detect_set`` and return what these images alone add to the statistics of their cameras too.
+    """Do as ``detect_set``, and also return what these images alone add to the statistics of their cameras.
 
-    Add it, ``statistics.plus(new)``, and pass the sum to a later call: the same images with the same
-    ``statistics`` give the same centres, with any number of threads. Without, each call starts afresh, and learns
-    noise and background from the one image. ``refresh``: cameras whose backgrounds are measured again
-    though ``statistics`` know them.
+    Pass the sum ``statistics.plus(new)`` to a later call. The same images with the same ``statistics`` give the same
+    centres, with any number of threads. Without ``statistics`` a call starts afresh and learns noise and background
+    from the one image. ``refresh``: cameras whose backgrounds are measured again though ``statistics`` hold them.
     """
     n = len(images)
     n_backgrounds = n if backgrounds is None else len(backgrounds)
@@ -207,7 +209,7 @@ def detect_with_statistics(
             measured[name] = replace(measured[name], pixels=vote)
     added = CameraStatistics(names, sums, measured)
     if again := gains_changed(statistics, added, settings):
-        # a guessed gain parts bright targets, or joins faint ones: once more with what was learned
+        # a guessed gain splits bright targets, or joins faint ones: detect again with the learned one
         learned, sums = statistics.plus(added), StatisticsSums(*(part.copy() for part in sums))
         for k in again:
             boxes = None if windows is None else [windows[k]]
@@ -220,10 +222,10 @@ def detect_with_statistics(
 
 
 def _exactly_behind(background: Array, by_noise: bool) -> Array:
-    """Return what is subtracted of a given background (H, W) and its error, none (2, H, W) float32 [DN].
+    """Return (2, H, W) float32 [DN]: what is subtracted of a given background (H, W), and its error of 0.
 
-    All of it where thresholds are grey values. Otherwise what differs from about its median: values below zero would
-    be lost, and with them half of the noise.
+    Where thresholds are grey values, all of the background is subtracted. Otherwise only its difference from about
+    its median is: values below zero would be lost, and with them half of the noise.
     """
     behind = np.zeros((2, *background.shape), np.float32)
     behind[0] = background
@@ -254,7 +256,7 @@ def _detect_alike(
 def _bright(image: Array, found: Detections, blur_px: float, background: LocalBackground) -> Array:
     """Return 1 for the pixels (H, W) uint8 that may show a target or another light, 0 for the others.
 
-    Those of detected discs, with their blur, and those above the search's limits.
+    These are the pixels of detected discs, with their blur, and those above the search's limits.
     """
     bright = (image > background.limits(SEARCH_SIGMAS, image.shape, image.dtype)).astype(np.uint8)
     radii = 0.5 * found.diameter_px * np.sqrt(found.elongation) + BLURS * blur_px
@@ -268,7 +270,7 @@ def _bright(image: Array, found: Detections, blur_px: float, background: LocalBa
 def target_regions(image: Array, settings: DetectionSettings = DEFAULTS, bit_depth: int = 8) -> Array:
     """Return the output image R (H, W) int32: 0, or the number of the target from 1 (steps 6 and 9).
 
-    Targets that touch the image's border are still in it.
+    Targets that touch the image's border are included.
     """
     _check(image, "image", bit_depth, None)
     names, task = ("image",), _task(settings, bit_depth, REGIONS_ONLY)
@@ -309,7 +311,7 @@ def _check(image: Array, camera: str, bit_depth: int, background: Array | None) 
 
 
 def _foreground(image: Array, off: Array | None, task: Task) -> Array:
-    """Return the image (H, W) less what is taken ``off``, of its type, from 0 on."""
+    """Return the image (H, W) less ``off``, of the image's type, with 0 for negative values."""
     if off is None:
         return image if image.flags.c_contiguous else np.ascontiguousarray(image)
     if not task.by_noise:
@@ -328,7 +330,7 @@ def _boxes(windows: Sequence[Array | None] | None, images: ImageSet) -> SearchBo
 
 @lru_cache
 def _task(settings: DetectionSettings, bit_depth: int, method: int) -> Task:
-    """Return what is detected in images of this bit depth."""
+    """Return the task of detection in images of this bit depth."""
     by_noise = settings.thresholds == "noise"
     return Task(search_of(settings, bit_depth), by_noise, method, settings.dilation_px, float(2**bit_depth - 1))
 

@@ -62,7 +62,7 @@ class Task(NamedTuple):
 
     search: Search
     by_noise: bool
-    """Targets are decided on by the images' noise, else as in the paper."""
+    """Whether targets are found by the images' noise; else by the paper's rule."""
     method: int
     dilation_px: int
     full_dn: float
@@ -75,7 +75,7 @@ def detect_frame_set(
 ) -> tuple[FoundRegions, Measured, StatisticsSums]:
     """Find the targets of all images of a frame set and measure them.
 
-    Returns the sums for the cameras' statistics too, zeros where nothing was refined.
+    Also returns the sums for the cameras' statistics, zeros where nothing was refined.
     """
     bright = scan_set(images, boxes)
     left_out = np.zeros((len(images.addresses), 6))
@@ -116,8 +116,8 @@ def measure_unrefined(
 ) -> None:
     """Replace the centre of rows of ``table`` whose fit failed by the centroid by ``rule``, above local background.
 
-    Most of these touch a neighbour, whose light biases the centroid: how lopsided that makes a region is part of the
-    uncertainty. That of an isolated region grows with its elongation.
+    Most of these targets touch a neighbour, whose light biases the centroid. The lopsidedness of the region is
+    therefore part of the uncertainty. That of an isolated region grows with its elongation.
     """
     for n in range(len(table)):
         flags = int(table[n, FLAGS])

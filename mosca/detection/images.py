@@ -1,4 +1,4 @@
-"""The images of a frame set as compiled code takes them: where they lie in memory, without copying them."""
+"""Images of a frame set for compiled code: their addresses in memory, without a copy."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -17,14 +17,15 @@ class ImageSet(NamedTuple):
     """Contiguous images of one size and type."""
 
     addresses: Array
-    """Of each image's first pixel (n,) uint64. The caller keeps the images alive."""
+    """Address of each image's first pixel (n,) uint64. The caller keeps the images alive."""
     limits: Array
-    """Of the first pixel of each image's limits (n,) uint64, alike: pixels above theirs are looked at."""
+    """Address of the first of each image's limits (n,) uint64, arrays of the images' size and type. Pixels above
+    their limit are looked at."""
     behind: Array
-    """Of the first pixel of each image's background texture (n,) uint64, (2, H, W) float32: what was subtracted
-    though targets hide it, and the standard deviation of its error [DN]; 0 where there is none."""
+    """Address of the first pixel of each image's background texture (n,) uint64, 0 where there is none. A texture (2,
+    H, W) float32 is what was subtracted though targets hide it, and the standard deviation of its error [DN]."""
     like: Array
-    """Of the pixels' type (0,): uint8 or uint16."""
+    """Empty array of the pixels' type (0,): uint8 or uint16."""
     height: int
     """Rows of each image."""
     width: int
@@ -34,7 +35,8 @@ class ImageSet(NamedTuple):
 def image_set(images: Sequence[Array], limits: Sequence[Array], behind: Sequence[Array | None]) -> ImageSet:
     """Describe contiguous images (H, W), at least one, of one size and type (uint8 or uint16).
 
-    ``limits``: of each image, alike; ``behind``: (2, H, W) float32, what was subtracted from it and its error [DN].
+    ``limits``: one array for each image, of its size and type; ``behind``: for each image (2, H, W) float32, what was
+    subtracted from it and the standard deviation of the error [DN], or None.
     """
     height, width = images[0].shape
     addresses = np.array(
@@ -61,7 +63,7 @@ def pixels_of(images: ImageSet, k: int) -> Array:
 def behind_of(images: ImageSet, k: int) -> Array:
     """Return what was subtracted from image k and its error (2, H, W) float32 [DN], as a non-owning view.
 
-    Empty where nothing was.
+    The view is empty where nothing was subtracted.
     """
     there = np.int64(images.behind[k] != 0)
     result: Array = array_at(images.behind[k], _TEXTURE, (2 * there, images.height, images.width))

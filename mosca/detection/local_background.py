@@ -1,10 +1,10 @@
-"""Background and dark noise of an image, in cells larger than targets, measured from the image itself.
+"""Background and dark noise of an image, measured from the image itself in cells larger than targets.
 
-Level: the median of a cell's samples, then the mean of those within ``CLIP_SIGMAS`` of it, so that targets, which
-cover less than half of a cell, do not count. Noise: half the mean square of the differences of neighbouring
-pixels (von Neumann 1941), within the same limits, which a smooth slope of the background does not enter. A cell that
-is covered by a target is caught by its neighbours. Levels are then measured again in cells of half the side, of
-the pixels near a smooth surface through the first ones.
+The level of a cell is the median of its samples, then the mean of those within ``CLIP_SIGMAS`` of it. Targets cover
+less than half of a cell, so they do not count. The noise is half the mean square of the differences of neighbouring
+pixels (von Neumann 1941), within the same limits; a smooth slope of the background does not enter it. The neighbours
+of a cell correct it where a target covers it. Levels are then measured again in cells of half the side, from the
+pixels near a smooth surface through the first levels.
 """
 
 import math
@@ -22,22 +22,22 @@ from mosca.numba_support.decorators import bare_step, kernel
 from mosca.numba_support.order import median_in_place
 
 CELL_SIDE, CELL_PX, LARGEST_CELL_PX, STRIDE_PX = 1.6, 64, 256, 5
-"""Side of a cell, in units of the largest target's, so that targets side by side cover less than half of it; up to so
-many pixels, or the largest target's side: larger cells do not follow an uneven background. The distance of its
-samples: with 150 of them, of 64 px, a cell's standard deviation is right to 10 %, after the median over its
-neighbours to 5 %."""
+"""Side of a cell over that of the largest target, so that targets side by side cover less than half of a cell. The
+side is at most the second number [px], or the largest target's side where that is more; never more than the third,
+since larger cells do not follow an uneven background. The last is the distance of its samples [px]: with 150 of them,
+in 64 px, a cell's standard deviation is right to 10 %, after the median over its neighbours to 5 %."""
 FINE_STRIDE_PX = 4
 """Distance of the samples of a cell of half the side: its level is right to 0.13 of a pixel's noise."""
 CLIP_SIGMAS = 4.0
-"""Samples farther from a cell's median are those of targets; of the background 6 in 100,000 are."""
+"""Samples farther from a cell's median count as those of targets; of the background 6 in 100,000 do."""
 BEND = 4.0
 """How far the background may lie off a smooth surface through cells, in units of that surface's own curvature."""
 ROUNDING_DN2 = 1 / 12
 """Variance of rounding to whole grey values, the least that an image can have [DN^2]."""
 PLAIN = 2.0
-"""A spread of up to the root of this times the noise is no texture: a third of a cell may be covered by targets."""
+"""A spread of up to the square root of this times the noise is no texture: targets may cover a third of a cell."""
 FINENESS = 256
-"""Steps of a grey value in which planes are computed."""
+"""Steps per grey value in which planes are computed."""
 MEMORY = 4
 """Measurements over which level and noise are averaged."""
 
@@ -51,13 +51,13 @@ class LocalBackground:
     variance: Array
     """(rows, columns) variance of a pixel without a target [DN^2]."""
     texture: Array
-    """(rows, columns) variance of the background itself about a smooth one [DN^2]."""
+    """(rows, columns) variance of the background's texture about a smooth background [DN^2]."""
     count: int
-    """Images that it was measured in, up to ``MEMORY``."""
+    """Number of images that it was measured in, up to ``MEMORY``."""
     pixels: StaticBackground | None = None
-    """Of each pixel, where the background is textured."""
+    """Background of each pixel, where it is textured."""
     rough: Array | None = None
-    """(rows, columns) variance and texture where a pixel's own background is not known [DN^2]."""
+    """(rows, columns) sum of variance and texture, for pixels whose own background is not known [DN^2]."""
     _limits: dict[tuple[float, tuple[int, int], Any, bool], Array] = field(default_factory=dict, repr=False)
     _behind: dict[tuple[int, int], Array] = field(default_factory=dict, repr=False)
 
@@ -67,7 +67,7 @@ class LocalBackground:
             return self if other is None else other
         pixels = other.pixels if self.pixels is None else self.pixels.plus(other.pixels)
         if other.rough is not None and self.rough is None:
-            # the first one without the texture
+            # ``other`` is the first one measured without the texture
             return replace(other, pixels=pixels, _limits={}, _behind={})
         count = min(self.count + other.count, MEMORY)
         share = other.count / count
@@ -101,7 +101,8 @@ class LocalBackground:
     def behind(self, shape: tuple[int, int]) -> Array:
         """Return the texture of each pixel, and the standard deviation of its error (2, H, W) float32 [DN].
 
-        That of the mean of as many images as voted; where the pixel is not known, what the filling leaves.
+        At a known pixel the error is that of the mean of the images that voted, at an unknown one what filling
+        leaves.
         """
         if self.pixels is None:
             return np.zeros((2, *shape), np.float32)
@@ -119,7 +120,7 @@ class LocalBackground:
     def shown_behind(self, image: Array) -> Array:
         """Return the texture that an image (H, W) shows, and the standard deviation of its error, as ``behind``.
 
-        Where it shows part of it, as at the edge of a body, the error is as large as the texture.
+        Where the image shows part of the texture, as at the edge of a body, the error is as large as the texture.
         """
         behind = self.behind(image.shape)
         if self.pixels is None:
@@ -134,7 +135,7 @@ class LocalBackground:
     def limits(self, sigmas: float, shape: tuple[int, int], dtype: Any, as_if_known: bool = False) -> Array:
         """Return for each pixel (H, W) the largest grey value within ``sigmas`` above the background.
 
-        ``as_if_known``: those of the noise alone, as if no pixel's background had been filled.
+        ``as_if_known``: return the limits of the noise alone, as if no pixel's background had been filled.
         """
         key = (sigmas, shape, dtype, as_if_known)
         if key not in self._limits:
@@ -151,7 +152,7 @@ class LocalBackground:
 
 @bare_step
 def cell_position(at: float, pixels: int, cells: int) -> tuple[Any, Any, Any]:
-    """Return the cells before and after a pixel coordinate and the share of the second, beyond 0 to 1 at the rim."""
+    """Return the cells before and after a pixel coordinate and the share of the second; at the rim outside 0 to 1."""
     if cells == 1:
         return np.int64(0), np.int64(0), 0.0
     u = (at + 0.5) * cells / pixels - 0.5
@@ -292,7 +293,7 @@ def measure_spread(image: Array, level: Array, rows: int, columns: int) -> Array
 def measure_background(image: Array, largest_px: float, known: LocalBackground | None = None) -> LocalBackground:
     """Return the background of one image (H, W) of whole numbers with targets of up to ``largest_px``.
 
-    ``known``: of earlier images; where it has a background of each pixel, that is subtracted first.
+    ``known``: background of earlier images; if it has one of each pixel, that is subtracted first.
     """
     rough = None
     if known is not None and known.usable is not None:
@@ -301,20 +302,20 @@ def measure_background(image: Array, largest_px: float, known: LocalBackground |
     rows, columns = (n // 2 for n in cell_grid(image.shape, largest_px))
     level, variance = measure_cells(image, rows, columns)
     variance = np.maximum(_filtered(variance, 3, _median), ROUNDING_DN2)
-    # a surface through medians is that of the background also where targets cover cells; of a paraboloid that falls
-    # by 1 to the next cells, the median over 3 x 3 lacks 1 at the summit
+    # a surface through medians follows the background even where targets cover cells; at the summit of a paraboloid
+    # that falls by 1 to the next cells, the median over 3 x 3 is too low by 1
     smooth = _filtered(_filtered(level, 3, _median), 5, _quadratic)
     reach = CLIP_SIGMAS * np.sqrt(variance) + 1.0 + BEND * np.abs(_filtered(smooth, 3, _bend))
     level = measure_levels(image, smooth, reach)
     spread = _filtered(measure_spread(image, level, rows, columns), 3, _median)
-    # what is left beyond noise, rounding of the level and a few targets in a cell
+    # what exceeds noise, rounding of the level and a few targets in a cell
     texture = np.maximum(spread**2 - PLAIN * (variance + 0.25), 0.0)
     halves = np.ones((2, 2))
     return LocalBackground(level, np.kron(variance, halves), np.kron(texture, halves), 1, rough=rough)
 
 
 def _filtered(cells: Array, side: int, of_windows: Callable[[Array], Array]) -> Array:
-    """Return a function of the ``side`` x ``side`` cells around each. Beyond the rim cells go on evenly."""
+    """Return a function of the ``side`` x ``side`` cells around each. Cells are extrapolated beyond the rim."""
     reach = side // 2
     if min(cells.shape) > reach:
         around = np.pad(cells, reach, "reflect", reflect_type="odd")
@@ -336,11 +337,11 @@ def _quadratic(windows: Array) -> Array:
 
 
 def _bend(windows: Array) -> Array:
-    """Return how much the middle of 3 x 3 values lies below the mean of its four next ones."""
+    """Return how much the middle of 3 x 3 values lies below the mean of its four nearest ones."""
     return np.asarray(windows[..., 1::2].mean(axis=-1) - windows[..., 4])
 
 
 def cell_grid(shape: tuple[int, ...], largest_px: float) -> tuple[int, int]:
-    """Return rows and columns of levels of an image (H, W): two in each direction for a cell."""
+    """Return rows and columns of levels of an image (H, W): two levels in each direction for a cell."""
     side = min(max(min(CELL_SIDE * largest_px, CELL_PX), largest_px), LARGEST_CELL_PX)
     return 2 * max(1, round(shape[0] / side)), 2 * max(1, round(shape[1] / side))

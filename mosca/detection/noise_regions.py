@@ -51,31 +51,32 @@ region's moments, cost 7 % in position."""
 NOISE, WHOLE, UNCERTAIN = range(5, 8)
 """Verdicts on a part, besides the reasons ``FAINT`` and ``SMALL``: noise alone, one target, to be examined."""
 NEAR_LIMIT = 4.0
-"""Targets with up to so many times the least contrast must have it over the pixels around them too, since the
-background is known as planes between cells only."""
+"""Targets with up to so many times the least contrast must have this contrast over the pixels around them too, since
+the background is known only as planes between cells."""
 LEAST_MARGIN_PX = 2
-"""From a faint target's box to the pixels around it, or its longer side where that is more (its skirts)."""
+"""Distance from a faint target's box to the pixels around it; the box's longer side where that is more (its
+skirts)."""
 
 BODY_SHARE = 0.25
-"""Share of the pixels around a target, brighter than the background but no part of a target, from which it stands on
-a body; the skirts of a neighbouring target are fewer."""
+"""Share of bright pixels around a target from which it stands on a body: pixels brighter than the background but no
+part of a target. The skirts of a neighbouring target are fewer."""
 
 
 class Blob(NamedTuple):
-    """What is known of a blob before it is cut, in grey values [DN]."""
+    """Properties of a blob before it is cut, in grey values [DN]."""
 
     level: float
     """Background."""
     variance: float
-    """Of a pixel of the background [DN^2]."""
+    """Variance of a pixel of the background [DN^2]."""
     spread: float
     """Standard deviation of the background, with its own texture."""
     slope: tuple[float, float]
-    """Of the background by x and y [DN/px]."""
+    """Slope of the background by x and y [DN/px]."""
     peak: Any
-    """Largest grey value, of three in each row; all are looked at once the blob is cut."""
+    """Largest of three grey values in each row; all are looked at once the blob is cut."""
     cut: Any
-    """What is not above it is left out."""
+    """Pixels that are not above it are left out."""
 
 
 class BlobPart(NamedTuple):
@@ -133,9 +134,10 @@ def blob_of(runs: Array, values: Array, noise: PixelNoise, k: int, shape: tuple[
 
 @bare_step
 def trim_runs(runs: Array, values: Array, limit: int, cut: Array) -> tuple[Any, Any]:
-    """Write the runs without their ends that do not exceed ``limit`` to ``cut``; return how many are left.
+    """Write the runs to ``cut``, trimmed at both ends of pixels not above ``limit``; return how many are left.
 
-    And whether there are some and adjoin for certain: one in each row, which touches that of the row before.
+    Also return whether there are some and they adjoin for certain: one in each row, which touches that of the row
+    before.
     """
     n, joined = np.int64(0), True
     for i in range(len(runs)):
@@ -156,7 +158,7 @@ def trim_runs(runs: Array, values: Array, limit: int, cut: Array) -> tuple[Any, 
 
 @bare_step
 def contrast_of(peak: float, level: float, variance: float, gain: float, sigmas: float) -> float:
-    """Return the least difference that parts two grey values near ``peak``: each has its own noise."""
+    """Return the least difference at which two grey values near ``peak`` are distinct: each has its own noise."""
     return math.sqrt(2.0 * (variance + gain * max(peak - level, 0.0))) * sigmas
 
 
@@ -172,7 +174,7 @@ def falling_thresholds(peak: int, least: int, step: int) -> Array:
 
 @bare_step
 def middle_column(runs: Array, values: Array, left: int, right: int) -> Any:
-    """Return the middle of the columns from ``left`` to before ``right``, of two the brighter one halfway down."""
+    """Return the middle of the columns from ``left`` to before ``right``; of two, that brighter in the middle row."""
     column = (left + right) // 2
     half = len(runs) // 2
     first, end, place = runs[half, FIRST], runs[half, END], runs[half, PLACE]
@@ -219,7 +221,7 @@ def write_noise(blob: Blob, gain: float, out: Array) -> None:
 def ring_values(image: Array, box: tuple[int, int, int, int], margin: int) -> Array:
     """Return the grey values on the border of a box (left, right, top, bottom; ends excluded) wider by ``margin``.
 
-    Of what lies in the image.
+    Pixels outside the image are left out.
     """
     left, right, top, bottom = box[0] - margin - 1, box[1] + margin, box[2] - margin - 1, box[3] + margin
     values = np.empty(2 * (right - left + bottom - top), np.float32)
@@ -239,9 +241,9 @@ def ring_values(image: Array, box: tuple[int, int, int, int], margin: int) -> Ar
 
 @bare_step
 def verdict_of(part: BlobPart, blob: Blob, search: Search, gain: float, sigmas: float) -> Any:
-    """Return whether a connected part of a cut blob is one target, as far as a glance at it tells, or why not.
+    """Return the verdict on a connected part of a cut blob: one target, to be examined, or why it is none.
 
-    What is both short and faint is noise: single pixels exceed ``SEARCH_SIGMAS`` in any image.
+    A part that is both short and faint is noise: single pixels exceed ``SEARCH_SIGMAS`` in any image.
     """
     over, least = part.peak - blob.level, sigmas * blob.spread
     short, faint = part.longer <= search.smallest_px, over <= least
@@ -267,10 +269,10 @@ def write_target(runs: Array, blob: Blob, gain: float, place: Place, n: int, r: 
 
 @step
 def stand_on_body(blob: Blob, gain: float, pixels: Array, runs: Array, region: Array, noise: Array) -> None:
-    """Let a target beside something brighter than the background, but not as bright as itself, stand on that.
+    """Take what surrounds a target as its background where that is brighter than the image's background.
 
-    It is no neighbour then but its background, with the noise of its own light. ``runs``: of the region; ``pixels``:
-    of the image (H, W).
+    It is not as bright as the target, so it is no neighbour, and adds the noise of its own light. ``runs``: of the
+    region; ``pixels``: of the image (H, W).
     """
     (left, right, top, bottom), _ = box_of(runs, 0, len(runs))
     values = ring_values(pixels, (left, right + 1, top, bottom + 1), LEAST_MARGIN_PX)
@@ -315,7 +317,7 @@ def examine(
         n, r = write_target(runs, blob, gain, place, n, r)
         return n, r
     step = max(1, int(0.5 * math.sqrt(blob.variance)))
-    # of the types of ``search``: else all of the growth is compiled twice
+    # types as in ``search``: otherwise all of the growth is compiled twice
     cut: Any = np.int64(blob.cut)
     finer = Search(search.highest, cut, step, contrast, search.smallest_px, search.largest_px, blob.level)
     grown_thresholds, grown_runs = grow_regions(runs, values, falling_thresholds(part.peak, blob.cut, step), finer)
@@ -332,7 +334,7 @@ def examine(
 
 @bare_step
 def has_sure_pixel(runs: Array, values: Array, blob: Blob, behind: Array) -> bool:
-    """Return whether a blob is more than an error of what was subtracted: one of its pixels is above that, too."""
+    """Return whether one of a blob's pixels is also above the error of what was subtracted from the image."""
     limit = blob.level + SEARCH_SIGMAS * math.sqrt(blob.variance)
     for i in range(len(runs)):
         for k in range(runs[i, END] - runs[i, FIRST]):
@@ -389,7 +391,7 @@ def decide_in_set(
 ) -> FoundRegions:
     """Find the targets of all images of a frame set among the pixels above their limits.
 
-    Adds to ``left_out`` (n, 6) how many parts were none, see ``Place``.
+    Adds to ``left_out`` (n, 6) how many parts were no target, see ``Place``.
     """
     values, run_start, value_start = bright.values, bright.run_start, bright.value_start
     found, regions = np.empty((len(values), 3), np.int32), np.empty((len(values), 5), np.int32)
@@ -405,7 +407,7 @@ def decide_in_set(
 
 @step
 def set_noise(found: FoundRegions, noise: PixelNoise) -> None:
-    """Write each region's noise where it is the same all over its image, and its background even."""
+    """Write each region's noise for images whose noise is uniform and whose background is even."""
     for r in range(len(found.regions)):
         k = found.regions[r, IMAGE]
         found.noise[r, DARK], found.noise[r, GAIN] = noise.variances[k, 0, 0], noise.gains[k]

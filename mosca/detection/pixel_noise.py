@@ -1,10 +1,10 @@
-"""The pixel noise of each camera, as detection takes it: told, or learned from its images.
+"""The pixel noise of each camera for detection: given by the settings, or learned from its images.
 
 ``var(I) = dark + gain (I - background)`` (EMVA 1288). The dark part is that of the background's pixels
 (``mosca.detection.local_background``): dark noise, quantisation and the photon noise of the background. The gain is
-learned by photon transfer from the residuals of fitted discs (``mosca.detection.disc_fit.residual_noise``): squared
-differences of opposite points over the signal ``A e``, beside a share of ``(A e')^2`` that stands for a misfit of the
-edge that is not symmetric, by weighted least squares.
+learned by photon transfer from the residuals of fitted discs (``mosca.detection.disc_fit.residual_noise``). Squared
+differences of opposite points are fitted by weighted least squares as the gain times the signal ``A e``, plus a share
+of ``(A e')^2`` for a misfit of the edge that is not symmetric.
 """
 
 from collections.abc import Collection, Sequence
@@ -24,12 +24,13 @@ from mosca.detection.search import SEARCH_SIGMAS
 from mosca.detection.settings import search_of
 
 TOLD_APART = 2.0
-"""Standard deviations that a gain must have."""
+"""Standard deviations that a gain must have to be separated from a misfit of the edge."""
 GUESSED_DARK_E = 12.0
 """Dark noise [e] from which the gain of a camera without residuals is guessed, with a standard deviation of 100 %
 (EMVA 1288 sheets of CMOS sensors: 2 to 40)."""
 GAIN_STEP = 0.1
-"""Images without earlier statistics are searched twice where what they tell moves a gain by more than this share."""
+"""Images without earlier statistics are searched twice where their residuals change a gain by more than this
+share."""
 
 
 class PixelNoise(NamedTuple):
@@ -38,26 +39,27 @@ class PixelNoise(NamedTuple):
     gains: Array
     """(n,) DN an electron."""
     levels: Array
-    """(n, rows, columns) background of each cell."""
+    """(n, rows, columns) background of each cell [DN]."""
     variances: Array
     """(n, rows, columns) variance of a pixel without light from a target [DN^2]."""
     textures: Array
-    """(n, rows, columns) variance of the background itself about a smooth one [DN^2]."""
+    """(n, rows, columns) variance of the background's texture about a smooth background [DN^2]."""
     sigmas: float
-    """A target's brightest pixel lies so many standard deviations above the background."""
+    """Least height of a target's brightest pixel above the background, in standard deviations."""
 
 
 @lru_cache
 def peak_sigmas(false_alarms: float, n_px: int) -> float:
-    """Return the limit that the noise of ``n_px`` pixels exceeds ``false_alarms`` times an image."""
+    """Return how many standard deviations noise of ``n_px`` pixels exceeds ``false_alarms`` times an image."""
     return float(norm.isf(min(false_alarms / n_px, 0.5)))
 
 
 def gain_of(sums: StatisticsSums, k: int, dark_dn2: float) -> tuple[float, float]:
     """Return the gain of camera k [DN/e] and its standard deviation, from a guess and the residuals so far.
 
-    It stands for all that grows with a target's light, pixels' uneven response too: the slope of the variance at the
-    targets' brightness, which fits need. ``mosca.diagnostics.sensor.gain_estimate`` tells the photons' part.
+    It is the slope of the variance at the targets' brightness, which fits need. It includes all noise that grows with
+    a target's light, also that of pixels' uneven response. ``mosca.diagnostics.sensor.gain_estimate`` returns the
+    photons' part.
     """
     guess = np.sqrt(dark_dn2) / GUESSED_DARK_E
     ss, sq, _, qq, _, _, rs, rq, _, _ = sums.tallies[k, NOISE_SUMS:AMPLITUDE_SUMS].tolist()
@@ -66,7 +68,7 @@ def gain_of(sums: StatisticsSums, k: int, dark_dn2: float) -> tuple[float, float
     misfit = (ss * rq - sq * rs) / det if det > 1e-12 * ss * qq else -1.0
     if misfit > 0.0:
         gain, information = (qq * rs - sq * rq) / det, det / qq
-        # told apart from an error of the edge; else all counts as noise
+        # separated from an error of the edge; else all counts as noise
         if gain > TOLD_APART * information**-0.5:
             return gain, information**-0.5
     return max(rs / ss, 1e-3 * guess), ss**-0.5
@@ -82,8 +84,8 @@ def measured_backgrounds(
 ) -> dict[str, LocalBackground]:
     """Return the backgrounds that these images show, by camera: those not known yet and those to ``refresh``.
 
-    ``subtracted``: what is taken off an image (H, W) first [DN]. Values below zero count here, or half of the
-    noise is lost.
+    ``subtracted``: what is taken off an image (H, W) first [DN]. Values below zero are kept here: without them half
+    of the noise would be lost.
     """
     if settings.thresholds == "paper" and settings.read_noise_dn is not None:
         return {}
@@ -101,9 +103,10 @@ def measured_backgrounds(
 
 
 def gains_changed(before: CameraStatistics, added: CameraStatistics, settings: DetectionSettings) -> list[int]:
-    """Return the cameras whose background ``added`` has and whose gain it moves by more than ``GAIN_STEP`` of it.
+    """Return the numbers, among those of ``added``, of the cameras whose gain it changes by more than ``GAIN_STEP``.
 
-    By their numbers among those of ``added``; each for itself, whichever others are detected with it.
+    Only cameras whose background ``added`` holds are looked at. The result for one camera does not depend on the
+    others.
     """
     if settings.gain_dn_per_e is not None or not added.backgrounds:
         return []

@@ -12,7 +12,7 @@ from mosca.detection.search import END, FIRST, PLACE, ROW, Search, is_compact, i
 from mosca.numba_support.copying import copy_row
 from mosca.numba_support.decorators import bare_step, step
 
-# Columns of the table of disjoint pixel sets while a blob is grown; all but PARENT and NEXT are of the roots.
+# Columns of the table of disjoint pixel sets while a blob is grown; all but PARENT and NEXT hold for roots only.
 PARENT, NEXT, LAST, SIZE, LEFT, RIGHT, TOP, BOTTOM, PEAK, DARKEST, N_TARGETS, REGION, CHECKED, CORE = range(14)
 FINAL = 14
 
@@ -34,7 +34,7 @@ def level_of(value: int, thresholds: Array) -> int:
 
 @step
 def pixels_by_level(runs: Array, values: Array, thresholds: Array) -> tuple[Array, Array]:
-    """Return the runs' pixels (n, 3), x, y and value, as they rise above falling thresholds.
+    """Return the runs' pixels (n, 3), x, y and value, in the order in which they exceed falling thresholds.
 
     The second array (levels + 1,) holds where each level's pixels begin.
     """
@@ -79,7 +79,7 @@ def root_in(sets: Array, i: Any) -> Any:
 def join(sets: Array, a: Any, b: Any) -> Any:
     """Unite the sets of two roots and return the root: the smaller one's pixels follow the larger one's.
 
-    So the pixels of every earlier set stay an unbroken stretch of the list that starts at its root.
+    Thus the pixels of every earlier set stay an unbroken stretch of the list that starts at its root.
     """
     if sets[a, SIZE] < sets[b, SIZE]:
         a, b = b, a
@@ -104,7 +104,7 @@ def join(sets: Array, a: Any, b: Any) -> Any:
 
 @bare_step
 def keep_core(found: Array, t: Any) -> None:
-    """Take region t as it was at half of its contrast: what it grew into since is not its own."""
+    """Reset region t to its state at half of its contrast: the pixels that it took in since are not its own."""
     copy_row(found[t, 7:FINAL], found[t])
     found[t, FINAL] = 1
 

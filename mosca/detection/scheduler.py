@@ -1,4 +1,4 @@
-"""Runs detection for all cameras, in threads; per-camera estimates of blur and bias feed later frame sets."""
+"""Detection for all cameras, in threads; per-camera estimates of blur and bias are used for later frame sets."""
 
 from bisect import bisect_right
 from collections import deque
@@ -21,19 +21,20 @@ DELAY = 4
 estimates, and gives the same detections."""
 
 EARLY_SETS, UPDATE_PERIOD = 64, 16
-"""Up to this set the estimates are updated at the ``EARLY_UPDATES``; after it every so many sets, each camera's at
-others."""
+"""Up to this set the estimates are updated at the ``EARLY_UPDATES``. After it they are updated once in every so many
+sets, each camera's at a different one."""
 EARLY_UPDATES = tuple(accumulate([0] + 8 * [1] + 4 * [2] + 3 * [3] + 3 * [4] + 3 * [6] + [8]))
 """Update schedule: every set at first, then when the data grew by about 12 %; the solve costs more than a set."""
 
 REFRESH_PERIOD = 128
-"""Each camera's background is measured in every so many sets: lamps warm up and daylight moves more slowly."""
+"""Each camera's background is measured once in every so many sets: lamps warm up and daylight moves more slowly."""
 
 TEXTURED_PERIOD = 16
-"""As ``REFRESH_PERIOD``, of a textured background: targets uncover it pixel by pixel."""
+"""As ``REFRESH_PERIOD``, for a textured background: targets uncover it pixel by pixel."""
 LOOK_SETS, FEWEST_SETS, LOOK_BYTES = 16, 8, 2**28
-"""Most of the sets read ahead that are looked at, evenly spaced: targets move between them. Of fewer sets than the
-second number none is: slow targets would be taken for background. Largest size of all that are read ahead."""
+"""Largest number of the sets read ahead that are looked at, evenly spaced so that targets move between them. Of fewer
+sets than the second number none is looked at: slow targets would be taken for background. The third is the largest
+size of all sets that are read ahead [bytes]."""
 
 Detected = tuple[dict[str, Detections], CameraStatistics, float]
 """Detections by camera, what the set adds to the cameras' statistics, and computing time [s]."""
@@ -47,7 +48,7 @@ def _nobody(frame_set: FrameSet, detections: Mapping[str, Detections], added: Ca
 
 
 def _phase(camera: str) -> int:
-    """Return a number by which cameras that are counted up are updated at different sets, to spread the cost."""
+    """Return a camera's phase in the updates: cameras whose names count up differ in it, which spreads the cost."""
     return sum(camera.encode())
 
 
@@ -69,10 +70,11 @@ class FrameSetDetector:
         split: int = 1,
         measures_all: bool = False,
     ) -> Detected:
-        """Return the detections of a set's cameras, what they add to the statistics, and the time that it took [s].
+        """Return the detections of a set's cameras, what they add to the statistics, and the computing time [s].
 
-        ``statistics``: of earlier sets; ``split``: the cameras are divided into so many shares; all but the first go
-        to the ``helpers``; ``measures_all``: all cameras' backgrounds are measured, not only those that are due.
+        ``statistics``: of earlier sets; ``split``: number of shares into which the cameras are divided, all but the
+        first for the ``helpers``; ``measures_all``: all cameras' backgrounds are measured, not only those that are
+        due.
         """
         start = perf_counter()
         images = {name: f.image for name, f in frame_set.frames.items() if f.image is not None}
@@ -101,7 +103,7 @@ class FrameSetDetector:
         return self.settings.thresholds == "noise" and name not in self.backgrounds
 
     def is_textured(self, learned: CameraStatistics) -> bool:
-        """Return whether a camera's background is textured and learned pixel by pixel."""
+        """Return whether some camera's background is textured and learned pixel by pixel."""
         return any(own.textured for name, own in learned.backgrounds.items() if self._learns_pixels(name))
 
     def _some(
@@ -131,10 +133,10 @@ def detect_ahead(
 ) -> Iterator[tuple[FrameSet, dict[str, Detections], float]]:
     """Yield each frame set with its detections and the computing time that they took [s], in order.
 
-    ``workers``: threads that detect in sets ahead of the one that is yielded, beside the caller's own, which works on
-    one itself rather than wait; 0: one set after the other, its cameras divided among ``split`` threads.
-    ``attend`` is called with each set, its detections and what it adds to the statistics, in order.
-    ``lookahead``: first sets that are read before the first one is yielded, to learn from some of them.
+    ``workers``: threads that detect in sets ahead of the one that is yielded. The caller's own thread works on a set
+    itself rather than wait. 0: one set after the other, its cameras divided among ``split`` threads. ``attend`` is
+    called with each set, its detections and what it adds to the statistics, in order. ``lookahead``: number of sets
+    that are read before the first one is yielded, to learn from some of them.
     """
     attend = attend or _nobody
     if workers <= 0:
@@ -171,8 +173,8 @@ def _first_look(
 ) -> tuple[Iterator[FrameSet], CameraStatistics]:
     """Return all of the sets, and what is learned from the first of them.
 
-    Where backgrounds are textured these are looked at twice: targets that the texture hid at first do not vote the
-    second time.
+    Where backgrounds are textured, these sets are looked at twice: targets that the texture hid the first time do not
+    vote the second time.
     """
     left, seen, learned, most = iter(sets), list[FrameSet](), NO_STATISTICS, lookahead
     for frame_set in left if lookahead > 0 else ():
@@ -191,9 +193,9 @@ def _first_look(
 
 
 def _records(detector: FrameSetDetector, number: int, used: CameraStatistics) -> bool:
-    """Return whether set ``number`` measures all backgrounds: the first, for the run's own record of even ones.
+    """Return whether set ``number`` measures all backgrounds: the first, for the run's record of even backgrounds.
 
-    It would be a second vote of one image on the pixels of a textured one.
+    On the pixels of a textured background it would be a second vote of one image.
     """
     return number == 0 and not detector.is_textured(used)
 
@@ -250,7 +252,7 @@ def _one_by_one(
 class DelayedStatistics:
     """One camera's statistics: those of a set are added after ``DELAY`` sets and used from the next update on.
 
-    Until then, and while the sets so far showed fewer targets, those of a first look (``known``) are used.
+    Until then, those of a first look (``known``) are used, also while the sets so far showed fewer targets.
     """
 
     def __init__(self, camera: str, known: CameraStatistics = NO_STATISTICS) -> None:

@@ -1,14 +1,14 @@
-"""Background of each pixel of a camera that stands still, where it is textured: learned from the camera's images.
+"""Background of each pixel of a camera that stands still, learned from its images where the background is textured.
 
-A grainy floor under lamps is no noise: it does not change. Its deviation from the planes between cells
-(``mosca.detection.local_background``) is learned pixel by pixel as the value that most images agree on, by majority
-vote (Boyer and Moore 1991): an image that agrees with the value so far, within the noise, is averaged into it and
-adds a vote; one that does not takes a vote away; without a vote the next image's value takes its place. What moves
-over the pixel, bright or dark, leaves no trace unless it stays for half of the time. Detected targets do not vote, so
-that one that stands still never becomes background.
+A grainy floor under lamps does not change, so it is no noise. Its deviation from the planes between cells
+(``mosca.detection.local_background``) is learned pixel by pixel as the value on which most images agree, by majority
+vote (Boyer and Moore 1991). An image that agrees with the value so far, within the noise, is averaged into it and
+adds a vote. An image that does not agree takes a vote away. Where there is no vote, the next image's value takes its
+place. Whatever moves over the pixel, bright or dark, leaves no trace unless it stays for half of the time. Detected
+targets do not vote, so a target that stands still never becomes background.
 
-Where a body stands before the background its texture is not to be seen. It is subtracted in proportion to how far the
-image's differences between neighbouring pixels follow those of the texture.
+A body before the background hides the texture. It is subtracted in proportion to how far the image's
+differences between neighbouring pixels follow those of the texture.
 """
 
 from dataclasses import dataclass
@@ -21,41 +21,43 @@ from mosca.data.arrays import Array
 from mosca.numba_support.decorators import kernel
 
 MOST_VOTES = 16
-"""Votes that a pixel may have: its value then has 1/16 of a pixel's variance."""
+"""Largest number of votes of a pixel: its value then has 1/16 of a pixel's variance."""
 KNOWN = 2
 """Votes from which a pixel's value is used: two images agreed."""
 AGREE_SIGMAS = 4.0
-"""Grey values of one pixel that differ by less are the same; 6 in 100,000 of them differ by more."""
+"""Standard deviations within which two grey values of one pixel count as the same; 6 in 100,000 differ by more."""
 LEAST_DN2 = 0.25
 """Least variance of a difference between images [DN^2]: a median of whole numbers may be 0."""
 NOISE_CELL_PX, STRIDE_PX = 64, 3
 """Side of the cells in which the noise between images is measured, and the distance of its samples: 450 in a cell."""
 FILL_PX, FILL_SHARE = (5, 9, 17, 33), 0.2
-"""Sides of the squares of which known pixels give those that are not, the nearest first, and their least share."""
+"""Sides of the squares whose known pixels give the unknown ones, the smallest first, and the least share of known
+pixels in a square."""
 HIDE_PX = 13
-"""Side of squares that are hidden to see how well they are filled: of a target of 7 px with its margins."""
+"""Side of the squares that are hidden to test how well they are filled: that of a target of 7 px with its margins."""
 FOLLOWED = (1 / 3, 2 / 3)
-"""Slopes of the image's differences over the texture's up to which nothing of it is subtracted, and from which all:
-targets cover part of a background that is seen. In cells of 32 px, smoothed over their neighbours: over squares of 64
-or 128 px a benchmark's person before a tiled floor misses 22 of 7,765 images, of 33 px 19, of 17 px 29 (with all of
-the texture subtracted 174); false detections are 1,130 to 1,330, 1,400, 2,070 and 4,520."""
+"""Slopes of the image's differences over the texture's up to which nothing of the texture is subtracted, and from
+which all of it is: targets cover part of a background that is seen. They are measured in cells of 32 px, smoothed
+over their neighbours. Over squares of 64 or 128 px a benchmark's person before a tiled floor misses 22 of 7,765
+images, of 33 px 19, of 17 px 29 (with all of the texture subtracted 174). False detections are 1,130 to 1,330, 1,400,
+2,070 and 4,520."""
 FOLLOW_STRIDE_PX, FOLLOW_SHIFT_PX = 3, 1
-"""Distance of the pixels of a row at which that is measured, and the shift from row to row: no even pattern of tiles
-escapes."""
+"""Distance of the pixels of a row at which the slope is measured, and the shift from row to row, with which no even
+pattern of tiles is missed."""
 MARGIN_PX = 1
-"""Pixels around bright ones that do not vote either; those of targets have a margin by their blur besides."""
+"""Width of the margin of bright pixels that does not vote either; targets have a further margin by their blur."""
 
 
 @dataclass(frozen=True, eq=False)
 class StaticBackground:
-    """What is known of the pixels of one camera's background."""
+    """Background of the pixels of one camera, as far as it is learned."""
 
     texture: Array
     """(H, W) float32: background less the planes between its cells' levels [DN], where there are votes."""
     votes: Array
     """(H, W) uint8: images that agree with it, up to ``MOST_VOTES``."""
     images: int = 1
-    """That voted."""
+    """Number of images that voted."""
 
     @cached_property
     def known(self) -> Array:
@@ -69,12 +71,12 @@ class StaticBackground:
 
     @cached_property
     def behind(self) -> Array:
-        """The texture (H, W) float32 [DN], where it is not known the mean of known pixels around; 0 far from any."""
+        """The texture (H, W) float32 [DN]; unknown pixels have the mean of known pixels around, 0 far from any."""
         return filled(self.texture, self.known)
 
     @cached_property
     def fill_share(self) -> float:
-        """What the filling of unknown pixels leaves of the variance of the texture, found by hiding known ones."""
+        """Share of the texture's variance that filling leaves at unknown pixels, found by hiding known ones."""
         hidden = np.zeros(self.votes.shape, bool)
         height, width = self.votes.shape
         for y in range(HIDE_PX, height, 3 * HIDE_PX):
@@ -89,7 +91,7 @@ class StaticBackground:
     def seen_in(self, image: Array, variance: Array) -> Array:
         """Return how much of the texture an image (H, W) shows in each cell (rows, columns) float32, 0 to 1.
 
-        ``variance``: of a pixel in each cell [DN^2].
+        ``variance``: variance of a pixel in each cell [DN^2].
         """
         reach = (AGREE_SIGMAS * np.sqrt(2.0 * variance)).astype(np.float32)
         together, own = (cv2.GaussianBlur(part, (3, 3), 0) for part in follow(image, self.behind, self.known, reach))
@@ -97,7 +99,7 @@ class StaticBackground:
         return np.asarray(np.clip((slope - FOLLOWED[0]) / (FOLLOWED[1] - FOLLOWED[0]), 0.0, 1.0), np.float32)
 
     def plus(self, other: "StaticBackground | None") -> "StaticBackground":
-        """Return what this and one image later, ``other`` from ``one_image``, tell together."""
+        """Return this background after the vote of one later image, ``other`` from ``one_image``."""
         if other is None or other.texture.shape != self.texture.shape:
             return self if other is None else other
         texture, votes = self.texture.copy(), self.votes.copy()
@@ -115,7 +117,7 @@ class StaticBackground:
 
 
 def filled(texture: Array, known: Array) -> Array:
-    """Return a texture (H, W), where it is not ``known`` the mean of known pixels around; 0 far from any."""
+    """Return a texture (H, W) with the mean of the ``known`` pixels around at unknown ones; 0 far from any."""
     there, out = known.astype(np.float32), np.where(known, texture, np.float32(0))
     for side in FILL_PX:
         share = cv2.blur(there, (side, side))
@@ -126,9 +128,10 @@ def filled(texture: Array, known: Array) -> Array:
 
 
 def one_image(image: Array, planes: Array, bright: Array) -> StaticBackground:
-    """Return what one image (H, W) tells: a vote for each pixel that is neither ``bright`` nor near one that is.
+    """Return the votes of one image (H, W): one for each pixel that is neither ``bright`` nor near a bright one.
 
-    ``planes``: (H, W) between the levels of its background's cells [DN]; ``bright``: (H, W) uint8, 1 for targets.
+    ``planes``: (H, W) planes between the levels of its background's cells [DN]; ``bright``: (H, W) uint8, 1 for
+    targets.
     """
     side = 2 * MARGIN_PX + 1
     return StaticBackground(image - planes, 1 - cv2.dilate(bright, np.ones((side, side), np.uint8)))
@@ -136,9 +139,9 @@ def one_image(image: Array, planes: Array, bright: Array) -> StaticBackground:
 
 @kernel
 def disagreement(texture: Array, votes: Array, seen: Array, counted: Array, rows: int, columns: int) -> Array:
-    """Return the standard deviation [DN] (rows, columns) of one image about known values of one vote.
+    """Return the standard deviation [DN] (rows, columns) of one image, from its differences from known values.
 
-    The median of differences, so that up to half of a cell may have changed.
+    It is the median of the differences, so that up to half of a cell may have changed.
     """
     height, width = texture.shape
     spread = np.empty((rows, columns), np.float32)
@@ -179,10 +182,10 @@ def vote(texture: Array, votes: Array, seen: Array, counted: Array, spread: Arra
 
 @kernel
 def follow(image: Array, texture: Array, known: Array, reach: Array) -> tuple[Array, Array]:
-    """Return the sums (rows, columns) of products of an image's and the texture's differences, and of the latter's.
+    """Return sums (rows, columns) of image differences times texture differences, and of squares of the latter.
 
-    Between neighbouring pixels (H, W) that are ``known``; without edges that the image alone has: those that the
-    texture explains no better than ``reach`` (rows, columns) [DN].
+    The differences are those between neighbouring pixels (H, W) that are ``known``. Edges that only the image has are
+    left out: those that the texture explains no better than ``reach`` (rows, columns) [DN].
     """
     height, width = image.shape
     rows, columns = reach.shape
@@ -205,7 +208,7 @@ def follow(image: Array, texture: Array, known: Array, reach: Array) -> tuple[Ar
 
 
 def subtracted(image: Array, behind: Array, full_dn: int) -> Array:
-    """Return an image (H, W) less what is ``behind`` [DN], of its type; pixels saturated at ``full_dn`` stay so."""
+    """Return an image (H, W) less ``behind`` [DN], of its type; pixels saturated at ``full_dn`` stay so."""
     out = np.empty_like(image)
     subtract_rounded(image, behind, full_dn, out)
     return out
@@ -213,7 +216,7 @@ def subtracted(image: Array, behind: Array, full_dn: int) -> Array:
 
 @kernel
 def subtract_rounded(image: Array, behind: Array, full: int, out: Array) -> None:
-    """Write an image (H, W) less ``behind``, rounded, from 0 to ``full``, to ``out``; what is ``full`` stays so."""
+    """Write an image (H, W) less ``behind``, rounded, from 0 to ``full``, to ``out``; pixels at ``full`` stay so."""
     for y in range(image.shape[0]):
         for x in range(image.shape[1]):
             value = np.int32(image[y, x])

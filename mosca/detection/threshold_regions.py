@@ -1,8 +1,8 @@
 """Compiled search for targets: thresholds, blobs, accepted regions.
 
 Called by ``mosca.detection.frame_set_kernel``; ``mosca.detection.detect`` defines what a target is and names the
-source. Free of the GIL, on one thread, in whole numbers only, so the same image always gives the same regions. A
-*blob* is an 8-connected set of runs at the lowest threshold.
+source. It runs without the GIL, on one thread, in whole numbers only, so the same image always gives the same
+regions. A *blob* is an 8-connected set of runs at the lowest threshold.
 """
 
 from typing import Any
@@ -119,14 +119,14 @@ def link_to(runs: Array, i: int, j: int, x: int, values: Array, column: int) -> 
 def survey(
     runs: Array, first_run: int, end_run: int, values: Array, lowest: int, column: int
 ) -> tuple[Any, Any, Any]:
-    """Return the smallest and the largest grey value of a blob, and a bound of the dips between its summits.
+    """Return the smallest and the largest grey value of a blob, and an upper bound of the dips between its summits.
 
     ``first_run``, ``end_run``: index of the blob's first run and of the one after its last.
 
-    From each pixel a path leads along its run to ``column`` and along that column to every other row; the
-    bound is the deepest dip below both ends of such a path. Where the first or the last run does not reach the
-    column, the path goes on in the next one. Where another run does not reach it, or the column leaves the blob, the
-    path is taken to dip to ``lowest``.
+    From each pixel a path leads along its run to ``column`` and along that column to every other row. The bound is
+    the deepest dip below both ends of such a path. Where the first or the last run does not reach the column, the
+    path goes on in the next run. Where another run does not reach it, or the column leaves the blob, the path is
+    taken to dip to ``lowest``.
     """
     darkest, peak, dip = np.int32(65535), np.int32(0), np.int32(0)
     low, last_row = np.int32(65535), runs[first_run, ROW] - 1
@@ -189,8 +189,9 @@ def falls_between(highest: Array, most: float) -> bool:
 def passes_below(runs: Array, values: Array, box: tuple[int, int, int, int], most: float) -> bool:
     """Return whether two summits of a blob are parted by a dip of more than ``most`` below the lower one.
 
-    Exactly, by the highest pass between them: pixels are added in the order of falling grey values, and the pixel at
-    which two components meet is the pass between their summits. ``box``: left, end column, top, end row.
+    The dip is exact: it is that of the highest pass between the summits. Pixels are added in the order of falling
+    grey values, and the pixel at which two components meet is the pass between their summits. ``box``: left, end
+    column, top, end row.
     """
     left, right, top, bottom = box
     width = right - left + 2
@@ -306,10 +307,10 @@ def find_regions(
             right = max(right, runs[i, END])
         size_x, size_y = right - left, runs[end - 1, ROW] - runs[begin, ROW] + 1
         if min(size_x, size_y) <= search.smallest_px:
-            continue  # and so is every region within
+            continue  # too small, and so is every region within
         darkest, peak, dip = survey(runs, begin, end, values, lowest, (left + right) // 2)
         if peak - darkest <= search.contrast:
-            continue  # likewise
+            continue  # too faint, and so is every region within
         whole = is_target(size_x, size_y, peak - darkest, search)
         if whole and dip > search.contrast + 1:
             # the noise of a bright target makes simple paths dip: find the best path

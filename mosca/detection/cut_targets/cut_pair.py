@@ -1,8 +1,9 @@
-"""Two discs beside or before one another, of which an edge cuts one, and their fit: compiled.
+"""Two discs beside or before one another, one of them cut by an edge, and their fit: compiled.
 
-The light is that of the whole disc and of the cut one (``mosca.detection.cut_targets.disc``). Where they overlap,
-and the edge does not hide where they do, bright discs cover it once: their common chord divides both, so that the
-light is that of two discs cut by the chord, and of the cut disc less the whole one in its place. Radii must be known.
+The light is that of the whole disc and of the cut one (``mosca.detection.cut_targets.disc``). Where they overlap, and
+the edge does not hide the overlap, bright discs cover it once. Their common chord then divides both, so that the
+light is that of two discs cut by the chord, plus that of the cut disc less the whole one in its place. Radii must be
+known.
 """
 
 import math
@@ -40,20 +41,21 @@ from mosca.numba_support.decorators import bare_step, step
 X1, Y1, X2, Y2, EDGE, TURN, RADIUS_1, RADIUS_2 = range(8)
 """Elements of a pair: centres [px], first of the whole disc; the second one's cut and its direction; radii [px]."""
 UNKNOWNS, WAYS, TURNS, CLEAR, HOPELESS = 8, 8, 8, 2.0, 16.0
-"""Of a fit (six of the pair, amplitude and background); fits that are tried: either disc cut, from the best direction
-and at right angles to it; directions; and misfit over that of whole discs with which a fit that shows more than half
-of the disc ends the search: no other side comes near then. With 0, pairs take twice the time, as many
-end wrong. And misfit of the better of the first two, either disc cut, with which no other way is tried: of 250 pairs
-that are taken in 3 s of a walker and in 200 balls it is at most 7, of 20 in 200 balls without a fit 11 to 222."""
+"""Numbers of unknowns of a fit (six of the pair, amplitude and background), of fits that are tried (either disc cut,
+from the best direction and at right angles to it) and of directions; and misfit over that of whole discs with which a
+fit that shows more than half of the disc ends the search: no other side comes near then. With 0, pairs take twice the
+time, as many end wrong. And misfit of the better of the first two, either disc cut, from which no other way is tried:
+of 250 pairs that are taken in 3 s of a walker and in 200 balls it is at most 7, of 20 in 200 balls without a fit 11
+to 222."""
 FIRST_CUT, MOST_CUT = 0.1, 0.95
-"""Cut that is tried first, over the radius, and the largest, which hides 1 %: at the rim nothing tells a direction.
-Of 720 drawn pairs 41 end elsewhere, 37 of them with 0.2 of a disc seen; with 0.2 and -0.1, 0.4 and -0.2, 0.8 and
--0.4 for the first 31 to 40 do at half the speed, with 0.9 and 0.98 for the largest as many."""
+"""Cut that is tried first, over the radius, and the largest one, which hides 1 %: at the rim no direction can be
+estimated. Of 720 drawn pairs 41 end elsewhere, 37 of them with 0.2 of a disc seen. With 0.2 and -0.1, 0.4 and -0.2,
+0.8 and -0.4 for the first, 31 to 40 do at half the speed; with 0.9 and 0.98 for the largest, as many do."""
 
 
 @bare_step
 def _draw(pixels, disc, radius, x, y, cut, turn, image, nodes):
-    """Fill ``image`` (7, n) with a disc's; ``disc`` (8,) gives BLUR, the rest is overwritten."""
+    """Fill ``image`` (7, n) with that of a disc; ``disc`` (8,) gives BLUR, the rest is overwritten."""
     disc[RADIUS], disc[CENTRE_X], disc[CENTRE_Y], disc[CUT], disc[ANGLE] = radius, x, y, cut, turn
     cut_image(pixels, disc, image, nodes)
 
@@ -62,8 +64,8 @@ def _draw(pixels, disc, radius, x, y, cut, turn, image, nodes):
 def _pair_image(pixels, pair, disc, images, nodes):
     """Draw a pair: its light is the first row of ``images[0]``; return the chord's direction, NaN where none counts.
 
-    ``images`` (4, 7, n): of the whole and the cut disc; where a chord counts also of both discs cut by it, which then
-    are the first and third, and the second disc as a whole, the last one.
+    ``images`` (4, 7, n): those of the whole and the cut disc. Where a chord counts, the first and the third are those
+    of both discs cut by the chord, and the last is that of the second disc as a whole.
     """
     dx, dy = pair[X2] - pair[X1], pair[Y2] - pair[Y1]
     apart = max(math.sqrt(dx * dx + dy * dy), TOUCHING_PX)
@@ -89,7 +91,7 @@ def _pair_image(pixels, pair, disc, images, nodes):
 def _columns(pixels, pair, a, turn, images, by):
     """Fill ``by`` (UNKNOWNS, n): derivatives by both centres, amplitude, background, cut and its direction.
 
-    ``turn``: what ``_pair_image`` returned; a centre turns and moves the chord as well.
+    ``turn``: what ``_pair_image`` returned. A change of a centre also turns and moves the chord.
     """
     one, cut, two, whole = images[0], images[1], images[2], images[3]
     cosine, sine = math.cos(pair[TURN]), math.sin(pair[TURN])
@@ -175,7 +177,7 @@ def _start(given, way, turn, pair):
 def _starts(pixels, given, disc, work, starts):
     """Fill ``starts`` (WAYS, 8) with the pairs to start from; return which disc is cut in the better ones.
 
-    What both cover counts twice here.
+    The area that both discs cover counts twice here.
     """
     images, nodes = work[0], work[1]
     errors, pair, least = np.empty(TURNS), np.empty(8), np.empty(2)
@@ -223,10 +225,10 @@ def _write(pixels, pair, way, usual, disc, work, out):
 def fit_cut_pairs(patches, there, given, usual):
     """Fit a whole and a cut disc to ``patches`` (n, h, w); return (n, WAYS, PAIR_RESULT), inf where there is no fit.
 
-    ``there`` (n, h, w): pixels that count; ``given`` (n, 8): where either disc is, from the patch's first pixel, both
-    radii and the blur [px], and 1 where those places are of their light, 0 where of the whole discs; ``usual`` (n,):
-    misfit of the camera's whole discs. Columns as of ``mosca.detection.cut_targets.pair.fit_pairs``, centres in the
-    order given; even ways cut the second disc, odd ones the first.
+    ``there`` (n, h, w): pixels that count; ``given`` (n, 8): positions of both discs from the patch's first pixel,
+    both radii and the blur [px], and 1 where these are positions of the light, 0 where of the whole discs; ``usual``
+    (n,): misfit of the camera's whole discs. Columns are those of ``mosca.detection.cut_targets.pair.fit_pairs``,
+    with centres in the order given; even ways cut the second disc, odd ones the first.
     """
     n, h, w = patches.shape
     out = np.full((n, WAYS, PAIR_RESULT), np.inf)

@@ -1,14 +1,16 @@
 """Image of a disc that a straight edge cuts, and its fit: compiled.
 
-A limb before a marker leaves of its disc what lies on one side of an edge, over the few pixels of a marker a straight
-one. Seen through a Gaussian blur s, at (u, v) from the disc's centre, u towards what is hidden, c the edge's u:
+A limb before a marker hides its disc on one side of an edge, which is straight over the few pixels of a marker. Let
+u, v be coordinates from the disc's centre, u towards what is hidden, and c the edge's u. Under a Gaussian blur s the
+image is
 
     I = b + A int_{-R}^{c} g(u - t) (Phi((h - v) / s) + Phi((h + v) / s) - 1) dt,    h^2 = R^2 - t^2
 
-g being the blur's normal density and Phi its integral; with t = -R cos(w) the integrand is smooth in w and
-Gauss-Legendre nodes give it. With c = R the disc is whole. Least squares by Levenberg-Marquardt steps; of a cut disc
-centre, amplitude, background, c and the edge's direction are solved for, of a whole one radius and blur instead of
-the latter two. A cut disc's radius must be known: without it, edge and rim trade places.
+with the blur's normal density g and its integral Phi. With t = -R cos(w) the integrand is smooth in w, and the
+integral is computed with Gauss-Legendre nodes. With c = R the disc is whole. The fit is least squares by
+Levenberg-Marquardt steps. Unknowns of a cut disc are centre, amplitude, background, c and the edge's direction; those
+of a whole one have radius and blur instead of the latter two. A cut disc's radius must be known: without it, edge and
+rim trade places.
 """
 
 import math
@@ -21,9 +23,9 @@ from mosca.numba_support.decorators import bare_step, inlined_step, step
 PANEL = 8
 _X, _W = np.polynomial.legendre.leggauss(PANEL)
 NODES, WEIGHTS = 0.5 * _X + 0.5, 0.5 * _W
-"""Of Gauss and Legendre on (0, 1)."""
+"""Nodes and weights of Gauss and Legendre on (0, 1)."""
 PANEL_BLURS, MOST_PANELS = 3.0, 8
-"""One panel of nodes for a radius of so many blurs; and how many there may be."""
+"""One panel of nodes is used for a radius of so many blurs; and the largest number of panels."""
 CENTRE_X, CENTRE_Y, AMPLITUDE, LEVEL, RADIUS, BLUR, CUT, ANGLE = range(8)
 """Elements of a disc: [px], [DN], [DN], [px], [px], [px] from the centre, [rad] towards what is hidden."""
 MISFIT, XX, XY, YY, BY_RADIUS_X, BY_RADIUS_Y, OTHER_MISFIT, OTHER_X, OTHER_Y, RESULT = range(8, 18)
@@ -31,9 +33,9 @@ MISFIT, XX, XY, YY, BY_RADIUS_X, BY_RADIUS_Y, OTHER_MISFIT, OTHER_X, OTHER_Y, RE
 centre [px^2], change of the centre by the radius, and misfit and centre of the best fit cut on the other side."""
 STEPS, DIRECTIONS = 12, 8
 SETTLED_PX, LEAST_GAIN = 2e-3, 1e-3
-"""Step, and gain as a share of the squared residuals, with which a fit ends."""
+"""Step, and gain as a share of the squared residuals, below which a fit ends."""
 CLEARLY_WORSE = 300.0
-"""Chi-square by which a start from the other side is so much worse that no fit from it is tried."""
+"""Chi-square by which a start from the other side must be worse for no fit from it to be tried."""
 LEAST_CUT, LARGEST_STEP = -0.8, 0.5
 """Least c that is tried, and largest step of a length, over the radius."""
 NUMERIC = 1e-3
@@ -41,11 +43,11 @@ NUMERIC = 1e-3
 FEWEST_PX = 20
 """Pixels that a fit needs."""
 _DENSITY = 1.0 / math.sqrt(2.0 * math.pi)
-"""Of the normal distribution at 0."""
+"""Density of the normal distribution at 0."""
 _ONE, _HALF = f32(1.0), f32(0.5)
-"""In the type of the pixels."""
+"""Numbers in the type of the pixels."""
 _E = (f32(1.0 / 16.0), f32(0.5), f32(1.0 / 6.0), f32(1.0 / 24.0))
-"""Terms of the exponential's series, and what its argument is divided by."""
+"""Factor of the exponential's argument, and terms of its series."""
 _PHI = (f32(0.33267), f32(0.4361836), f32(-0.1201676), f32(0.9372980))
 """Abramowitz and Stegun 26.2.16."""
 
@@ -153,7 +155,7 @@ def _columns(pixels, disc, whole, image, other, nodes, by):
 
 @bare_step
 def _by_radius(pixels, disc, image, other, nodes, by, row):
-    """Fill a row of ``by`` with the derivative by the radius, c being held where it is less."""
+    """Fill a row of ``by`` with the derivative by the radius; c is held where it is less than the radius."""
     kept, cut = disc[RADIUS], disc[CUT]
     disc[RADIUS] = kept + NUMERIC
     if cut >= kept:
@@ -290,8 +292,9 @@ def fit_discs(patches, there, discs, whole, usual):
     """Fit discs to ``patches`` (n, h, w) of values [DN]; return (n, RESULT), MISFIT inf where there is no fit.
 
     ``there`` (n, h, w): pixels that count; ``discs`` (n, 8): centre from the patch's first pixel to start from (of a
-    cut disc: of what is seen of it), RADIUS, BLUR and CUT; ``usual`` (n,): misfit of the camera's whole discs.
-    Of a cut disc ``DIRECTIONS`` are tried, and the best is taken with the best of the opposite ones beside it.
+    cut disc that of its visible part), RADIUS, BLUR and CUT; ``usual`` (n,): misfit of the camera's whole discs. For
+    a cut disc ``DIRECTIONS`` are tried. The fit from the best one is taken, and beside it that from the best of those
+    nearly opposite.
     """
     n, h, w = patches.shape
     out = np.full((n, RESULT), np.inf)

@@ -1,6 +1,6 @@
 """Which images of matched points are of whole targets, cut ones, or two grown together: compiled.
 
-By area: a target's size and distance say how large its image must be.
+They are classified by area: the area of an image follows from its target's size and distance.
 """
 
 import numpy as np
@@ -12,15 +12,15 @@ from mosca.data.rays import FLAGS, RADIUS
 from mosca.numba_support.decorators import kernel
 
 WHOLE, CUT, BESIDE, GROWN = 1, 2, 3, 4
-"""Kinds of images; 0 is none of them. The third are beside another one, and no disc fits them."""
+"""Kinds of images; 0 is none of them. Images of the third kind are beside another one, and no disc fits them."""
 MISSING = 0.07
-"""Share of its area that an image lacks from which its target may be hidden in part; whole ones lack less."""
+"""Missing share of an image's area from which its target may be hidden in part; whole ones lack less."""
 MOST_CUT = 0.4
-"""Share of images that are too small from which they are of flat targets at a slant."""
+"""Share of images that are too small above which these are taken for images of flat targets at a slant."""
 TWO_TARGETS, MOST_OF_TWO = 1.2, 2.6
-"""Areas over a target's of images that may be of two grown together."""
+"""Least and largest area, over that of one target, of images that may be of two grown together."""
 ENOUGH_WHOLE = 2
-"""Whole images of a point beside which others are not mended: they would tell little more."""
+"""Number of whole images of a point from which its other images are not mended: they would add little."""
 _FLAGS = SATURATED | MERGED | PARTIAL | UNREFINED
 
 
@@ -30,7 +30,7 @@ def kinds_of(
 ) -> tuple[Array, Array, Array, Array]:
     """Return the kinds (n, c) of the images of n points in c cameras, areas over a target's, and radii expected [px].
 
-    And how far the points are from the cameras (n, c) [m], where they have an image.
+    Also return the distances of the points from the cameras (n, c) [m], where they have an image.
 
     ``rays_of`` (n, c): ``Points.rays``; ``xyz`` (n, 3) [m]; ``rays``, ``start``, ``views``: of the ``RayTable``;
     ``typical_m``: diameter of the targets. Radii are those of whole images.

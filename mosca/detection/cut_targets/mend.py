@@ -1,9 +1,9 @@
 """Centres of targets that something in front hides in part, from their images and from their points.
 
-Detection fits a disc of any size: what is left of a cut disc is fitted by a smaller one whose centre is off by up to
-its radius. Once the image is matched, the target's size and distance say how large its image must be, and the whole
-disc's centre follows from the rim that is seen (``mosca.detection.cut_targets.disc``). Blur, size over the expected
-one and misfit of whole discs are learned from each camera's whole targets.
+Detection fits a disc of any size. The visible part of a cut disc is therefore fitted by a smaller one whose centre is
+off by up to its radius. Once the image is matched, its size follows from the target's size and distance, and the
+whole disc's centre from the visible rim (``mosca.detection.cut_targets.disc``). Blur, size over the expected one and
+misfit of whole discs are learned from each camera's whole targets.
 """
 
 import math
@@ -36,24 +36,24 @@ from mosca.detection.cut_targets.window_fits import (
 from mosca.detection.cut_targets.windows import Windows, windows_of
 
 LEARNED_FROM, LEARNED_UP_TO = 20, 60
-"""Whole discs of a camera: from which on its cut ones are fitted, with which learning ends."""
+"""Numbers of a camera's whole discs: from which on its cut ones are fitted, and with which learning ends."""
 LEAST_BLUR_PX = 0.4
-"""Blur from which on a pixel is small enough beside it to be part of it."""
+"""Least blur of a camera whose cut discs are fitted: a pixel is small enough beside it to be part of it."""
 AMPLITUDE_SIGMAS, LEAST_LOG_AMPLITUDE = 4.0, 0.3
-"""A cut disc is taken where its amplitude is that of whole discs, to so many of their standard deviations or as the
-logarithm."""
+"""A cut disc is taken where the logarithm of its amplitude is that of whole discs to within so many of their standard
+deviations, or within the second number where that is more."""
 COLUMNS = tuple(name for name in Detections.__dataclass_fields__ if name != "camera")
 CHANGED = ("xy_px", "covariance_px2", "diameter_px", "flags", "elongation", "ellipticity")
 EXPECTED_PX = 0.1
-"""Standard deviation, at least, of an expected centre: of the errors of a track's earlier images."""
+"""Least standard deviation of an expected centre: that of the errors of a track's earlier images."""
 SAME_TARGET = 2.0
-"""How far from a point a track's prediction may be that is of the same target, in diameters."""
+"""Largest distance from a point, in diameters, of a track's prediction of the same target."""
 LEAST_RADIUS_SIGMA = 0.01
-"""Relative standard deviation of a target's size, at least, that is believed."""
+"""Least relative standard deviation that is assumed for a target's size."""
 
 
 class _Camera:
-    """What a camera's whole discs tell."""
+    """Running means over a camera's whole discs."""
 
     def __init__(self) -> None:
         self.n, self.blur, self.log_size, self.square, self.misfit = 0, 0.75, 0.0, 0.0, LEAST_MISFIT
@@ -152,10 +152,10 @@ def _patches(images: list[Array | None], windows: Windows, side: int) -> Array:
 
 
 def _replaced(seen: Detections, rows: Array, grown: Array, fits: Array) -> Detections:
-    """Return a camera's detections with what was fitted.
+    """Return a camera's detections with the fitted values.
 
-    ``rows`` (n, 2): of both targets; where an image of two has ``grown`` together (n,) the second is added, and what
-    else is known of it is as of the image that it was part of. ``fits`` (n, FITTED).
+    ``rows`` (n, 2): those of both targets. Where an image of two has ``grown`` together (n,), the second target is
+    added, with all further values those of the image that it was part of. ``fits`` (n, FITTED).
     """
     columns = {name: getattr(seen, name) for name in COLUMNS}
     more = rows[grown & (fits[:, STATE] == TWO), 0]

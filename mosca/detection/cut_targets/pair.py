@@ -1,7 +1,7 @@
 """Two discs of one size whose images have grown together, and their fit: compiled.
 
-Bright discs cover what one of them covers: their common chord divides it into two cut discs, so that the image is the
-sum of two images of ``mosca.detection.cut_targets.disc``. The radius must be known.
+Two bright discs cover the area that either of them covers. Their common chord divides this area into two cut discs,
+so that the image is the sum of two images of ``mosca.detection.cut_targets.disc``. The radius must be known.
 """
 
 import math
@@ -33,7 +33,7 @@ from mosca.detection.disc_fit.disc_image import f32
 from mosca.numba_support.decorators import bare_step, step
 
 TOUCHING_PX = 1e-6
-"""Least distance of two centres of which a direction is taken."""
+"""Least distance of two centres from which a direction is computed."""
 PAIR_MISFIT, PAIR_AMPLITUDE, PAIR_COVARIANCE, PAIR_RESULT = 4, 5, 6, 12
 """Columns of a pair's fit after both centres [px]: squared residuals a degree of freedom over the squared amplitude,
 amplitude [DN], and (xx, xy, yy) of either centre [px^2]."""
@@ -43,10 +43,11 @@ TURNS, APART = 4, (1.5, 1.0, 0.5, 2.0)
 
 @bare_step
 def _pair_image(pixels, pair, disc, image, other, nodes):
-    """Fill the first row of ``image`` with the light of two discs of one size, of which one hides part of the other.
+    """Fill the first row of ``image`` with the light of two discs of one size, one of which hides part of the other.
 
-    Their common chord divides what they cover into two cut discs; the further rows of ``image`` and ``other`` are the
-    derivatives of either. ``pair`` (4,): both centres; ``disc`` (8,): RADIUS and BLUR, the rest is overwritten.
+    Their common chord divides the area that they cover into two cut discs. The further rows of ``image`` and
+    ``other`` are the derivatives of either. ``pair`` (4,): both centres; ``disc`` (8,): RADIUS and BLUR, the rest is
+    overwritten.
     """
     dx, dy = pair[2] - pair[0], pair[3] - pair[1]
     disc[CUT] = min(0.5 * math.sqrt(dx * dx + dy * dy), disc[RADIUS])
@@ -65,7 +66,7 @@ def _pair_image(pixels, pair, disc, image, other, nodes):
 def _pair_columns(pixels, pair, amplitude, radius, image, other, by):
     """Fill ``by`` (6, n): derivatives by both centres, amplitude and background.
 
-    A centre moves its own disc, and turns and moves the chord that cuts both.
+    A change of a centre moves its own disc, and turns and moves the chord that cuts both.
     """
     dx, dy = pair[2] - pair[0], pair[3] - pair[1]
     apart = max(math.sqrt(dx * dx + dy * dy), TOUCHING_PX)
@@ -123,8 +124,8 @@ def _settle_pair(pixels, pair, disc, work):
 def fit_pairs(patches, there, discs, usual):
     """Fit two discs of one size to ``patches`` (n, h, w); return (n, PAIR_RESULT), inf where there is no fit.
 
-    As ``fit_discs``: ``discs`` (n, 8) start with the centre of the light, RADIUS and BLUR. (Copied by element: for a
-    slice Numba compiles the message of a shape that does not fit, a third of the time.)
+    As ``fit_discs``: ``discs`` (n, 8) start with the centre of the light, RADIUS and BLUR. (They are copied by
+    element: for a slice Numba also compiles the message of a shape that does not fit, a third of the time.)
     """
     n, h, w = patches.shape
     out = np.full((n, PAIR_RESULT), np.inf)

@@ -1,7 +1,7 @@
 """Fits of cut targets and of pairs in their windows, and which of them are taken: compiled.
 
 A fit is taken where its misfit and amplitude are those of the camera's whole discs and another one, cut elsewhere, is
-clearly worse; where both are as good, where a track expects the target decides.
+clearly worse. Where both are as good, the place at which a track expects the target decides.
 """
 
 import math
@@ -52,28 +52,29 @@ MOST_MISFIT, LEAST_MISFIT = 4.0, 4e-4
 LEAST_LIGHT = 0.4
 """Share of a whole disc's light from which an image that is not mended is judged by its size; below, by its light."""
 SURE, AMBIGUOUS, SAME_PX = 60.0, 12.0, 0.1
-"""Chi-square by which a disc cut on the other side must fit worse, its track's prediction counted in, unless its
-centre is as near as that: odds of 400. The first: whatever a track expects."""
+"""Chi-square by which a disc cut on the other side must fit worse: whatever a track expects, and with its track's
+prediction counted in (odds of 400); none is needed where its centre is nearer than the third [px]."""
 EXPECTED_SIGMAS = 4.0
-"""How far from a fit a track may expect its target to agree with it, in its standard deviations. An actor's rms is
+"""Largest distance, in its standard deviations, of a track's prediction that agrees with a fit. An actor's rms is
 0.279 mm with 2.5 and 4, 0.283 mm with 8."""
 LEAST_APART = 0.2
-"""How far apart two targets' centres are at least, over the radius: the same images are taken with 0.1."""
+"""Least distance of two targets' centres, over the radius: the same images are taken with 0.1."""
 LEAST_APART_CUT = 1.0
-"""And where an edge cuts one of them: of nearer ones it often cuts where they overlap, which is roughly drawn. Of a
-walker's 914 images 813 are taken and 11 more than 0.3 px off, with 0.5, 817 and 12, with 2, 700 and 6."""
+"""Least distance where an edge cuts one of them: in closer pairs it often cuts their overlap, which is drawn roughly.
+Of a walker's 914 images 813 are taken and 11 are more than 0.3 px off, with 0.5, 817 and 12, with 2, 700 and 6."""
 EXPECTED_REACH = 2.5
-"""How far from an image of two, over the radius, they are expected: 0.269 mm in 3 s of a walker with 1.25, 2.5, 5."""
+"""Largest distance from an image of two, over the radius, at which they are expected: 0.269 mm in 3 s of a walker
+with 1.25, 2.5, 5."""
 FARTHEST = 1.5
-"""How far centres may be from where their light is, over the radius. In 3 s of a walker 0.286 mm with 0.6 (and 0.75
-for pairs: 0.272), 0.269 with 1.2 to 3.0."""
+"""Largest distance of centres from their light, over the radius. In 3 s of a walker 0.286 mm with 0.6 (and 0.75 for
+pairs: 0.272), 0.269 with 1.2 to 3.0."""
 TINY = 1e-12
-"""Misfit, at least, of a fit without noise."""
+"""Least misfit of a fit without noise."""
 NO_FIT, ONE, TWO, DIMMED, LEARNED_ONE = range(5)
 """What was found: nothing, a centre, two centres, or the diameter alone; and a whole disc to learn from."""
 STATE, FIRST, SECOND, FITTED = 0, 1, 7, 13
-"""Columns of a fit: which of these; x, y [px], covariance (xx, xy, yy) [px^2] and diameter [px] of the first target
-and of the second. Of a whole disc the fit's first LEARNED_FROM_FIT columns follow STATE."""
+"""Columns of a fit: which of these states; x, y [px], covariance (xx, xy, yy) [px^2] and diameter [px] of the first
+target and of the second. For a whole disc the fit's first LEARNED_FROM_FIT columns follow STATE."""
 LEARNED_FROM_FIT = MISFIT + 1
 
 
@@ -89,7 +90,7 @@ class OfTracks(NamedTuple):
     distances: Array
     """(c, k) from the cameras [m]."""
     reach_m: float
-    """How far from a point what is expected may be of the same target."""
+    """Largest distance of a prediction from a point of the same target [m]."""
 
 
 class OfPoints(NamedTuple):
@@ -192,7 +193,7 @@ def _whole(patch, there, place, radius, blur, out):
 
 @callable_bare_step
 def cut_of(hidden):
-    """Return how far from a disc's centre the edge lies that hides a share of it, over the radius (by halving)."""
+    """Return the distance, over the radius, of the edge that hides a share of a disc from its centre (by halving)."""
     low, high = -1.0, 1.0
     for _ in range(20):
         at = 0.5 * (low + high)
@@ -205,7 +206,7 @@ def cut_of(hidden):
 
 @step
 def _cut(patch, there, count, place, r, windows, learned, points, expected, out):
-    """Fit a cut disc; where there is none and the image is dim, its light tells how much of the target is hidden."""
+    """Fit a cut disc; where no fit is taken and the image is dim, estimate the hidden share from its light."""
     radius, share, corner = windows.radius[r, 0], windows.share[r], windows.corner[r]
     start = _starting(place, radius, learned[BLUR_PX])
     start[0, CUT] = radius * cut_of(min(max(1.0 - share, 0.05), 0.9))
@@ -228,16 +229,16 @@ def _cut(patch, there, count, place, r, windows, learned, points, expected, out)
 
 @step
 def _dimmed(patch, there, place, radius, share, learned, out):
-    """Judge an image by its light where that is little: less than by its area, ``share`` of a whole disc's."""
+    """Write a diameter by the image's light where that is low: also below ``share``, the share by its area."""
     light = _share_of_light(patch[0], there[0], place, radius, learned)
     if light < min(share, LEAST_LIGHT):
-        # what is left of a disc looks larger than it is for its blur
+        # the visible part of a disc looks larger than it is, because of its blur
         out[STATE], out[FIRST + 5] = DIMMED, 2.0 * radius * math.sqrt(max(light, TINY)) / learned[SIZE]
 
 
 @step
 def _share_of_light(patch, there, place, radius, learned):
-    """Return an image's light over what a whole disc has in its pixels; those around them tell the background."""
+    """Return an image's light over that of a whole disc in its pixels, above the background of those around them."""
     side, reach, many = len(patch), math.ceil(place[2]) + 1, 0
     around = np.empty(side * side)
     for i in range(side):
@@ -273,9 +274,10 @@ def _expected_at(point, c, points, expected):
 
 @step
 def _told_apart(fit, count, corner, point, c, points, expected):
-    """Return whether a cut disc is told from the one cut on the other side; take that one where it is likelier.
+    """Return whether a cut disc is distinct from that cut on the other side; take the latter where it is likelier.
 
-    A sliver of a disc looks the same from either side, its covariance too: where its track expects it decides.
+    A sliver of a disc looks the same from either side, its covariance too. The place where its track expects it
+    decides.
     """
     worse = (count - 6) * (fit[OTHER_MISFIT] / max(fit[MISFIT], TINY) - 1.0)
     if worse > SURE or math.hypot(fit[0] - fit[OTHER_X], fit[1] - fit[OTHER_Y]) < SAME_PX:
@@ -294,8 +296,8 @@ def _told_apart(fit, count, corner, point, c, points, expected):
 def _grown(patch, there, place, r, windows, learned, points, expected, out):
     """Fit two whole discs; return whether they are taken, and the pair to be tried with one of them cut otherwise.
 
-    That is: where they are (2, 2), NaN for no fit, 1 where these are whole discs' centres as tracks expect them, and
-    both radii.
+    The pair is given by positions (2, 2), NaN for no fit; 1 where these are whole discs' centres as tracks expect
+    them; and both radii.
     """
     radius, c, corner = windows.radius[r, 0], windows.camera[r], windows.corner[r]
     usual = np.full(1, learned[USUAL_MISFIT])
@@ -331,7 +333,7 @@ def _grown(patch, there, place, r, windows, learned, points, expected, out):
 
 @step
 def _as_expected(fit, corner, c, reach, expected):
-    """Return whether each track that expects its image within ``reach`` of one of two centres expects it there."""
+    """Return whether each track that expects its image within ``reach`` of one of two centres agrees with it."""
     for j in range(len(expected.xyz)):
         x, y, away = expected.places[c, j, 0] - corner[0], expected.places[c, j, 1] - corner[1], np.inf
         for k in range(2):
@@ -354,7 +356,7 @@ def _write_two(fit, corner, radii, learned, out):
 
 @step
 def _cut_pair(patch, there, pair, r, windows, learned, points, expected, out):
-    """Fit a pair of which one is cut; which, and on which side, is told as of one disc."""
+    """Fit a pair with one disc cut; which one is, and on which side, is decided as for one disc."""
     own, seen, light, whole, radii = pair
     place, blur = np.empty(3), learned[BLUR_PX]
     apart = math.hypot(light[0, 0] - light[1, 0], light[0, 1] - light[1, 1])
@@ -378,10 +380,10 @@ def _cut_pair(patch, there, pair, r, windows, learned, points, expected, out):
 
 @step
 def _best_way(ways, count, own, r, windows, points, expected):
-    """Choose among the fits (WAYS, PAIR_RESULT) of a pair; return which, -1 where none is told.
+    """Return which fit (WAYS, PAIR_RESULT) of a pair is best, -1 where that is undecided.
 
-    By misfit and by how far centres are from where tracks expect them; another way whose centres differ must be
-    clearly worse.
+    They are compared by misfit and by the distances of centres from where tracks expect them. Another way whose
+    centres differ must be clearly worse.
     """
     c, corner, score, least = windows.camera[r], windows.corner[r], np.zeros(WAYS), np.inf
     for k in range(WAYS):

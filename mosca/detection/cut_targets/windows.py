@@ -12,31 +12,31 @@ from mosca.detection.cut_targets.kinds import BESIDE, GROWN, WHOLE
 from mosca.numba_support.decorators import kernel, step
 
 READY, LEARNING, BLUR_PX, SIZE, SIZE_SIGMA, USUAL_MISFIT, LOG_LIGHT, MOST_LOG_LIGHT, LEARNED = range(9)
-"""Columns of what a camera's whole discs tell: whether they are enough to fit others, and too few to learn no more;
-blur [px], size over the expected one and its relative standard deviation, misfit, logarithm of the amplitude [DN] and
-how far from that others' may be."""
+"""Columns of what is learned from a camera's whole discs: whether they are enough to fit others, and whether learning
+goes on; blur [px], size over the expected one and its relative standard deviation, misfit, logarithm of the amplitude
+[DN] and how far that of others may differ from it."""
 AT_ONCE = 10
-"""Whole discs of an image, at most, that are learned from."""
+"""Largest number of an image's whole discs that are learned from."""
 REACH_BLURS, OTHERS_BLURS, APART_PX = 3.0, 2.0, 2.5
-"""How far beyond its rim a disc's pixels are taken, and others' are left out, in blurs; and how far, rim to rim,
-others must be from a whole disc that is learned from."""
+"""Distances beyond the rim, in blurs, up to which a disc's own pixels are taken, and those of others are left out;
+and the least distance [px], rim to rim, of others from a whole disc that is learned from."""
 
 
 class Windows(NamedTuple):
     """Images that are fitted, one a row."""
 
     kind: Array
-    """(n,) of ``mosca.detection.cut_targets.kinds``."""
+    """(n,) kind of each, of ``mosca.detection.cut_targets.kinds``."""
     camera: Array
-    """(n,)."""
+    """(n,) camera of each."""
     point: Array
-    """(n,) of which they are images."""
+    """(n,) point of which each is an image."""
     rays: Array
     """(n, 2) rows of the ray table: the image and the one beside it, or itself again."""
     corner: Array
     """(n, 2) first pixel of the patch about it, x and y."""
     radius: Array
-    """(n, 2) expected of both targets [px]."""
+    """(n, 2) expected radii of both targets [px]."""
     share: Array
     """(n,) area of the image over a target's."""
 
@@ -47,9 +47,9 @@ def windows_of(
 ) -> tuple[Windows, int]:
     """Return the windows of all cameras' images, by camera and kind, and the side of their patches [px].
 
-    ``kinds`` (n, c); ``images``: ``Points.rays`` (n, c), areas over a target's and radii expected (n, c);
-    ``table``: ``rays``, ``start``, ``xy_px`` of a ``RayTable``; ``learned`` (c, LEARNED); ``sizes`` (c, 2): width and
-    height of the images. Left out are those that reach over the edge of the image.
+    ``kinds`` (n, c); ``images``: ``Points.rays`` (n, c), areas over a target's and radii expected (n, c); ``table``:
+    ``rays``, ``start``, ``xy_px`` of a ``RayTable``; ``learned`` (c, LEARNED); ``sizes`` (c, 2): width and height of
+    the images. Windows that reach over the edge of the image are left out.
     """
     (rays_of, share, radius), (rays, start, xy) = images, table
     n, cameras = kinds.shape
@@ -140,8 +140,8 @@ def own_pixels(patch: Array, there: Array, place: Array, own: Array, seen: Array
     """Mark in ``there`` (h, h) the pixels near a place and of no detection but ``own`` (2,); return how many.
 
     ``patch`` (h, h) is NaN where the image ends. ``place`` (3,): x, y and how far pixels are taken; ``seen`` (m, 3):
-    x, y and radius of all detections of the camera, of which pixels are left out to ``beyond_px`` beyond the radius.
-    All are from the patch's first pixel [px]; negative: none are left out.
+    x, y and radius of all detections of the camera. Pixels of the others are left out up to ``beyond_px`` beyond the
+    radius, none if it is negative. All are from the patch's first pixel [px].
     """
     side = there.shape[0]
     x, y, reach = place[0], place[1], place[2]

@@ -1,8 +1,8 @@
 """Compiled: residuals of a fitted disc less those at the opposite side of its centre.
 
-Dark limbs, defocus, motion while the shutter is open: such images are no discs, but ``I(c + d) = I(c - d)``. What
-the disc leaves of them is even about the centre: it is not in these differences, which hold noise, an error of the
-centre, and what really is odd, such as a hidden part or a neighbour's light. The point opposite to a pixel lies
+Images with dark limbs, defocus or motion while the shutter is open are no discs, but have ``I(c + d) = I(c - d)``.
+What the disc does not fit of them is even about the centre, so it cancels in these differences. They hold noise, an
+error of the centre, and what is odd, such as a hidden part or a neighbour's light. The point opposite to a pixel lies
 between four others.
 """
 
@@ -15,38 +15,38 @@ from mosca.detection.disc_fit.gauss_newton import DiscFit, Model, Workspace
 from mosca.numba_support.decorators import bare_step
 
 RESIDUAL, SIGNAL, THERE, NUMBER = 5, 6, 7, 8
-"""Rows of a fit's image. On the grid of pixels: residuals, the target's light [DN], and whether there is a pixel. Of
-each pixel of the fit: its number in the grid, -1 for padding."""
+"""Rows of a fit's image. The first three are on the grid of pixels: residuals, the target's light [DN], and whether
+there is a pixel. The last is the number of each pixel of the fit in the grid, -1 for padding."""
 FEWEST = 8
-"""Differences from which the misfit of the odd part is known."""
+"""Least number of differences from which the misfit of the odd part is estimated."""
 
 
 class Grid(NamedTuple):
     """The square of pixels around a target, row by row."""
 
     side: int
-    """0 where the working memory does not hold it."""
+    """Side of the square [px]; 0 where the working memory does not hold it."""
     opposite: int
     """Sum of the numbers of a pixel and of the upper left one of the four around the point opposite to it."""
     weights: tuple[Any, Any, Any, Any]
-    """Of those four, row by row."""
+    """Weights of those four pixels, row by row."""
 
 
 class Difference(NamedTuple):
     """Residual of a pixel less that at the opposite point [DN]."""
 
     there: bool
-    """Whether the pixel counts: it has an opposite, of which it is the first."""
+    """Whether the pixel counts: it has an opposite point and is the first of the two."""
     value: Any
     dark: Any
-    """Its dark variance over that of a pixel."""
+    """Dark variance of the difference over that of a pixel."""
     signal: Any
-    """Its photon variance over the gain."""
+    """Photon variance of the difference over the gain."""
 
 
 @bare_step(fastmath=FAST)
 def lay_out(n: int, pixels: Array, fit: DiscFit, shape: tuple[float, float, float], work: Workspace) -> Grid:
-    """Write what a fit leaves of n pixels to a grid, and the disc's image as ``disc_image`` does."""
+    """Write the residuals of n pixels to a grid, and the disc's image as ``disc_image`` does."""
     image = work.image
     x, y, there, v, share = pixels[0], pixels[1], pixels[3], pixels[4], image[0]
     disc_image(n, pixels, (f32(fit.x), f32(fit.y), f32(fit.radius), f32(fit.blur)), fit.profile, shape, image)
@@ -72,7 +72,7 @@ def lay_out(n: int, pixels: Array, fit: DiscFit, shape: tuple[float, float, floa
     a, b, to_edge = f32(fit.amplitude), f32(fit.background), f32(half) + HALF
     for i in range(n):
         image[NUMBER, i] = -ONE
-        if there[i] > HALF:  # less: its background is hardly known
+        if there[i] > HALF:  # below that its background is hardly known
             u, w = i0 * x[i] + i1 * y[i], i1 * x[i] + i2 * y[i]
             k = int(w + to_edge) * side + int(u + to_edge)
             image[NUMBER, i] = f32(k)
@@ -89,7 +89,7 @@ def less_opposite(k: int, values: Array, grid: Grid) -> Any:
 
 @bare_step(fastmath=FAST)
 def has_opposite(k: int, grid: Grid, image: Array) -> bool:
-    """Return whether the pixel number k has an opposite, of which it is the first."""
+    """Return whether the pixel number k has an opposite point and is the first of the two."""
     q, known = grid.opposite - k, image[THERE]
     if k < 0 or k > q or q + grid.side + 1 >= grid.side * grid.side:
         return False

@@ -1,37 +1,38 @@
 """Sub-pixel refinement of detected targets, and the estimates of each camera's blur and bias that it uses.
 
-The model: a disc of radius R and brightness A on a background b, seen through a blur s that holds lens and pixel
-together, whose edge at the distance r from the centre (x, y) is
+The model is a disc of radius R and brightness A on a background b, under a blur s of lens and pixel together. Its
+edge at the distance r from the centre (x, y) is
 
     I(r) = b + A / 2 erfc((r - R) / (s sqrt 2))
 
-the straight edge under a Gaussian blur, bent to a circle; where the target is small beside the blur it goes over into
-a bell. Elliptic targets are first mapped to round ones by their second moments. Maximum likelihood with the noise of
-EMVA 1288, ``var(I) = dark + gain (I - b)``, by Gauss-Newton steps for x, y, A, b, R and s, whose normal
-matrix gives the covariance; where the residuals are significantly larger than usual with this camera (targets that
-are hidden in part, images that are no discs), it is scaled by the ratio of their chi-squares. The centre is
-uncorrelated with the other four for a window that is symmetric about the target, so that they do not add to its
-variance. The blur has a prior from earlier frames, since radius and blur of a target of 2 px are nearly collinear.
-Saturated pixels and those of neighbours are left out. Where the blur is small beside a pixel, pixels are divided into
-parts (``mosca.detection.disc_fit.disc_image``), all unknowns are solved for together, and the shape of elliptic
-targets follows from the residuals (``mosca.detection.disc_fit.ellipse``). Where a disc that moved while exposed
-leaves less than an ellipse it is taken (``mosca.detection.disc_fit.smear``).
+This is the straight edge under a Gaussian blur, bent to a circle; for a target that is small beside the blur it
+becomes a bell. Elliptic targets are first mapped to round ones by their second moments. The fit is maximum likelihood
+with the noise of EMVA 1288, ``var(I) = dark + gain (I - b)``, by Gauss-Newton steps for x, y, A, b, R and s. The
+normal matrix gives the covariance. Where the residuals are significantly larger than usual with this camera (targets
+that are hidden in part, images that are no discs), the covariance is scaled by the ratio of their chi-squares. For a
+window that is symmetric about the target, the centre is uncorrelated with the other four unknowns, so they do not add
+to its variance. The blur has a prior from earlier frames, since radius and blur of a target of 2 px are nearly
+collinear. Saturated pixels and those of neighbours are left out. Where the blur is small beside a pixel, pixels are
+divided into parts (``mosca.detection.disc_fit.disc_image``), all unknowns are solved for together, and the shape of
+elliptic targets follows from the residuals (``mosca.detection.disc_fit.ellipse``). A disc that moved while exposed is
+taken where it leaves smaller residuals than an ellipse (``mosca.detection.disc_fit.smear``).
 
-No point spread function is given. What is estimated from the frames, camera by camera (``CameraStatistics``):
+No point spread function is given. The following is estimated from the frames, camera by camera
+(``CameraStatistics``):
 
 - the blur, as the mean over clean targets of the estimates from their own pixels, weighted by their information;
-- ln amplitude as a line of ln flux, with the spread of targets about it: the prior of those whose few pixels do not
-  tell a small bright target from a large dim one;
-- what tells its targets from evenly bright discs, and their edges from Gaussian ones
+- ln amplitude as a line over ln flux, with the spread of targets about it: the prior of targets whose few pixels do
+  not distinguish a small bright target from a large dim one;
+- how its targets differ from evenly bright discs, and their edges from Gaussian ones
   (``mosca.detection.disc_fit.profile``);
 - how far the fit lies from the *light's centroid*, as a smooth function of the position in the image and of the
-  target's size. Centroids add under convolution, so the light's centroid is the target's own plus that of the
-  lens' point spread function, whatever the target's size: a displacement that calibration takes for
-  distortion. A fit of a symmetric edge to an asymmetric image (coma) lies elsewhere, by an amount that depends on
-  the target's size. ``(1, 1/R, 1/R^2, R) x (1, u, v)`` is fitted to centroid less fit; all terms but those in R
-  are added to the fitted centre. Those in R are not: a brightness gradient g across the target shifts its centroid
-  by ``g R / 4``, proportional to R, without shifting its centre. The two are separable only where a camera sees
-  targets of several sizes with the same shading; otherwise the centre is that of the fit, or the light's centroid.
+  target's size. Centroids add under convolution, so the light's centroid is the target's own plus that of the lens'
+  point spread function, whatever the target's size. Calibration takes this displacement for distortion. A fit of a
+  symmetric edge to an asymmetric image (coma) lies elsewhere, by an amount that depends on the target's size.
+  ``(1, 1/R, 1/R^2, R) x (1, u, v)`` is fitted to centroid less fit; all terms but those in R are added to the fitted
+  centre. Those in R are not: a brightness gradient g across the target shifts its centroid by ``g R / 4``,
+  proportional to R, without shifting its centre. The two are separable only where a camera sees targets of several
+  sizes with the same shading; otherwise the centre is that of the fit, or the light's centroid.
 
 The offsets are used from ``ENOUGH`` centroids on, where they are statistically significant (``CHANCE``).
 """
@@ -72,28 +73,28 @@ FIRST_BLUR_PX, FIRST_SPREAD = 0.75, 0.5
 SPREAD = 0.15
 """Standard deviation of a target's blur about that of its camera (depth of field), as a share of it."""
 FEW, ENOUGH, MEMORY = 3.0, 400.0, 20_000.0
-"""Targets from which the blur is used, and of which the first guess of the misfit counts as many; centroids from
-which offsets are; targets after which older ones are weighted down."""
+"""Number of targets from which the blur is used, which is also the weight of the first guess of the misfit; number of
+centroids from which offsets are used; number of targets after which older ones are weighted down."""
 LEAST_AMPLITUDE_SPREAD = 0.05
-"""Least standard deviation of the amplitude of a camera's targets, as a share, that is believed."""
+"""Least standard deviation that is assumed for the amplitude of a camera's targets, as a share."""
 SLOPE_MEAN, SLOPE_SIGMA = 0.25, 0.25
-"""Of ln amplitude by ln flux, before any target is seen."""
+"""Mean and standard deviation of the slope of ln amplitude over ln flux, before any target is seen."""
 CHANCE = 12.0
 """Least chi-square of a term of the offset, per axis: false-positive rate below 1 / 2,000."""
 
 
 @dataclass(frozen=True, eq=False)
 class CameraStatistics:
-    """What earlier frames tell of some cameras; read-only, added up with ``plus``."""
+    """Statistics of some cameras from earlier frames; read-only, added up with ``plus``."""
 
     names: tuple[str, ...] = ()
     """Cameras (n)."""
     sums: StatisticsSums = field(default_factory=lambda: no_sums(0))
-    """Of fitted targets, from which blur, bias and gain are estimated (n)."""
+    """Sums (n) over fitted targets, from which blur, bias and gain are estimated."""
     backgrounds: Mapping[str, LocalBackground] = field(default_factory=dict)
-    """By camera, of those whose background was measured."""
+    """Backgrounds that were measured, by camera."""
     _kept: dict[Hashable, Any] = field(default_factory=dict, repr=False)
-    """What was computed from these statistics, by what it depends on besides."""
+    """Values computed from these statistics, by what they depend on besides."""
     _parts: Mapping[str, "CameraStatistics"] = field(default_factory=dict, repr=False)
 
     def plus(self, other: "CameraStatistics") -> "CameraStatistics":
@@ -158,7 +159,7 @@ class CameraStatistics:
         return CameraStatistics((name,), StatisticsSums(*(part[k : k + 1] for part in self.sums)), own)
 
     def backgrounds_alone(self) -> "CameraStatistics":
-        """Return of these statistics the backgrounds alone, with their cameras."""
+        """Return only the backgrounds of these statistics, with their cameras."""
         return CameraStatistics(tuple(self.backgrounds), no_sums(len(self.backgrounds)), self.backgrounds)
 
     def targets(self) -> float:
@@ -191,7 +192,7 @@ def _less_profile(sums: StatisticsSums, added: StatisticsSums) -> StatisticsSums
 
 
 def joined(parts: Mapping[str, CameraStatistics]) -> CameraStatistics:
-    """Return the statistics of single cameras as one; what their fits start from is not computed again."""
+    """Return the statistics of single cameras as one; the priors of their fits are not computed again."""
     known = {name: one for name, one in parts.items() if one.names}
     if not known:
         return NO_STATISTICS
@@ -224,7 +225,7 @@ def _priors(statistics: CameraStatistics) -> Priors:
 
 
 def _rims(sums: Array) -> Array:
-    """Return the ratios (n,) at which a parabola through sums of chi-square (n, 5) is least; 1 where it may be so."""
+    """Return the ratios (n,) at which parabolas through sums of chi-square (n, 5) are least; 1 if they may be 1."""
     ratios, out = np.array(RIMS), np.ones(len(sums))
     for k in np.flatnonzero(np.ptp(sums, axis=1) > 0):
         middle = np.clip(sums[k].argmin(), 1, len(ratios) - 2)
@@ -254,8 +255,8 @@ def _amplitudes(sums: Array) -> Array:
 def _offsets(normal: Array, right_side: Array) -> Array:
     """Return for n cameras the significant terms (n, 12, 2) of the offset, 0 for the others.
 
-    Of the sets of terms allowed the one whose chi-square, less CHANCE a term, is largest, axis by axis: terms in R
-    and (1, 1/R, 1/R^2) are so strongly correlated that superfluous ones only add noise.
+    For each axis, the allowed set of terms is taken whose chi-square, less CHANCE a term, is largest. Terms in R and
+    (1, 1/R, 1/R^2) are so strongly correlated that superfluous ones only add noise.
     """
     out = np.zeros(right_side.shape)
     best = np.zeros((len(out), 2))

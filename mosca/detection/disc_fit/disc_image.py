@@ -18,24 +18,24 @@ f32 = np.float32
 
 P0, P1, P2, P3, P4 = f32(0.3982078), f32(-0.06448306), f32(0.008401767), f32(-0.0006522268), f32(2.190772e-05)
 Q0, Q1, Q2, Q3, Q4 = f32(0.3964177), f32(-0.1851492), f32(0.03625069), f32(-0.003324804), f32(0.00011544)
-"""The edge, on |t| <= 3: erf(t / sqrt 2) / 2 = t P(t^2), right to 3e-4, and 1/2 at 3; its derivative the normal
-density Q(t^2), 0 at 3. Least squares; polynomials, since a division costs as much as ten of their terms."""
+"""Polynomials of the edge on |t| <= 3, by least squares: erf(t / sqrt 2) / 2 = t P(t^2), right to 3e-4, and 1/2 at 3;
+its derivative is the normal density Q(t^2), 0 at 3. A division would cost as much as ten of their terms."""
 K1, K2 = f32(3), f32(6)  # of the Hermite polynomials t^3 - 3 t and t^4 - 6 t^2 + 3
 ZERO, HALF, ONE, REACH = f32(0), f32(0.5), f32(1), f32(3)  # REACH: blurs from the edge where it ends
 TINY = f32(1e-6)  # keeps distances from the centre above zero [px^2]
 
 WHOLE_PIXELS, HALF_PIXELS, THIRD_PIXELS = 0.55, 0.4, 0.33
-"""Blurs [px] from which pixels are taken whole, in 2 x 2 and in 3 x 3 parts; below, in 4 x 4. Simulated discs of 2 to
-8 px, 10,000 photoelectrons: with whole pixels the model's error is 0.18 of the Cramer-Rao bound at 0.55 px, 0.64 at
-0.8 of that and 0.01 to 0.09 at 1.25 of it; with 2 x 2 parts 0.025 at 0.4 px. Edges without any blur: efficiency 0.5
-to 0.7 with 3 x 3 parts, 0.8 to 0.9 with 4 x 4 and with 5 x 5."""
+"""Blurs [px] from which pixels are taken whole, in 2 x 2 and in 3 x 3 parts; below, in 4 x 4. For simulated discs of
+2 to 8 px and 10,000 photoelectrons, the model's error with whole pixels is 0.18 of the Cramer-Rao bound at 0.55 px,
+0.64 at 0.8 of that and 0.01 to 0.09 at 1.25 of it; with 2 x 2 parts it is 0.025 at 0.4 px. For edges without any blur
+the efficiency is 0.5 to 0.7 with 3 x 3 parts, 0.8 to 0.9 with 4 x 4 and with 5 x 5."""
 WHOLE_PROFILED = 0.8
-"""The blur from which pixels are taken whole for a disc with a profile: a quarter of the error at 0.55 px."""
+"""Blur from which pixels are taken whole for a disc with a profile: the error is a quarter of that at 0.55 px."""
 LEAST_PART_2 = 1.0 / 192.0
 """Least squared blur of a part [px^2]: that of a perfect lens, (1 / 4 px)^2 / 12."""
 SPACING = 1.5
-"""Most blurs between the discs that make up a smeared one: the ripple of their sum is 3e-4 of it. Error over the
-bound of images of 6 px of motion: 1.03 with 1.0, 1.04 with 1.5, 1.05 with 2, 1.10 with 3."""
+"""Largest distance, in blurs, between the discs that make up a smeared one: the ripple of their sum is 3e-4 of it.
+For images of 6 px of motion the error over the bound is 1.03 with 1.0, 1.04 with 1.5, 1.05 with 2, 1.10 with 3."""
 
 
 class Profile(NamedTuple):
@@ -45,12 +45,12 @@ class Profile(NamedTuple):
     """Brightness is 1 + limb (r^2 / radius^2 - 1/2) at the distance r from the centre: below 0 for balls under light
     from their front, above for bright rims."""
     skew: float
-    """The edge is a Gaussian's integral E(t) and ``skew`` and ``tails`` times its third and fourth derivatives
-    (Edgeworth's series): a rim that falls off more and more, rings of diffraction."""
+    """The edge is the integral E(t) of a Gaussian plus ``skew`` and ``tails`` times its third and fourth derivatives
+    (Edgeworth's series), for a rim that falls off more and more, and for rings of diffraction."""
     tails: float
     smear_x: float
-    """Way of the disc in the image while it was exposed, at an even speed [px]; where it is not 0 pixels are not
-    mapped."""
+    """Way of the disc in the image during the exposure, at constant speed [px]; pixels are not mapped where it is not
+    0."""
     smear_y: float
 
 
@@ -60,19 +60,19 @@ EVEN = Profile(0.0, 0.0, 0.0, 0.0, 0.0)
 
 @bare_step(fastmath=FAST)
 def even_as(profile: Profile) -> Profile:
-    """Return the profile of an evenly bright disc that moved alike."""
+    """Return the profile of an evenly bright disc with the same motion."""
     return Profile(0.0, 0.0, 0.0, profile.smear_x, profile.smear_y)
 
 
 @bare_step(fastmath=FAST)
 def is_profiled(profile: Profile) -> bool:
-    """Return whether brightness or edge are not those of an even disc."""
+    """Return whether brightness or edge differ from those of an even disc."""
     return profile.limb != 0.0 or profile.skew != 0.0 or profile.tails != 0.0
 
 
 @bare_step(fastmath=FAST)
 def is_smeared(profile: Profile) -> bool:
-    """Return whether the disc moved while it was exposed."""
+    """Return whether the disc moved during the exposure."""
     return profile.smear_x != 0.0 or profile.smear_y != 0.0
 
 
@@ -86,7 +86,7 @@ def parts_of(blur: float) -> int:
 
 @bare_step(fastmath=FAST)
 def profiled_parts_of(blur: float) -> int:
-    """Return the same for a disc with a profile, which the square of a pixel must not be taken for."""
+    """Return the same for a disc with a profile: a pixel's square must not be taken for part of the profile."""
     return max(parts_of(blur), 2) if blur < WHOLE_PROFILED else 1
 
 
@@ -98,7 +98,7 @@ def part_blur(blur: float, m: int) -> float:
 
 @inlined_step(fastmath=FAST)
 def gaussian_edge(t: Any) -> Any:
-    """Return the square of a place t within ``REACH`` blurs of an edge, what the edge shows there and its slope."""
+    """Return the square of a position t within ``REACH`` blurs of an edge, and value and slope of the edge there."""
     u = t * t
     q = Q0 + u * (Q1 + u * (Q2 + u * (Q3 + u * Q4)))
     return u, HALF - t * (P0 + u * (P1 + u * (P2 + u * (P3 + u * P4)))), q
@@ -106,7 +106,7 @@ def gaussian_edge(t: Any) -> Any:
 
 @inlined_step(fastmath=FAST)
 def edge_at(x: Any, y: Any, sharper: Any, disc: tuple[Any, Any, Any, Any, Any, Any]) -> Any:
-    """Return what a whole pixel shows of a blurred disc of brightness 1, and ``amplitude`` times its slopes.
+    """Return the value of a whole pixel of a blurred disc of brightness 1, and ``amplitude`` times its slopes.
 
     ``disc``: x0, y0, amplitude, background, radius, blur. Slopes: by x0, y0, radius and blur.
     """
@@ -126,7 +126,7 @@ def edge_at(x: Any, y: Any, sharper: Any, disc: tuple[Any, Any, Any, Any, Any, A
 def profiled_edge_at(
     x: Any, y: Any, sharper: Any, disc: tuple[Any, Any, Any, Any, Any, Any], profile: tuple[Any, Any, Any]
 ) -> Any:
-    """Return the same for a disc whose brightness or edge is another, see ``disc_image``.
+    """Return the same for a disc with another brightness or edge, see ``disc_image``.
 
     The slopes by radius and blur are exact at the edge only, which is enough to converge.
     """
@@ -167,9 +167,9 @@ def _add_edge_for(profiled: bool) -> Any:
         share: tuple[Any, Any, Any],
         image: Array,
     ) -> None:
-        """Add a disc of brightness 1 as n points show it, under a Gaussian blur, to the rows of ``image``.
+        """Add the values of a disc of brightness 1 at n points, under a Gaussian blur, to the rows of ``image``.
 
-        ``share``: by which what is there, the values and besides the change with the blur are multiplied.
+        ``share``: factors of what is in the rows, of the values, and a further one of the change with the blur.
         """
         x, y, sharper = pixels[0], pixels[1], pixels[2]
         e, by_x, by_y, by_radius, by_blur = image[0], image[1], image[2], image[3], image[4]
@@ -197,10 +197,10 @@ del _add_edge_for  # Python has no use for it
 def parts_along(
     profile: Profile, blur: float, m: int, shape: tuple[float, float, float]
 ) -> tuple[int, tuple[float, float], tuple[float, float]]:
-    """Return number and way of the parts in one direction, and the way of the ``m`` parts in the other.
+    """Return number and extent of the parts in one direction, and extent of the ``m`` parts in the other.
 
-    Those of a pixel's sides; for a smeared disc those of its way, with the pixel's extent there, and of the
-    pixel across it. They have the variance of way and pixel together.
+    The directions are those of a pixel's sides. For a smeared disc they are along its way, with the pixel's extent
+    there, and across it, with the pixel's alone. The parts have the variance of way and pixel together.
     """
     way = math.hypot(profile.smear_x, profile.smear_y)
     if way == 0.0:
@@ -220,11 +220,11 @@ def disc_image(
     shape: tuple[float, float, float],
     image: Array,
 ) -> None:
-    """Write a blurred disc of brightness 1 as n pixels show it, and its change with what describes it.
+    """Write the values of a blurred disc of brightness 1 at n pixels, and their change with its parameters.
 
-    A pixel averages over its area. Its sides are divided into m parts, and what is left of the pixel's own blur is
-    taken for Gaussian with the variance ``1 / (12 m^2)`` of such a part. The error of m = 1 is that of the fourth
-    cumulant, and falls with the fourth power of blur and m.
+    A pixel averages over its area. Its sides are divided into m parts. The blur of such a part is approximated by a
+    Gaussian with its variance, ``1 / (12 m^2)``. The error of m = 1 is that of the fourth cumulant, and falls with
+    the fourth power of blur and m.
 
     Parameters
     ----------
@@ -233,7 +233,7 @@ def disc_image(
     disc
         x0, y0, radius and blur [px]; the blur is that of lens and pixel together.
     profile
-        Its light and its motion.
+        Light and motion of the disc.
     shape
         Symmetric matrix (xx, xy, yy) by which the offsets of pixels were mapped.
     image

@@ -1,8 +1,8 @@
 """Compiled: an elliptic target's shape and its ellipticity, from the residuals of the disc that was fitted to it.
 
-A small stretch (1 + T) with T = [[p, q], [q, -p]] of the map in which the target is round changes a pixel's value by
-``-g r (p cos 2 phi + q sin 2 phi)``, g being the slope of its edge. Over a window all around the target that is
-uncorrelated with centre, radius, blur, amplitude and background, so that p and q are solved by themselves.
+Let (1 + T), T = [[p, q], [q, -p]], be a small stretch of the map in which the target is round. It changes a pixel's
+value by ``-g r (p cos 2 phi + q sin 2 phi)``, g being the slope of its edge. Over a window all around the target this
+change is uncorrelated with centre, radius, blur, amplitude and background, so p and q are solved for by themselves.
 """
 
 import math
@@ -23,14 +23,14 @@ MOST_CHANGE = 0.3
 
 
 class Stretch(NamedTuple):
-    """What the residuals of a fitted disc show of a stretch."""
+    """Stretch estimated from the residuals of a fitted disc."""
 
     p: float
     q: float
     chi2: float
-    """Squared length of the step over its error."""
+    """Squared length of the step, in units of its error."""
     variance: float
-    """Of p and of q, geometric mean; infinite where the pixels do not give them."""
+    """Variance of p and of q, as a geometric mean; infinite where the pixels do not determine them."""
 
 
 @bare_step(fastmath=FAST)
@@ -123,9 +123,9 @@ def ellipticity_of(
     """Return the ellipticity (2) of a fitted target and its standard deviation, 0 where it is not known.
 
     ``pixels``: the n that were fitted, mapped by the light's shape; ``misfit``: their chi-square a degree of freedom.
-    From the residuals where they lie all around an elliptic target; else from second moments, which are taken for
-    round up to ``least_difference``, to first order the ellipticity: evenly spread within a circle, it has half of
-    that radius as its standard deviation. Overwrites ``work``.
+    The ellipticity comes from the residuals where they lie all around an elliptic target, else from second moments.
+    To first order it is their relative difference, which counts as 0 up to ``least_difference``. If it is evenly
+    spread within a circle of this radius, half of the radius is its standard deviation. Overwrites ``work``.
     """
     if not good:
         return 0.0, 0.0, 0.0

@@ -11,11 +11,11 @@ from mosca.numba_support.decorators import bare_step
 
 ROUND, ROUND_PX, ROUND_SHARP_PX = 0.04, 1.5, 5.0
 """A region of n pixels whose second moments differ by less than ``ROUND + ROUND_PX / n`` of their mean is taken for
-round: sampling and noise cause as much, the last where edges are sharper than a pixel. Larger values correct fewer
-ellipses, smaller ones distort round targets."""
+round: sampling and noise cause as much. ``ROUND_SHARP_PX`` takes the place of ``ROUND_PX`` where edges are sharper
+than a pixel. Larger values correct fewer ellipses, smaller ones distort round targets."""
 TOLD_PX = 3
-"""Least side of a region whose second moments tell its shape where edges are sharper than a pixel: a disc of one
-pixel lights one or two, by where it lies."""
+"""Least side of a region whose shape is estimated from second moments where edges are sharper than a pixel: a disc of
+one pixel lights one or two, depending on its position."""
 MOST_STRETCHED = 0.85
 """Largest difference of moments that is corrected, as a share of their mean; beyond, pixels are too sparse."""
 LEAST_RADIUS = 0.4
@@ -37,14 +37,14 @@ class Region(NamedTuple):
     bottom: int
     n_px: int
     first_run: int
-    """Its runs are those from here to before ``end_run``."""
+    """Its first run; the last is that before ``end_run``."""
     end_run: int
     threshold: int
-    """It holds pixels above this [DN]."""
+    """Its pixels are above this [DN]."""
     floor: int
-    """What is not above it is background [DN]."""
+    """Pixels that are not above it are background [DN]."""
     slope: tuple[float, float]
-    """Of the background by x and y [DN/px]."""
+    """Slope of the background by x and y [DN/px]."""
 
 
 class Light(NamedTuple):
@@ -53,7 +53,7 @@ class Light(NamedTuple):
     peak: Any
     """Largest grey value [DN]."""
     background: float
-    """First estimate [DN]."""
+    """First estimate of the background [DN]."""
     x: float
     """Centroid about the middle pixel of the region's box [px]."""
     y: float
@@ -62,7 +62,7 @@ class Light(NamedTuple):
     pull: float
     """Difference of the principal second moments over their sum."""
     crowded: bool
-    """Other regions' pixels lie in the window."""
+    """Whether pixels of other regions lie in the window."""
     saturated: bool
 
 
@@ -103,7 +103,8 @@ def least_difference(blur: float, n: int) -> float:
 def stretch(xx: float, xy: float, yy: float, blur: float, n: int) -> tuple[float, float, float]:
     """Return the symmetric matrix (xx, xy, yy) of determinant 1 that makes an elliptic target round.
 
-    From its second moments less those of the blur; the unit matrix where sampling and noise explain the difference.
+    It is computed from the target's second moments less those of the blur. Where sampling and noise explain their
+    difference it is the unit matrix.
     """
     blur2 = 0.5 * blur * blur
     size = max(0.5 * (xx + yy) - blur2, 0.5 * blur2)
@@ -143,7 +144,7 @@ def light_of(
 
 @bare_step(fastmath=FAST)
 def reshaped(light: Light, shape: tuple[float, float, float]) -> Light:
-    """Return the same with another shape."""
+    """Return the same light with another shape."""
     return Light(
         light.peak, light.background, light.x, light.y, shape, light.pull, light.crowded, light.saturated
     )  # fmt: skip
@@ -153,7 +154,7 @@ def reshaped(light: Light, shape: tuple[float, float, float]) -> Light:
 def turned(
     x: float, y: float, before: tuple[float, float, float], now: tuple[float, float, float]
 ) -> tuple[float, float]:
-    """Return a place in the map ``now`` that is (x, y) in the map ``before``."""
+    """Return the position in the map ``now`` of the point that is at (x, y) in the map ``before``."""
     det = before[0] * before[2] - before[1] * before[1]
     u, v = (before[2] * x - before[1] * y) / det, (before[0] * y - before[1] * x) / det
     return now[0] * u + now[1] * v, now[1] * u + now[2] * v

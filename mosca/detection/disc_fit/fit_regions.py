@@ -80,14 +80,14 @@ from mosca.numba_support.decorators import bare_step, step
 from mosca.numba_support.intrinsics import array_at
 
 ROUGH_FACTOR, ROUGH_FLOOR = 4.0, 1e-4
-"""A single target counts for the camera's usual misfit with at most so many times that, plus (1 %)^2."""
+"""In the camera's usual misfit a single target counts with at most so many times that misfit, plus (1 %)^2."""
 MANY_SMEARED = 0.25
-"""Share of a camera's round targets that no disc fits which are smeared by motion, from which all such are fitted
-with other shapes, not a few in an image alone: where nothing moves they are hidden in part, and it takes time. The
-same places with half and twice of it."""
+"""Share of targets smeared by motion among a camera's round targets that no disc fits, above which all of the latter
+are fitted with other shapes. Below it a few in each image are: where nothing moves they are hidden in part, and the
+fits take time. Half or twice of it gives the same places."""
 EACH, MOST_PROFILES = 8, 4
-"""The sums of centroid and noise are added to for every so many targets, those of the profile for as many of them at
-most in an image; so are other shapes tried."""
+"""Every so many-th target adds to the sums of centroid and noise. Of these targets at most the second number in an
+image add to the sums of the profile and are tried with other shapes."""
 MORE_PX = 30
 """Margin of the widest window around the largest region, on each side; limits the blur of a fit."""
 
@@ -129,7 +129,7 @@ def uncovered_sums(
     model: Model,
     buffers: Buffers,
 ) -> tuple[Any, Any]:
-    """Return peak and sums of a region's light as ``window_sums``, without the negative of what the disc hides.
+    """Return peak and sums of a region's light as ``window_sums``, without the negative of the hidden background.
 
     Adds what was subtracted to the pixels, as ``take_behind`` does.
     """
@@ -150,9 +150,10 @@ def uncovered_sums(
 
 @bare_step(fastmath=FAST)
 def may_have_shape(n: int, fit: DiscFit, light: Light, tries: bool) -> bool:
-    """Return whether a target may have another shape than its fit to n pixels; ``tries``: also round blurred ones.
+    """Return whether a target may have another shape than its fit to n pixels.
 
-    Under a sharp edge second moments are no measure of a shape, and small regions were taken for round.
+    ``tries``: whether round blurred targets are tried too. Under a sharp edge second moments are no measure of a
+    shape, and small regions were taken for round.
     """
     sharp = parts_of(fit.blur) > 1 and not light.crowded
     if light.saturated:
@@ -174,17 +175,17 @@ def refit_uneven(
     usual: float,
     buffers: Buffers,
 ) -> tuple[DiscFit, bool]:
-    """Fit a disc to n pixels again before what was subtracted, or before what lies around it where that fails.
+    """Fit a disc to n pixels again before the subtracted background, and if that fails before its surroundings.
 
-    Returns the fit, and whether its background is known from its surroundings. ``behind``: what was subtracted from
-    the image; ``fits``, ``usual``: as in ``refit_around``.
+    Returns the fit, and whether its background is estimated from its surroundings. ``behind``: what was subtracted
+    from the image; ``fits``, ``usual``: as in ``refit_around``.
     """
     fit, padded, symmetric = fits[0], (n + 7) // 8 * 8, not light.crowded and not light.saturated
     if len(behind) > 0:
         fit = refit_before(padded, pixels, buffers.behind, light.shape, fit, prior, model, symmetric, buffers.fit)
         if is_known(padded, buffers.behind, model.dark_dn2):
             return fit, False
-    # what is left of a neighbour's light is no background
+    # the remaining light of a neighbour is no background
     if not symmetric or (fit.converged and fit.chi2 <= (n - 6) * misfit_by_chance(n)):
         return fit, False
     fit, uneven = refit_around(
@@ -197,7 +198,10 @@ def refit_uneven(
 def gather_whole(
     image: Array, middle: tuple[int, int], size: int, reach: float, region: Region, buffers: Buffers
 ) -> tuple[int, Array]:
-    """Copy all pixels up to ``reach`` from a region's middle, once for a lonely target; return how many, and them."""
+    """Copy all pixels up to ``reach`` from a region's middle; return how many, and the pixels.
+
+    For an isolated target they are copied only once.
+    """
     pixels = buffers.pixels
     if is_inside(image, middle, reach):
         address, columns = made_window(size, reach, buffers.windows)
@@ -224,8 +228,8 @@ def refine_region(
 ) -> None:
     """Fit one region, write its row of the table ``out`` and add to the sums.
 
-    ``behind``: what was subtracted from the image; ``takes``: add to the sums of light and noise, to the
-    profile's, try other shapes.
+    ``behind``: what was subtracted from the image; ``takes``: whether to add to the sums of light and noise, whether
+    to add to those of the profile, whether to try other shapes.
     """
     k, blur, own = region.image, priors.blurs[region.image, 2], runs[region.first_run : region.end_run]
     (takes_light, takes_profile, tries), most = takes, 0.5 * buffers.side - 2.0  # what the buffers hold
@@ -282,7 +286,7 @@ def refine_region(
             add_profile(padded, pixels, fit, model, light.shape, out[MISFIT], buffers.fit, tally)
         if takes_light and not odd:
             add_residuals(padded, pixels, fit, prior, model, light.shape, buffers.fit, tally)
-    # an ellipse teaches where its edge is sharp: others may be smeared by motion
+    # ellipses are learned from only where edges are sharp: others may be smeared by motion
     if teaches and (plain or ((parts_of(fit.blur) > 1 or is_smeared(fit.profile)) and not odd)):
         out[BLUR], out[BLUR_INFO] = add_learned(even, amplitude, float(light_sums[0]), prior, tally)
         if takes_light and (plain or is_smeared(fit.profile)) and not odd:
@@ -296,7 +300,7 @@ def refine_region(
 def boxes_of(found: FoundRegions, height: int, width: int) -> tuple[Array, int]:
     """Return left, right, top, bottom, number of pixels and whether it touches the border (n, 6) of each region.
 
-    And the longest edge of a box [px].
+    Also return the longest edge of a box [px].
     """
     boxes, largest = np.empty((len(found.regions), 6), np.int64), 0
     for r in range(len(boxes)):
@@ -362,7 +366,7 @@ def refine_regions(
         model = Model(found.noise[r, DARK], found.noise[r, GAIN], full_dn)
         number, behind = n - first_of_image, behind_of(images, k)
         seldom = number % max(counts[k] // MOST_PROFILES, EACH) == 0
-        takes = (number % EACH == 0, len(behind) == 0 and seldom, seldom)  # what is left of a texture is no profile
+        takes = (number % EACH == 0, len(behind) == 0 and seldom, seldom)  # the rest of a texture is no profile
         refine_region(
             image_of(images, k), behind, found.runs, region, priors, model, buffers, sums,
             takes, table[n],

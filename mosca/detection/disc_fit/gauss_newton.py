@@ -25,8 +25,8 @@ from mosca.numba_support.decorators import bare_step
 
 MOST_STEPS = 20
 HELD_FROM = 8
-"""Steps after which the blur of a disc with a profile no longer changes how pixels are divided: to and fro, it would
-never settle."""
+"""Steps after which the blur of a disc with a profile no longer changes how pixels are divided: the fit could
+alternate between two divisions and never settle."""
 BACK = 0.3
 """A step that takes back more than this share of the last one is halved."""
 CENTRE_RADII, CENTRE_PX = 0.5, 0.3
@@ -34,13 +34,14 @@ CENTRE_RADII, CENTRE_PX = 0.5, 0.3
 LIGHT_LEFT = 0.4
 """Least share of its amplitude that a step leaves a disc."""
 SMALLER, LARGER, SMALLEST = 0.6, 1.6, 0.2
-"""Share of its radius that a step leaves a disc at least, and, a blur wider, at most; the least radius in blurs."""
+"""Least share of its radius that a step leaves a disc; largest share, to which a blur is added; least radius in
+blurs."""
 SHARPER, SOFTER = 0.75, 1.3
 """Share of its blur that a step leaves a disc, at least and at most."""
 CLOSE_2 = 0.03
 """As ``SETTLED_2`` where pixels are divided: there the error that remains is of first order in the last step."""
 LEAST_BLUR, MOST_BLUR = 0.29, 6.0
-"""Of a fit [px]. A pixel that averages over all of its area alone has 1 / sqrt(12) = 0.29."""
+"""Limits of the blur of a fit [px]. A pixel alone, which averages over all of its area, has 1 / sqrt(12) = 0.29."""
 HELD = 1e9
 """Information [px^-2] of a blur that is held."""
 NEAR_START = 0.1
@@ -61,7 +62,7 @@ class Model(NamedTuple):
 
 
 class DiscFit(NamedTuple):
-    """A fitted disc, [px] and [DN], offsets as those of its pixels."""
+    """A fitted disc, in [px] and [DN]; offsets are those of its pixels."""
 
     x: float
     y: float
@@ -73,18 +74,18 @@ class DiscFit(NamedTuple):
     """(xx, xy, yy) of the centre [px^2]."""
     chi2: float
     blur_variance: float
-    """Of the blur, from the data alone [px^2]."""
+    """Variance of the blur, from the data alone [px^2]."""
     radius_variance: float
-    """[px^2]."""
+    """Variance of the radius [px^2]."""
     own_amplitude: tuple[float, float]
     """Amplitude [DN] from the data alone, and its variance [DN^2]; infinite where it was not computed."""
     profile: Profile
-    """Given."""
+    """The profile with which it was fitted."""
     converged: bool
 
 
 class DiscPrior(NamedTuple):
-    """What is known of a disc from others of its camera, mean and standard deviation."""
+    """Prior of a disc from others of its camera: means and standard deviations."""
 
     blur: float
     """[px]."""
@@ -125,7 +126,7 @@ def amplitude_prior(start: float, saturated: bool, blur: float, prior: DiscPrior
     ``start``: the first value, from the brightest pixel.
     """
     if saturated:
-        return start, 1.0 / (start * start)  # it shows only that the peak is higher
+        return start, 1.0 / (start * start)  # a saturated pixel shows only that the peak is higher
     if parts_of(blur) == 1:
         return start, 1.0 / (NEAR_START * start) ** 2
     # where no pixel lies inside a small sharp target, its brightest pixel is no measure
@@ -205,7 +206,7 @@ def step_of(
             work.equations, information
         )
         if s + ds < LEAST_BLUR:
-            # the others as if the blur stayed at its limit
+            # solve for the others as if the blur stayed at its limit
             solved &= factor_all(place, h, cross, c, (HELD, LEAST_BLUR - s), (known, usual - a), work.equations)
             dx, dy, da, db, dr, ds, cxx, cxy, cyy, _, variance, radius_variance = solve_all(work.equations, HELD)
         own_variance = 1.0 / max(1.0 / variance - known, 1e-12)
@@ -220,9 +221,9 @@ def step_of(
 
 @bare_step(fastmath=FAST)
 def is_settled(turn: int, step: DiscStep, taken: float, before: tuple[float, float], now: float) -> bool:
-    """Return whether no further step is needed after number ``turn``, of which the share ``taken`` was taken.
+    """Return whether the fit ends after step number ``turn``, of which the share ``taken`` was taken.
 
-    ``before``: amplitude and blur before it; ``now``: blur after it.
+    ``before``: amplitude and blur before that step; ``now``: blur after it.
     """
     amplitude, blur = before
     if parts_of(now) > 1:
@@ -258,8 +259,8 @@ def fit_disc(
     model
         Pixel noise and saturation.
     symmetric
-        Whether the pixels lie all around the target, so that the centre can be solved separately, where pixels need
-        not be divided: coarse pixels tie a centre to size and brightness.
+        Whether the pixels lie all around the target, so that the centre can be solved separately. Where pixels are
+        divided it is not: coarse pixels correlate a centre with size and brightness.
     work
         Working memory.
     """
@@ -278,7 +279,7 @@ def fit_disc(
         far, most = max(abs(step.x), abs(step.y)), CENTRE_RADII * radius + CENTRE_PX
         hold, share = min(1.0, most / far) if far > most else 1.0, 1.0
         if parts_of(s) > 1:
-            # brightness, radius and place of a small target are tied: whole steps overshoot to and fro
+            # brightness, radius and place of a small target are correlated: whole steps overshoot to and fro
             back = step.x * last[0] + step.y * last[1] < -BACK * (last[0] * last[0] + last[1] * last[1])
             if back or step.amplitude * last[2] < -BACK * last[2] * last[2]:
                 hold, share = 0.5 * hold, 0.5

@@ -1,9 +1,9 @@
 """Compiled fit of a disc before a textured background, which was subtracted though the disc hides it.
 
-Where a disc covers the share e of a pixel, the background g behind it shows with the share 1 - e. To subtract g takes
-g e too much: the image of the disc comes out with a negative of the texture behind it. That is added again with the
-coverage of the fit so far, at first that of the region, until it no longer changes. The texture counts from its
-mean over the window: the disc's amplitude is above the background around it.
+Where a disc covers the share e of a pixel, the background g behind it shows with the share 1 - e. Subtracting g takes
+away g e too much, which leaves a negative of the texture in the disc's image. This is added again with the coverage
+of the fit so far, at first that of the region, until the fit no longer changes. The texture counts from its mean over
+the window: the disc's amplitude is above the background around it.
 """
 
 import math
@@ -16,16 +16,17 @@ from mosca.detection.disc_fit.light_offset import N_RIMS, RIM_SUMS
 from mosca.numba_support.decorators import bare_step
 
 RIMS = (0.96, 1.0, 1.04, 1.08, 1.12)
-"""Ratios tried of the radius within which a target hides its background to that of its light: a retroreflective ball
-is dark towards its limb (1.1 from 65 degrees of entrance angle on). The least is there to find a minimum at 1. With
-steps of 0.06 the ratio came out at 1.06 where 1.085 is true, and places erred by 1.4 times as much."""
+"""Ratios that are tried of the radius within which a target hides its background to that of its light: a
+retroreflective ball is dark towards its limb (1.1 from 65 degrees of entrance angle on). The least is there to find a
+minimum at 1. With steps of 0.06 the ratio came out at 1.06 where 1.085 is true, and places erred by 1.4 times as
+much."""
 RIM_SIGMAS = 3.0
 """Standard deviations from which a ratio differs from 1."""
 EVEN_SHARE = 0.05
-"""A background behind a disc whose variance is less, as a share of the pixels' dark noise, is even."""
+"""A background whose variance behind a disc is less than this share of the pixels' dark noise is even."""
 MOST_FITS, CLOSE_2 = 10, 0.01
-"""Most fits, and the squared change of the centre, as a share of its variance, that ends them. Each fit leaves of the
-error about the ratio of texture and amplitude."""
+"""Most fits, and the squared change of the centre, as a share of its variance, that ends them. The share of the error
+that each fit leaves is about the ratio of texture and amplitude."""
 
 
 @bare_step(fastmath=FAST)
@@ -40,9 +41,9 @@ def take_behind(
     dark_dn2: float,
     out: Array,
 ) -> None:
-    """Write to ``out`` what was subtracted at n pixels, their grey values, which it had rounded, and its error.
+    """Write to ``out`` what was subtracted at n pixels, their grey values without its rounding, and its error.
 
-    And add it, less its mean, to the grey values of the region's pixels; the others count less by its error.
+    Also add it, less its mean, to the grey values of the region's pixels, and lower the others' weights by its error.
 
     Parameters
     ----------
@@ -53,7 +54,7 @@ def take_behind(
     middle
         Pixel (column, row) of the image at the offset (0, 0).
     slope
-        Of the background there by x and y [DN/px], which ``level_pixels`` took out.
+        Slope of the background there by x and y [DN/px], which ``level_pixels`` took out.
     threshold
         The region's pixels are above it [DN].
     dark_dn2
@@ -88,8 +89,8 @@ def take_behind(
 def hiding_blur(fit: DiscFit, rim: float) -> Any:
     """Return the blur [px] of the edge within which a target hides its background, which no limb makes softer.
 
-    Its light falls off evenly between the radius of its light less and plus what it hides beyond, whose variance is a
-    third of the square of that; the rest of the fitted blur is that of lens and pixel.
+    The light falls off evenly about its radius, to both sides by the width that is hidden beyond it. This adds a
+    third of the square of the width to the variance; the rest of the fitted blur is that of lens and pixel.
     """
     falls_off = (rim - 1.0) * fit.radius
     return f32(math.sqrt(max(fit.blur * fit.blur - falls_off * falls_off / 3.0, LEAST_BLUR * LEAST_BLUR)))
@@ -99,7 +100,7 @@ def hiding_blur(fit: DiscFit, rim: float) -> Any:
 def uncover(
     n: int, pixels: Array, behind: Array, shape: tuple[float, float, float], fit: DiscFit, rim: float, work: Workspace
 ) -> None:
-    """Write the grey values with the background g as far as a disc leaves it, and its mean where its light is.
+    """Write grey values less the background g in the share that a disc leaves, less its mean where the light is.
 
     ``rim``: see ``RIMS``; the others as in ``refit_before``.
     """
@@ -128,7 +129,7 @@ def uncover(
 
 @bare_step(fastmath=FAST)
 def is_even(n: int, behind: Array, dark_dn2: float) -> bool:
-    """Return whether what was subtracted at n pixels is the same but for ``EVEN_SHARE`` of their dark noise."""
+    """Return whether the variance of what was subtracted at n pixels is below ``EVEN_SHARE`` of their dark noise."""
     count = mean = square = ZERO
     for i in range(n):
         count += behind[2, i]
@@ -161,9 +162,10 @@ def refit_before(
     symmetric: bool,
     work: Workspace,
 ) -> DiscFit:
-    """Fit a disc to n pixels again, less ``behind`` (4, n or more, from ``take_behind``) where it does not hide it.
+    """Fit a disc to n pixels again, with ``behind`` subtracted only where the disc does not hide it.
 
-    The others as in ``fit_disc``. An even background leaves the fit as it is.
+    ``behind`` (4, n or more): from ``take_behind``; the others as in ``fit_disc``. An even background leaves the fit
+    as it is.
     """
     if is_even(n, behind, model.dark_dn2):
         return fit
@@ -192,7 +194,7 @@ def compare_rims(
 ) -> None:
     """Add to ``tally`` the chi-squares of fits with each of the ``RIMS`` over their mean a pixel, where all converge.
 
-    Over the mean, so that each pixel counts alike, however well a disc fits. The pixels are left as they were.
+    The division by the mean makes each pixel count alike, however well a disc fits. The pixels are left as they were.
     """
     each, good, mean = (0.0, 0.0, 0.0, 0.0, 0.0), True, 0.0
     for rim in RIMS:

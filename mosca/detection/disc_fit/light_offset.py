@@ -36,12 +36,13 @@ N_OFFSET_TERMS = 9
 """Terms of the offset that are added to the fitted centre; those in R are shading."""
 
 LIGHT_BLURS, EDGE_BLURS = 4.5, 3.0
-"""How far beyond the disc's edge, in blurs, a target's whole light is summed, and where its edge ends."""
+"""Distances beyond the disc's edge, in blurs: up to which a target's whole light is summed, and where its edge
+ends."""
 RING_PX, FEWEST_IN_RING = 1.2, 8.0
 """Width of the outermost ring of that window, which gives the background and lies beyond the edge, and the fewest
 pixels in it."""
 HALF_DIAGONAL = 0.71
-"""Of a pixel [px]: how far a centre lies from that of its pixel."""
+"""Half the diagonal of a pixel [px]: how far a centre lies from that of its pixel."""
 OFFSET_SIGMA_2, FAR_2 = 1e-4, 0.04
 """Variance [px^2] added to that of an offset of the light, and the squared offset from which its weight falls."""
 
@@ -68,7 +69,7 @@ no_sums_compiled = step(no_sums)
 
 @bare_step(fastmath=FAST)
 def moved(image: Array, x: float, y: float, radius: float, offsets: Array, terms: Array) -> tuple[float, float]:
-    """Return a fitted centre plus its camera's offset (N_TERMS, 2) there and at this size."""
+    """Return a fitted centre plus its camera's offset there and at this size, from its ``offsets`` (N_TERMS, 2)."""
     set_terms(image, x, y, radius, terms)
     for k in range(N_OFFSET_TERMS):
         x += offsets[k, 0] * terms[k]
@@ -98,7 +99,7 @@ def add_light(
     terms: Array,
     sums: StatisticsSums,
 ) -> None:
-    """Add how far the centroid of a target's whole light lies from its fit, unless other regions are that near.
+    """Add how far the centroid of a target's whole light lies from its fit, unless other regions are in the window.
 
     ``most``: how far from the middle the buffer holds pixels.
     """
@@ -106,7 +107,7 @@ def add_light(
     reach = min(
         radius + 0.5 * way + max(LIGHT_BLURS * fit.blur, EDGE_BLURS * fit.blur + RING_PX), most - HALF_DIAGONAL
     )
-    # the same distance to all sides of the centre: what lies beyond would pull to one of them
+    # the same distance to all sides of the centre: light beyond it would shift the centroid to one of them
     column, row = math.floor(fit.x + 0.5), math.floor(fit.y + 0.5)
     middle = (
         (region.left + region.right + 1) // 2 + int(column), (region.top + region.bottom + 1) // 2 + int(row)

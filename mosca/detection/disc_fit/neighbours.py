@@ -109,12 +109,12 @@ def mark_foreign(
 ) -> None:
     """Mark in ``marks[0]`` (side * side,), centred on the pixel ``centre``, what is left out of the fit of a region.
 
-    These are saturated pixels, and pixels above the floor, and above what an unknown background explains, that are
-    not the region's own, dilated by 2 px, as far as a blurred edge reaches below the floor; by 1 px where the
-    dilation covers the region's own. Row follows row without a gap, so that the dilation of a pixel in one of the two
-    outermost columns is marked in the next row too: they are not to be used. ``behind``: as in ``take_behind``;
-    ``limits``: floor and saturation [DN], and the variance of a pixel [DN^2]; ``marks`` (4, side * side or more): the
-    other rows are working memory.
+    Marked are saturated pixels and foreign ones: pixels that are not the region's own and are above the floor, and
+    above what an unknown background explains. The foreign pixels are dilated by 2 px, as far as a blurred edge
+    reaches below the floor; by 1 px where the dilation covers the region's own. Rows follow each other without a gap,
+    so the dilation of a pixel in one of the two outermost columns is marked in the next row too: these columns are
+    not to be used. ``behind``: as in ``take_behind``; ``limits``: floor and saturation [DN], and the variance of a
+    pixel [DN^2]; ``marks`` (4, side * side or more): the other rows are working memory.
     """
     floor, full, dark_dn2 = limits
     height, width = len(image), len(image[0])

@@ -20,8 +20,8 @@ padding, and grey value [DN]. The last is written 16 at a time: at least as many
 OVER = 16
 EDGE_BLURS, EDGE_PX, EDGE_SHARP_PX = 1.6, 0.5, 1.5
 """How far a fit's window reaches beyond half the region's box, in blurs and in pixels: the box itself goes past the
-disc's edge by about 1.2 blurs. The last where edges are sharper than a pixel: small targets leave too few dark pixels
-otherwise."""
+disc's edge by about 1.2 blurs. The last takes the place of the second where edges are sharper than a pixel: small
+targets would leave too few dark pixels otherwise."""
 CORNER_PX = 2
 """How far off a box's corners the background's first estimate is taken."""
 
@@ -102,7 +102,7 @@ def make_window(size: int, reach2: float, windows: RoundWindows) -> None:
 
 @bare_step(fastmath=FAST)
 def made_window(size: int, reach: float, windows: RoundWindows) -> tuple[Any, Any]:
-    """Return the place of a window as ``window_place``, which is made where it is the first of its size."""
+    """Return the place of a window as ``window_place``; make the window where it is the first of its size."""
     if windows.known[size, 0] < 0:
         make_window(size, reach * reach, windows)
     address, columns = window_place(size, windows)

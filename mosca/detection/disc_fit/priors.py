@@ -1,4 +1,4 @@
-"""Compiled: what the fit of a disc starts from, learned from its camera's other targets, and what it adds to that."""
+"""Compiled: priors of a disc's fit, learned from its camera's other targets, and what the fit adds to them."""
 
 import math
 from typing import NamedTuple
@@ -10,14 +10,15 @@ from mosca.detection.disc_fit.light_offset import AMPLITUDE_SUMS, BLUR_SUM, BLUR
 from mosca.numba_support.decorators import bare_step
 
 BLUR_SIGMA_2 = 9e-4
-"""Variance (0.03 px)^2 added to a target's own: no single target outweighs others by its brightness."""
+"""Variance (0.03 px)^2 added to a target's own, so that no single target outweighs others by its brightness."""
 WELL_KNOWN_2, AMPLITUDE_SIGMA_2 = 0.0225, 0.04
-"""Variances of the logarithm of an amplitude: up to the first, (0.15)^2, a target's own pixels tell it well enough to
-learn from it; the second, (0.2)^2, is added to a target's own: no single one outweighs others."""
+"""Variances of the logarithm of an amplitude: up to the first, (0.15)^2, a target's own pixels determine it well
+enough to learn from it; the second, (0.2)^2, is added to a target's own, so that no single one outweighs others."""
 FAR_AMPLITUDE = 2.0
 """Standard deviations from the camera's line of amplitudes at which a target's weight is halved."""
 MOST_BRIGHTER = 2.5
-"""Times its brightest pixel that an amplitude may be to be learned from: more where a target covers 0.4 pixels."""
+"""An amplitude is learned from up to so many times its brightest pixel: it is more where a target covers 0.4
+pixels."""
 
 
 class Priors(NamedTuple):
@@ -30,19 +31,19 @@ class Priors(NamedTuple):
     roughness: Array
     """(n,) usual misfit beyond the noise, as a share of the squared amplitude."""
     amplitudes: Array
-    """(n, 5) of ln amplitude by ln flux of a camera's targets: means of both, slope, variance about the line and of
-    the mean, variance of the slope; the variances are infinite where nothing was learned."""
+    """(n, 5) line of ln amplitude over ln flux of a camera's targets: means of both, slope, variance about the line
+    and of the mean, variance of the slope; the variances are infinite where nothing was learned."""
     rims: Array
     """(n,) radius within which targets hide their background, over that of their light."""
     profiles: Array
     """(n, 3) limb, skew and tails, see ``Profile``."""
     smeared: Array
-    """(n,) share of round targets that no disc fits which are smeared by motion; 1 before any was seen."""
+    """(n,) share of targets smeared by motion among the round ones that no disc fits; 1 before any was seen."""
 
 
 @bare_step(fastmath=FAST)
 def disc_prior(k: int, priors: Priors, flux: float) -> DiscPrior:
-    """Return what is known of a target of camera k with this flux [DN px^2]."""
+    """Return the prior of a target of camera k with this flux [DN px^2]."""
     means, line = priors.amplitudes[k, :2], priors.amplitudes[k, 2:]
     blur_sigma, blur, rim = priors.blurs[k, 1], priors.blurs[k, 2], priors.rims[k]
     profile = Profile(priors.profiles[k, 0], priors.profiles[k, 1], priors.profiles[k, 2], 0.0, 0.0)
@@ -62,17 +63,17 @@ def with_profile(prior: DiscPrior, profile: Profile) -> DiscPrior:
 
 @bare_step(fastmath=FAST)
 def even_prior(k: int, priors: Priors, prior: DiscPrior, fit: DiscFit) -> DiscPrior:
-    """Return ``prior`` for an evenly bright disc of camera k that moved as that of ``fit``."""
+    """Return ``prior`` for an evenly bright disc of camera k with the motion of ``fit``."""
     blur, profile = priors.blurs[k, 0], even_as(fit.profile)
     return DiscPrior(blur, prior.blur_sigma, prior.amplitude, prior.amplitude_sigma, prior.rim, profile)
 
 
 @bare_step(fastmath=FAST)
 def add_learned(fit: DiscFit, first: float, flux: float, prior: DiscPrior, tally: Array) -> tuple[float, float]:
-    """Add to the sums what the data alone give blur and amplitude of a clean target.
+    """Add to the sums the blur and amplitude of a clean target as its data alone give them.
 
     ``first``: first value of the amplitude; ``flux`` [DN px^2]. Returns the blur [px] and its information [px^-2],
-    both 0 where the data do not tell it.
+    both 0 where the data do not determine it.
     """
     a, variance = fit.own_amplitude
     if 0.0 < a < MOST_BRIGHTER * first and variance < WELL_KNOWN_2 * a * a:

@@ -1,9 +1,9 @@
 """How a camera's targets differ from evenly bright discs under a Gaussian blur, learned from their residuals.
 
-What a target tells of blur, limb, skew and tails (``mosca.detection.disc_fit.disc_image``) is learned together, since
-a bright rim looks like a sharp edge and a dark limb like a blurred one. The normal equations of amplitude,
-background, radius, blur and these three are reduced to the last four. They are in the values themselves, not in steps
-from those of the fit, so that targets fitted before a profile was known count alike.
+Blur, limb, skew and tails (``mosca.detection.disc_fit.disc_image``) are estimated together, since a bright rim looks
+like a sharp edge and a dark limb like a blurred one. The normal equations of amplitude, background, radius and these
+four are reduced to the last four. Their unknowns are the values themselves, not steps from those of the fit, so that
+targets fitted before a profile was known count alike.
 """
 
 import math
@@ -35,37 +35,41 @@ from mosca.numba_support.decorators import bare_step
 
 COUNT, NORMAL, RIGHT, USED, VALUES = 0, 1, 11, 15, 16
 """Columns of a camera's sums: number of targets; upper triangle (10) and right side (4) of the normal equations of
-blur, limb, skew and tails; of the profiles that they were fitted with, how many values were not 0, and these (3)."""
+blur, limb, skew and tails; sums over the profiles that targets were fitted with: how many values were not 0, and
+these values (3)."""
 CHANGES = 5
 """First of three rows of a fit's image: its change with limb, skew and tails."""
 SPREADS = (0.05, 0.2, 0.05, 0.05)
-"""Standard deviations from target to target of blur (as a share of it), limb, skew and tails: no single target
-outweighs others."""
+"""Standard deviations from target to target of blur (as a share of it), limb, skew and tails, so that no single
+target outweighs others."""
 PRIOR_SIGMAS = (1.0, 0.3, 0.3)
-"""Of limb, skew and tails, before any target is seen. With a limb of -1 the rim has a third of the middle's light."""
+"""Standard deviations of limb, skew and tails before any target is seen. With a limb of -1 the rim has a third of the
+middle's light."""
 CHANCE = 12.0
-"""Least chi-square of each of them: false-positive rate below 1 / 2,000."""
+"""Least chi-square of each of limb, skew and tails: false-positive rate below 1 / 2,000."""
 MORE, SETTLED = 0.1, 0.9
-"""Least chi-square of a further one, as a share of what those before explain, and the share of targets that must have
-been fitted with those before: equations hold to first order, and tell second orders of a limb as skew and tails."""
+"""Least chi-square of a further value, as a share of what the ones before it explain, and the share of targets that
+must have been fitted with those before: equations hold to first order, and show second orders of a limb as skew and
+tails."""
 LEAST = (0.1, 0.07, 0.07)
-"""Least values that are used; smaller ones cost about 1 % of the centre's variance, as much as their beginning to be
-used moves targets that stand still."""
+"""Least values that are used. Leaving out smaller ones costs about 1 % of the centre's variance, as much as the
+beginning of their use moves targets that stand still."""
 MOST = np.array([[-1.5, 1.5], [-0.35, 0.35], [-0.15, 0.25]])
 """Limits, within which the image of a disc has hardly a negative value."""
 LEAST_EDGE, LEAST_RADIUS = 2.0, 3.0
-"""Blurs that a radius must have to tell the form of an edge, and a limb: in a smaller disc the edge is everywhere."""
+"""Radii, in blurs, from which the form of an edge and a limb are estimated: in a smaller disc the edge is
+everywhere."""
 REMEMBERED = 100.0
 """Targets after which older ones are weighted down."""
 NOT_ROUND = 12.0
-"""Chi-square of an ellipse, over that of all pixels, from which a target is not round: smeared by motion."""
+"""Chi-square of an ellipse, over that of all pixels, from which a target is not round but smeared by motion."""
 
 
 @bare_step(fastmath=FAST)
 def add_change(
     n: int, pixels: Array, at: tuple[Any, Any], radius: Any, blur: Any, share: Any, limb: Any, image: Array
 ) -> None:
-    """Add the change of a disc with limb, skew and tails as n points show it to rows of ``image``: ``add_edge``."""
+    """Add to rows of ``image`` the change of a disc with limb, skew and tails at n points, as ``add_edge`` does."""
     x, y, sharper = pixels[0], pixels[1], pixels[2]
     by_limb, by_skew, by_tails = image[CHANGES], image[CHANGES + 1], image[CHANGES + 2]
     rim, c1 = ONE + HALF * limb, f32(2) / radius
@@ -82,7 +86,7 @@ def add_change(
 
 @bare_step(fastmath=FAST)
 def profile_image(n: int, pixels: Array, fit: DiscFit, shape: tuple[float, float, float], image: Array) -> None:
-    """Write the change of a fitted disc of brightness 1 with limb, skew and tails, as n pixels show it."""
+    """Write the change of a fitted disc of brightness 1 with limb, skew and tails, at n pixels."""
     m = profiled_parts_of(fit.blur)
     blur = f32(part_blur(fit.blur, m))
     for i in range(n):
@@ -96,9 +100,9 @@ def profile_image(n: int, pixels: Array, fit: DiscFit, shape: tuple[float, float
 
 @bare_step(fastmath=FAST)
 def change_sums(n: int, pixels: Array, fit: DiscFit, model: Model, row: Array, image: Array) -> Any:
-    """Return the products of a change with those by amplitude, background, radius and blur.
+    """Return the products of the change ``row`` with those by amplitude, background, radius and blur.
 
-    And with those by limb, skew and tails, and with the residuals.
+    Also return its products with the changes by limb, skew and tails, and with the residuals.
     """
     there, v = pixels[3], pixels[4]
     share, by_radius, by_blur = image[0], image[3], image[4]
@@ -129,14 +133,14 @@ def add_profile(
     work: Workspace,
     tally: Array,
 ) -> None:
-    """Add what the n pixels of a target's fit tell of blur, limb, skew and tails to its camera's ``tally``.
+    """Add the equations of blur, limb, skew and tails from n pixels of a target's fit to its camera's ``tally``.
 
     ``pixels``, ``shape``: as in ``disc_image``; ``misfit``: chi-square a degree of freedom. Overwrites ``work``.
     """
     image, e = work.image, work.equations
     if fit.radius < LEAST_EDGE * fit.blur:
         return
-    # as a disc with a profile is divided, whether the fit's had one or not
+    # pixels are divided as for a disc with a profile, whether the fit's had one or not
     profile = Profile(fit.profile.limb, fit.profile.skew, fit.profile.tails + 1e-6, 0.0, 0.0)
     disc_image(n, pixels, (f32(fit.x), f32(fit.y), f32(fit.radius), f32(fit.blur)), profile, shape, image)
     pp, pq, qq, p, q = stretch_sums(n, pixels, fit, model, image)
@@ -185,8 +189,8 @@ def add_profile(
 def add_widened(misfit: float, spreads: tuple[float, float, float, float], e: Array, tally: Array) -> None:
     """Add normal equations to a tally, with the spread of targets in their covariance.
 
-    ``H x = r`` are rows and columns 3 to 6 and column 7 of ``e``, variances are ``misfit / H``. Unknown by unknown
-    the spread T widens them: ``H - h h' / (h_kk + misfit / T)`` is ``(misfit / H + T)^-1`` times misfit.
+    In ``H x = r``, H is rows and columns 3 to 6 of ``e`` and r its column 7; variances are ``misfit / H``. The spread
+    T of each unknown in turn widens them: ``H - h h' / (h_kk + misfit / T)`` is ``(misfit / H + T)^-1`` times misfit.
     """
     for k in range(4):
         own = e[3 + k, 3 + k]
@@ -216,9 +220,9 @@ def add_widened(misfit: float, spreads: tuple[float, float, float, float], e: Ar
 
 
 def weights_of_older(kept: Array, added: Array) -> Array:
-    """Return by how much sums (n, VALUES + 3) of earlier targets are weighted down when those of others are added.
+    """Return the weights (n,) of sums (n, VALUES + 3) of earlier targets when those of others are added.
 
-    A target's equations hold for values near those of its fit: those of fits with another profile count less.
+    A target's equations hold for values near those of its fit, so those of fits with another profile count less.
     """
     weights = np.ones(len(kept))
     for k, (old, new) in enumerate(zip(kept.tolist(), added.tolist(), strict=True)):
@@ -233,7 +237,7 @@ def weights_of_older(kept: Array, added: Array) -> Array:
 def solve_profiles(sums: Array, blurs: Array) -> tuple[Array, Array]:
     """Return profiles (n, 3) of cameras from their sums (n, VALUES + 3), and their blurs (n,) [px].
 
-    ``blurs``: of even discs, which remain where nothing is significant.
+    ``blurs``: those of even discs, which are returned where nothing is significant.
     """
     out, blurs = np.zeros((len(sums), 3)), blurs.copy()
     for k in np.flatnonzero(sums[:, COUNT] > 0):
@@ -248,7 +252,7 @@ def solve_profiles(sums: Array, blurs: Array) -> tuple[Array, Array]:
 def _selected(sums: list[float]) -> dict[int, float]:
     """Return the values of blur (0) and of those of limb, skew and tails (1, 2, 3) that are significant beside it.
 
-    Forward selection by Gauss-Jordan elimination: what is left of a row is the equation of a further unknown.
+    Forward selection by Gauss-Jordan elimination: the rest of a row is the equation of a further unknown.
     """
     ridge, upper = (1e-9, *(1.0 / sigma**2 for sigma in PRIOR_SIGMAS)), iter(sums[NORMAL:RIGHT])
     h = [[0.0] * 4 + [right] for right in sums[RIGHT:USED]]

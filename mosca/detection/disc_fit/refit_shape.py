@@ -1,7 +1,7 @@
 """Compiled fit of targets that are not round: as an ellipse, or as a disc that moved while it was exposed.
 
-Second steps of ``mosca.detection.disc_fit.fit_regions``. Both shapes come from the residuals of the fits with the
-shape before.
+Second steps of ``mosca.detection.disc_fit.fit_regions``. Both shapes are estimated from the residuals of the fit with
+the shape before.
 """
 
 import math
@@ -21,8 +21,8 @@ from mosca.detection.disc_fit.smear import changed_way, smeared, still_radius, w
 from mosca.numba_support.decorators import bare_step
 
 SHAPE_STEPS, SMEAR_STEPS, SHAPE_CHI2 = 3, 6, 4.0
-"""Most steps of an ellipse's shape and of a smeared disc's; one whose chi-square (two degrees of freedom) is less is
-the last."""
+"""Most steps of an ellipse's shape and of a smeared disc's; a step whose chi-square (two degrees of freedom) is below
+the third number is the last."""
 
 
 class Buffers(NamedTuple):
@@ -46,7 +46,7 @@ class Buffers(NamedTuple):
 
 @bare_step(fastmath=FAST)
 def reach_around(radius: float, blur: float, buffers: Buffers) -> float:
-    """Return how far from its centre the pixels of a target are fitted, as far as the buffers hold them [px]."""
+    """Return how far from its centre a target's pixels are fitted [px], limited by what the buffers hold."""
     return min(radius + 3.0 * blur + 0.5, 0.5 * buffers.side - 2.0)
 
 
@@ -99,7 +99,7 @@ def refit_smeared(
 ) -> tuple[DiscFit, int, bool]:
     """Fit a region again as a disc that moved while it was exposed, starting from ``fit`` of an ellipse.
 
-    Returns the fit, how many pixels ``buffers.pixels`` holds, and whether its way is settled.
+    Returns the fit, how many pixels ``buffers.pixels`` holds, and whether its way has converged.
     """
     way, radius, n = way_of(light.shape, fit.radius), still_radius(light.shape, fit.radius), 0
     x, y = turned(fit.x, fit.y, light.shape, NO_STRETCH)
@@ -133,8 +133,8 @@ def refit_shaped(
 ) -> tuple[DiscFit, Light, int]:
     """Fit a region again, with its shape from the residuals of ``fit``: an ellipse, or a smeared disc.
 
-    Returns fit, light with the shape, and how many pixels ``buffers.pixels`` holds of that fit: 0 where it stays as
-    it is. A round target that neither fits stays round.
+    Returns the fit, the light with the shape, and how many pixels ``buffers.pixels`` holds of that fit: 0 where the
+    fit stays as it is. A round target that neither shape fits stays round.
     """
     first, first_light, plain, symmetric = fit, light, is_plain(light.shape), not light.crowded
     reach, good = reach_around(fit.radius, fit.blur, buffers), fit.converged

@@ -1,12 +1,12 @@
 """Compiled sums over the residuals of a fitted disc, from which a camera's gain is learned.
 
 Photon transfer (EMVA 1288, 6.6) with two points of a target's image at opposite sides of its centre in the place of
-two images: what the model leaves of a symmetric image (limbs, defocus, motion, any profile) is the same in both, and
-is not in their difference d, so that E d^2 = dark + gain s with the signal s. That less the dark variance is
-regressed on s, on q = (A e')^2, what an error of the edge adds that is not symmetric, and on u = s^2: pixels whose
-responses differ (PRNU) and light from one side. Weights 1 / (2 var^2) are those of a normal variable's square, with
-the gain so far. Solved by ``mosca.detection.pixel_noise``, for the variance that fits use, without u, and by
-``mosca.diagnostics.sensor``, for the gain alone, with it.
+two images. What the model does not fit of a symmetric image (limbs, defocus, motion, any profile) is the same in
+both, and cancels in their difference d. Thus E d^2 = dark + gain s with the signal s. d^2 less the dark variance is
+regressed on three terms. They are s; q = (A e')^2, for an error of the edge that is not symmetric; and u = s^2, for
+pixels whose responses differ (PRNU) and light from one side. Weights 1 / (2 var^2) are those of a normal variable's
+square, with the gain so far. ``mosca.detection.pixel_noise`` solves without u, for the variance that fits use;
+``mosca.diagnostics.sensor`` solves with u, for the gain alone.
 """
 
 import math
@@ -20,27 +20,29 @@ from mosca.detection.disc_fit.solve_step import factor_all
 from mosca.numba_support.decorators import bare_step
 
 GRID, PREDICTED, PART, SLOPES = 9, 10, 11, (0, 0, 3, 4, 1, 2)
-"""Rows of a fit's image: for one part of the fit's errors on the grid of pixels; for the variance of each pixel's
-difference, negative where it has none; for that part pixel by pixel; with its slopes by amplitude, -, radius, blur, x
+"""Rows of a fit's image: one part of the fit's errors on the grid of pixels; the variance of each pixel's difference,
+negative where it has none; that part pixel by pixel; and the rows with its slopes by amplitude, -, radius, blur, x
 and y."""
 
 CLIP = f32(16.0)
-"""Squared differences count up to so many times their expectation, (4 sigma)^2, or the target's mean where more."""
+"""Squared differences count up to so many times their expectation, (4 sigma)^2, or times the target's mean where that
+is more."""
 FEWEST_LIT = 2
-"""Differences with more photon noise than dark noise that a target must have: with fewer, place, size and brightness
-follow the pixels that are lit, noise and all."""
+"""Least number of a target's differences with more photon noise than dark noise: with fewer, place, size and
+brightness follow the lit pixels with their noise."""
 BY_CHANCE = f32(3.0)
-"""Standard deviations of a target's mean squared difference that are chance."""
+"""Standard deviations by which a target's mean squared difference may be off by chance."""
 LEAST_FREE = f32(0.25)
-"""A difference counts where at least this share of its variance is left in the residuals: of targets of a pixel most
-lit ones are fitted exactly. With 0.1, and all targets, 1.2 px gave gains of 0; with 0.5, 2 px gave half of them."""
+"""A difference counts where at least this share of its variance is left in the residuals: most lit pixels of a target
+of one pixel are fitted exactly. With 0.1, and all targets, 1.2 px gave gains of 0; with 0.5, 2 px gave half of
+them."""
 
 
 @bare_step(fastmath=FAST)
 def predict_variances(n: int, amplitude: float, grid: Grid, work: Workspace) -> None:
     """Write the variances of a fit's differences between n pixels and their opposites to row ``PREDICTED``.
 
-    From the fit's factor.
+    They are computed from the factor of the fit's normal equations.
     """
     image, factor = work.image, work.equations
     total, part, number, on_grid = image[PREDICTED], image[PART], image[NUMBER], image[GRID]
@@ -82,7 +84,7 @@ def add_residuals(
 ) -> None:
     """Add the residuals of n pixels of a target's fit to its camera's ``tally``; overwrites ``work``.
 
-    ``pixels``, ``shape``: as in ``disc_image``. The fit takes its own variance from that of the differences.
+    ``pixels``, ``shape``: as in ``disc_image``. The fit reduces the variance of the differences by its own.
     """
     grid = lay_out(n, pixels, fit, shape, work)
     if grid.side == 0:
@@ -100,7 +102,7 @@ def add_residuals(
     for turn in range(2):
         if turn == 1 and lit < FEWEST_LIT:
             return
-        # the mean first: of a target that is not symmetric all differences are large, and tell less
+        # the mean first: all differences of a target that is not symmetric are large, and count less
         count = max(count, ONE)
         scale = max(total / (count + BY_CHANCE * math.sqrt(f32(2.0) * count)), ONE)
         for i in range(n):

@@ -30,10 +30,11 @@ STRAY_PX, STRAY_SHARE = 0.3, 0.15
 """A fit that ends farther from its region's light than this [px] plus this share of the region's size is rejected."""
 MISFIT_MEAN, MISFIT_SIGMAS = 1.3, 5.0
 """The disc does not fit where chi-square per pixel exceeds the first plus so many of its standard deviations. Where
-its ratio to the camera's usual one does, the centre's covariance is scaled by that ratio."""
+the ratio of chi-square to the camera's usual one exceeds that limit, the centre's covariance is scaled by the
+ratio."""
 MISFIT_FACTOR, MISFIT_LEAST = 8.0, 0.01
-"""The disc is rejected, and the covariance scaled by all of chi-square, where the excess is also so many times the
-camera's usual one, at least the first guess, and (10 %)^2 of the squared amplitude."""
+"""The disc is rejected, and the covariance scaled by all of chi-square, where the excess is also more than so many
+times the camera's usual one (at least the first guess), and more than (10 %)^2 of the squared amplitude."""
 FIRST_ROUGHNESS = 4e-4
 """Misfit beyond the noise of a camera without statistics, over the squared amplitude: (2 %)^2."""
 LONG = 0.2
@@ -49,7 +50,7 @@ class Centre(NamedTuple):
     xy: float
     yy: float
     radius: float
-    """With the blur."""
+    """Radius with the blur."""
 
 
 @bare_step(fastmath=FAST)
@@ -74,8 +75,8 @@ def is_good(region: Region, light: Light, fit: DiscFit, centre: Centre) -> bool:
     middle = ((region.left + region.right + 1) // 2, (region.top + region.bottom + 1) // 2)
     shift = math.sqrt((centre.x - middle[0] - light.x) ** 2 + (centre.y - middle[1] - light.y) ** 2)
     good = fit.converged and shift < STRAY_PX + STRAY_SHARE * size
-    # with most pixels masked as a neighbour's, the fit may be less certain than the centroid, which is no measure of
-    # a place where pixels are coarse
+    # where most pixels are masked as a neighbour's, the fit may be less certain than the centroid; where pixels are
+    # coarse, the centroid is no measure of a place
     c = fit.covariance
     coarse = parts_of(fit.blur) > 1 and not light.crowded
     return good and (coarse or c[0] + c[2] < 2.0 * (WORST_FIT * TOUCHING * fit.radius) ** 2)
@@ -83,7 +84,7 @@ def is_good(region: Region, light: Light, fit: DiscFit, centre: Centre) -> bool:
 
 @bare_step(fastmath=FAST)
 def misfit_by_chance(n: int) -> float:
-    """Return the chi-square per pixel that the fit of a disc to n of its pixels exceeds only if it is none."""
+    """Return the chi-square per pixel up to which chance explains the misfit of a disc to n pixels."""
     return MISFIT_MEAN + MISFIT_SIGMAS * math.sqrt(2.0 / n)
 
 
@@ -99,8 +100,8 @@ def write_row(
 ) -> tuple[bool, float]:
     """Write all but centre and diameter of a fit to its row of the table; return whether it is rejected as odd.
 
-    And chi-square per degree of freedom over the camera's usual one, 1 where chance explains it. ``told``: whether
-    the fit is good, of how many pixels, and the camera's usual misfit.
+    Also return chi-square per degree of freedom over the camera's usual one, 1 where chance explains it. ``told``:
+    whether the fit is good, its number of pixels, and the camera's usual misfit.
     """
     good, n, usual = told
     misfit, contrast_2 = fit.chi2 / max(n - 6, 1), fit.amplitude * fit.amplitude
@@ -118,14 +119,14 @@ def write_row(
     odd = good and not light.saturated and misfit > chance and rough > least
     if odd:
         out[FLAGS] += PARTIAL + (MERGED if out[PULL] > LONG else 0)
-    # where a side is missing, what all targets have in common moves the centre, too
+    # where a side is missing, the misfit that all targets have in common moves the centre, too
     excess = misfit if odd or light.crowded else misfit / (1.0 + usual * contrast_2 / variance)
     return odd, excess if good and excess > chance else 1.0
 
 
 @bare_step(fastmath=FAST)
 def write_diameter(fit: DiscFit, out: Array) -> None:
-    """Write the diameter of an even disc to a row of the table: with profiles, cameras' diameters are not alike."""
+    """Write the diameter of an even disc to a row of the table: with profiles, diameters differ between cameras."""
     # a disc of radius R has its blurred edge at R - blur^2 / (2 R)
     radius = math.hypot(fit.radius, part_blur(fit.blur, parts_of(fit.blur)))
     out[DIAMETER] = 2.0 * radius
@@ -146,7 +147,8 @@ def widen(
 ) -> None:
     """Scale the covariance of a target that fits worse than others: hidden in part, or no disc.
 
-    ``may_be_even``: only by what is not the same on both sides of the centre; the rest does not move it.
+    ``may_be_even``: scale it only by the misfit that differs between the sides of the centre; the rest does not move
+    it.
     """
     if excess > 1.0 and may_be_even:
         excess = min(excess, asymmetry((n + 7) // 8 * 8, pixels, fit, model, shape, work))

@@ -1,10 +1,10 @@
-"""Compiled: the way of a target in the image while it was exposed, from the residuals of the disc fitted to it.
+"""Compiled: the way of a target in the image during the exposure, from the residuals of the disc fitted to it.
 
-A disc that moves at an even speed has the second moments of one that stands still and those of its way; the search
-starts from an ellipse of the same moments. Both are symmetric about their centre: an ellipse is not biased, but
-weighs pixels by slopes that are elsewhere (error 1.2 of the bound where images are smeared by up to 6 px, 1.08 as
-smeared discs). Ways are written as ``(way^2 cos 2 a, way^2 sin 2 a)`` with their direction a: a way and its reverse
-look alike.
+A disc that moves at an even speed has the second moments of a disc that stands still plus those of its way. The
+search starts from an ellipse of the same moments. Both are symmetric about their centre. An ellipse is therefore not
+biased, but weights pixels by slopes that are elsewhere (error 1.2 of the bound where images are smeared by up to 6
+px, 1.08 as smeared discs). Ways are written as ``(way^2 cos 2 a, way^2 sin 2 a)`` with their direction a: a way and
+its reverse look alike.
 """
 
 import math
@@ -22,7 +22,7 @@ LEAST_WAY_2 = 0.01
 
 @bare_step(fastmath=FAST)
 def way_of(shape: tuple[float, float, float], radius: float) -> tuple[float, float]:
-    """Return the way whose second moments a disc has that ``shape`` makes round, with this radius."""
+    """Return the way of a smeared disc with the moments of the ellipse that ``shape`` maps to this radius."""
     # moments radius^2 / 4 times the inverse square of shape, and way^2 / 12 along the way
     xx = shape[0] * shape[0] + shape[1] * shape[1]
     xy = shape[1] * (shape[0] + shape[2])
@@ -41,7 +41,7 @@ def smeared(profile: Profile, way: tuple[float, float]) -> Profile:
 
 @bare_step(fastmath=FAST)
 def still_radius(shape: tuple[float, float, float], radius: float) -> float:
-    """Return the radius of a disc that an ellipse has the second moments of, but for its way."""
+    """Return the radius of the smeared disc with the second moments of an ellipse, without its way."""
     way = way_of(shape, radius)
     mean = 0.125 * radius * radius * (shape[0] ** 2 + 2.0 * shape[1] ** 2 + shape[2] ** 2)
     return 2.0 * math.sqrt(max(mean - math.hypot(way[0], way[1]) / 24.0, 0.01 * mean))
@@ -51,9 +51,9 @@ def still_radius(shape: tuple[float, float, float], radius: float) -> float:
 def changed_way(
     way: tuple[float, float], n: int, pixels: Array, fit: DiscFit, model: Model, work: Workspace
 ) -> tuple[tuple[float, float], float]:
-    """Return the next way after a fit with ``way``, and the squared length of that step over its error.
+    """Return the next way after a fit with ``way``, and the squared length of that step in units of its error.
 
-    By the stretch (p, q) that its residuals show: it changes moments M by ``-(p, q) trace M``.
+    It is computed from the stretch (p, q) of the residuals, which changes the moments M by ``-(p, q) trace M``.
     """
     change = stretch_of(n, pixels, fit, model, NO_STRETCH, work)
     times = 24.0 * (0.5 * fit.radius * fit.radius + math.hypot(way[0], way[1]) / 12.0)

@@ -12,8 +12,8 @@ from mosca.numba_support.decorators import bare_step
 def solve_shape(h: Any, c: Any, prior: float, pull: float) -> tuple[float, float, float, float, float, float, float]:
     """Solve for amplitude, background, radius and blur; the blur is held by a prior of this information.
 
-    ``pull``: prior mean less the present blur. Returns the four corrections, the variance that the data alone
-    give the blur, or infinity, that of the radius, and the determinant's sign (0 where there is no solution).
+    ``pull``: prior mean less the present blur. Returns the four corrections; the blur's variance from the data alone,
+    or infinity; the radius' variance; and the determinant's sign (0 where there is no solution).
     """
     haa, hab, har, has, hbb, hbr, hbs, hrr, hrs, hss = h
     ca, cb, cr, cs = c
@@ -43,10 +43,10 @@ def factor_all(
 ) -> bool:
     """Factor the normal equations of all six unknowns, for a window that is not symmetric about the target.
 
-    In the order amplitude, background, radius, blur, x, y. ``prior``: information on the blur, and prior mean less
-    the present one; ``peak``: the same of the amplitude, nearly collinear with the radius where a side is missing or
-    pixels are coarse. ``work`` (6, 8): Cholesky factor of the matrix scaled to a unit diagonal, the right side
-    divided by it, and the scales. Returns whether the matrix is regular.
+    The order is amplitude, background, radius, blur, x, y. ``prior``: information on the blur, and prior mean less
+    the present one; ``peak``: the same for the amplitude, which is nearly collinear with the radius where a side is
+    missing or pixels are coarse. ``work`` (6, 8): Cholesky factor of the matrix scaled to a unit diagonal, the right
+    side divided by it, and the scales. Returns whether the matrix is regular.
     """
     k = 0
     for j in range(4):
@@ -84,12 +84,12 @@ def factor_all(
 
 @bare_step(fastmath=FAST)
 def solve_all(work: Array, blur_information: float) -> tuple[Any, ...]:
-    """Solve what ``factor_all`` left in ``work``.
+    """Solve the equations that ``factor_all`` left in ``work``.
 
     Returns the corrections (x, y, amplitude, background, radius, blur), the centre's covariance (xx, xy, yy), the
     variance of the blur less its prior's information, and those of amplitude and radius.
     """
-    # of the inverse factor the last three columns
+    # the last three columns of the inverse factor
     u3, u4, u5 = 1.0 / work[3, 3], 1.0 / work[4, 4], 1.0 / work[5, 5]
     u43, u54 = -work[4, 3] * u3 * u4, -work[5, 4] * u4 * u5
     u53 = -(work[5, 3] * u3 + work[5, 4] * u43) * u5

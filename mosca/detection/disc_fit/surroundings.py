@@ -1,9 +1,10 @@
 """Compiled fit of a disc before an uneven background that is known from the image itself alone.
 
 A marker on a lit body, or beside its edge, stands before something that neither the planes between cells nor an image
-without it tell. What its disc leaves free tells it: pixels around, less the disc's own skirts, are the background; at
-pixels that the disc covers in part it is their mean, weighted by the inverse fourth power of the distance. The disc
-is fitted before that (``mosca.detection.disc_fit.hidden_background``), which moves the skirts, until it rests.
+without the marker show. It is estimated from the pixels that the disc leaves free, less the disc's own skirts. At
+pixels that the disc covers in part it is the mean of the free ones, weighted by the inverse fourth power of the
+distance. The disc is fitted before this background (``mosca.detection.disc_fit.hidden_background``), which changes
+the skirts. Both are repeated until the disc stays where it is.
 """
 
 from typing import Any
@@ -16,31 +17,32 @@ from mosca.detection.disc_fit.row import FIRST_ROUGHNESS, misfit_by_chance
 from mosca.numba_support.decorators import bare_step, step
 
 FREE, HIDDEN = f32(0.12), f32(0.99)
-"""A pixel of which the disc covers less is one of the background; from the second share on it does not matter.
-Eighty images of markers beside edges, fitted in vain before an even background: rms 0.049 px with 0.05, 0.046 with
-0.12, 0.053 with 0.25."""
+"""Shares of a pixel that the disc covers: below the first it is one of the background, from the second on its
+background does not matter. Eighty images of markers beside edges, which could not be fitted before an even
+background, have an rms of 0.049 px with 0.05, 0.046 with 0.12, 0.053 with 0.25."""
 SOFT_PX2 = f32(0.5)
 """Added to squared distances: a pixel's own value weighs nine times one beside it. The inverse third, fourth and
 sixth power of the distance leave 0.051, 0.046 and 0.042 px in those images."""
 TURNS = 3
-"""Most fits in turn with the surroundings: three are as good as six."""
+"""Most fits in turn with the surroundings: three give as good results as six."""
 HOPELESS = 4.0
-"""A fit that leaves more chi-square a pixel is not tried again: of 1,900 that chance explained in the end all but one
-left less than 1.1 at first, of merged targets 95 % more than 4.7."""
+"""A fit with more chi-square a pixel is not tried again: of 1,900 that chance explained in the end all but one had
+less than 1.1 at first; of those of merged targets 95 % had more than 4.7."""
 LEAST_TOLD = f32(0.25)
-"""Of a fit's chi-square, so much must free pixels have about their mean: otherwise it is the disc's own pixels that
-misfit, as those of merged targets do. It gives up 88 % of what was tried in vain in images of 200 balls, 17 % of an
-actor and 0.6 % before a bright floor, of what was fitted 0, 0 and 0.2 %; 0.125 gives up 27, 6 and 0.3 %, 0.5 99, 55
-and 2.3 % (and 0, 0.9 and 0.4 % of what was fitted, with points missed before the floor)."""
+"""Share of a fit's chi-square that free pixels must have about their mean: otherwise it is the disc's own pixels that
+misfit, as those of merged targets do. It gives up 88 % of the fits tried in vain in images of 200 balls, 17 % in
+those of an actor and 0.6 % before a bright floor, and 0, 0 and 0.2 % of the fits that succeeded; 0.125 gives up 27, 6
+and 0.3 %, 0.5 99, 55 and 2.3 % (and 0, 0.9 and 0.4 % of those that succeeded, with points missed before the
+floor)."""
 LEAST_FREE = 8
-"""Fewer pixels around tell no background."""
+"""Least number of free pixels from which a background is estimated."""
 FAR_PX = f32(1e6)
-"""Where pixels that fill up a row lie: too far to weigh anything."""
+"""Where pixels that fill up a row lie: too far to have any weight."""
 TEXTURE, VALUE, PRESENT, ERROR, TEXTURE_BEFORE, VALUE_BEFORE, ERROR_BEFORE, AROUND, LIGHT = range(9)
 FREE_X, FREE_Y, FREE_VALUE, N_BEHIND = range(9, 13)
-"""Rows of ``Buffers.behind``: the first four as ``take_behind`` writes them, then three of them as they were, what
-pixels are above the background [DN], the disc's light for a brightness of 1; where free pixels are, and what. And
-their number."""
+"""Rows of ``Buffers.behind``: the first four as ``take_behind`` writes them; three of them as they were before; how
+far pixels are above the background [DN]; the disc's light for a brightness of 1; places and values of free pixels.
+The last is the number of rows."""
 
 
 @bare_step(fastmath=FAST)
@@ -49,7 +51,7 @@ def free_pixels(
 ) -> tuple[Any, Any]:
     """Write how far free pixels are above the background [DN], without the disc's light; return their number.
 
-    And the mean square of that about its mean [DN^2]. ``work.image[0]`` holds the disc's coverage then.
+    Also return the mean square of that about its mean [DN^2]. ``work.image[0]`` then holds the disc's coverage.
     """
     light, coverage, around = behind[LIGHT], work.image[0], behind[AROUND]
     disc = (f32(fit.x), f32(fit.y), f32(fit.radius), f32(fit.blur))
@@ -94,9 +96,9 @@ def _gather_free(n: int, pixels: Array, coverage: Array, behind: Array) -> tuple
 
 @bare_step(fastmath=FAST)
 def take_around(n: int, pixels: Array, dark_dn2: float, coverage: Array, behind: Array) -> None:
-    """Add the background that free pixels tell to the texture behind n pixels, and take it from their grey values.
+    """Add the background of free pixels to the texture behind n pixels, and subtract it from their grey values.
 
-    Its error is the mean square by which free pixels differ from what the others tell there, less their noise.
+    Its error is the mean square difference between free pixels and their estimate from the others, less their noise.
     """
     around, present, texture, error = behind[AROUND], behind[PRESENT], behind[TEXTURE], behind[ERROR]
     wrong = ZERO
@@ -116,7 +118,7 @@ def take_around(n: int, pixels: Array, dark_dn2: float, coverage: Array, behind:
             squares += weight * weight
         texture[i] = total / weights
         if coverage[i] < FREE:
-            # what the others tell of it
+            # its estimate from the others
             own = ONE / (SOFT_PX2 * SOFT_PX2)
             total, weights, squares = total - own * around[i], weights - own, squares - own * own
             off = around[i] - total / weights
@@ -185,13 +187,13 @@ def refit_around(
     usual: float,
     buffers: Any,
 ) -> tuple[DiscFit, bool]:
-    """Fit a disc to n pixels again before the background that the free ones among them tell, if that is uneven.
+    """Fit a disc to n pixels again before the background that the free ones among them show, if that is uneven.
 
-    ``n``: with padding, all around it; ``subtracted``: whether something was subtracted from the image, which
-    ``buffers.behind`` holds; ``fits``: the one so far, and the disc of the region's brightest pixels, which is begun
-    with where that did not converge; ``usual``: the camera's usual misfit, as ``ROUGH``, by skirts that its lens
-    causes. Returns the fit, and whether it is another one, which chance explains; the pixels are left as they were
-    where it is not.
+    ``n``: with padding, all around the disc; ``subtracted``: whether something was subtracted from the image, which
+    ``buffers.behind`` holds; ``fits``: the one so far, and the disc of the region's brightest pixels, from which the
+    fit starts where the former did not converge; ``usual``: the camera's usual misfit, as ``ROUGH``, from skirts that
+    its lens causes. Returns the fit, and whether it is a new one that chance explains; if not, the pixels are left as
+    they were.
     """
     behind, work = buffers.behind, buffers.fit
     keep_before(n, pixels, subtracted, behind)

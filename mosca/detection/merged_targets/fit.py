@@ -17,29 +17,30 @@ TURNS = 25
 SMALL = 0.01
 """Least predicted decrease of chi-square of a step: steps below a tenth of the error are not taken."""
 FLAT = 4.0
-"""Blurs from an edge beyond which it is taken for flat."""
+"""Distance from an edge, in blurs, beyond which the image is taken for flat."""
 A1, A2, A3, A4, A5 = 0.319381530, -0.356563782, 1.781477937, -1.821255978, 1.330274429
 """Abramowitz and Stegun 1964, 26.2.17."""
 FIRST_DAMPING, FIRST_OF_ONE = 1e-3, 0.3
-"""Marquardt's damping of the first step, of a pair and of one long target: that starts from the values of two discs,
-and a full first step overshoots."""
+"""Marquardt's damping of the first step: of a pair, and of one long target. The latter starts from the values of two
+discs, and a full first step overshoots."""
 CALMER, WILDER = 0.1, 8.0
 """Factors on the damping after a step that is better, and one that is worse."""
 SHARPER, SOFTER, LEAST_BLUR, MOST_BLUR = 0.6, 1.6, 0.25, 6.0
 """Share of its blur that a step leaves, at least and at most, and its limits [px]."""
 SMALLER, LARGER, LARGER_PX, LEAST_RADIUS = 0.6, 1.5, 0.5, 0.2
-"""The same of a radius, which also may grow by so many pixels; its least value [px]."""
+"""Share of its radius that a step leaves, at least and at most, so many pixels added to the latter; its least value
+[px]."""
 PAIR, SWEPT, ELLIPSE = range(3)
 UNKNOWNS = (10, 8, 8)
 MOST_NODES = 16
-"""Instants of a swept disc, at most; spaced a blur apart, they approximate continuous motion."""
+"""Largest number of instants of a swept disc; spaced a blur apart, they approximate continuous motion."""
 FORESEEN = 4.0
-"""A fit that need only show whether it gets below a chi-square ends where the remaining decrease is this many times
-that predicted for its next step."""
+"""A fit that need only show whether it gets below a chi-square ends where the decrease still needed is more than this
+many times that predicted for its next step."""
 
 
 class FitTask(NamedTuple):
-    """What the fits to one image's pixels share."""
+    """What the fits to the pixels of one image have in common."""
 
     blur: float
     """Prior mean [px],"""
@@ -63,7 +64,7 @@ def edge(t: float) -> tuple[float, float]:
 
 _AT, _SHARE = np.polynomial.legendre.leggauss(6)
 SEEN = 3.2
-"""Blurs from an edge beyond which it is neglected: 0.07 % of the brightness."""
+"""Distance from an edge, in blurs, beyond which it is neglected: 0.07 % of the brightness."""
 
 
 @bare_step(fastmath=FAST)
@@ -86,7 +87,7 @@ def common(t1: float, t2: float, e1: float, e2: float, rho: float) -> tuple[floa
 
 @bare_step(fastmath=FAST)
 def clearance(p: Array) -> float:
-    """Return how far two discs are from covering each other where their edges' blur still counts [px]."""
+    """Return the gap between two discs less their blur [px]: above 0 neither can hide the other."""
     return float(math.hypot(p[0] - p[1], p[2] - p[3]) - p[4] - p[5] - p[9])
 
 
@@ -185,7 +186,7 @@ def fit(kind: int, p: Array, pixels: Array, n: int, task: FitTask, enough: float
             off[i] = root * (pixels[i, 2] - value)
             for a in range(m):
                 change[a, i] = root * slope[a]
-        # sums along contiguous rows, which the compiler adds several pixels at once
+        # sums along contiguous rows: the compiler adds several pixels at once
         chi2 = dot(off, off)
         for a in range(m):
             pulled[a] = dot(change[a], off)

@@ -78,7 +78,7 @@ def keep_near(pixels: Array, n: int, p: Array) -> int:
 
 @bare_step(fastmath=FAST)
 def spread_downhill(image: Array, mark: Array, top: int, left: int, floor: int) -> None:
-    """Mark what lies around the regions and falls off from them: where they met, the floor was not reached."""
+    """Mark pixels around the regions that fall off from them: where regions met, the floor was not reached."""
     spread = True
     while spread:
         spread = False

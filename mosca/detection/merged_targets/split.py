@@ -6,9 +6,9 @@ nearer one lies,
     I = b + A1 e1 + A2 (e2 - e12),   e = Phi(t),   t = (R - r) / s,
 
 for positions, brightnesses and radii of both, the background and one blur: ten unknowns by damped Gauss-Newton steps
-with the weights of EMVA 1288, in the order of depth that fits better. e12 is the area that both cover, blurred:
-of two straight edges it is the bivariate normal integral Phi2(t1, t2; rho), rho the cosine of the angle between their
-normals (edges that face each other: nothing before they meet), by quadrature (Drezner and Wesolowsky 1990). The
+with the weights of EMVA 1288, in the order of depth that fits better. e12 is the blurred area that both cover. For
+two straight edges it is the bivariate normal integral Phi2(t1, t2; rho), with rho the cosine of the angle between
+their normals (edges that face each other: nothing before they meet), by quadrature (Drezner and Wesolowsky 1990). The
 normal matrix gives the covariance.
 
 Candidates are regions that nearly touch, and single regions whose fit by one disc failed or was rejected, or that
@@ -49,8 +49,8 @@ ALIKE = 1.7
 SMALLEST = 1.0
 """Least radius [px] of each: below it the shape of a region carries no information."""
 LONGER, LONG, FEW = 0.12, 0.3, 0.03
-"""Least share of its second moments by which a region is longer than wide: one whose fit failed, and one whose fit
-was accepted, which is a candidate only where no more than ``FEW`` of all are so long."""
+"""Least differences of a region's principal second moments, as a share of their sum: of a region whose fit failed,
+and of one whose fit was accepted, which is a candidate only where no more than ``FEW`` of all are so long."""
 TOUCHING_PX = 2.7
 """Two regions with a gap below this are fitted together: separate windows would mask too many of their pixels (at
 2 px, a factor of 4 to 10 of the information)."""
@@ -60,7 +60,7 @@ deviation per axis over the fourth power of blur by radius (measured at diameter
 
 
 EXCESS, EXCESS_SIGMAS = 0.3, 5.0
-"""Excess of chi-square per degree of freedom up to which two discs are accepted: this and so many standard
+"""Largest excess of chi-square per degree of freedom of two discs that are accepted: this and so many standard
 deviations."""
 FEWEST_PIXELS = 30
 """Fewer pixels than three for each unknown are not fitted."""
@@ -72,7 +72,7 @@ class FittedPair(NamedTuple):
     p: Array
     """(10,) unknowns, see ``mosca.detection.merged_targets.fit``."""
     inverse: Array
-    """(10, 10) of the normal matrix."""
+    """(10, 10) inverse of the normal matrix."""
     chi2: float
     n: int
     """Number of pixels."""
@@ -153,7 +153,7 @@ def fit_pairs(
 
 @bare_step(fastmath=FAST)
 def plausible(p: Array, chi2: float, n: int, model: Model) -> bool:
-    """Return whether two discs are alike, as far apart as two that touch, and explain the pixels."""
+    """Return whether two discs are alike, as far apart as two that touch can be, and explain the pixels."""
     if not math.isfinite(chi2):
         return False
     apart, across = math.hypot(p[0] - p[1], p[2] - p[3]), p[4] + p[5]
@@ -180,10 +180,10 @@ def better_than_one(pair: FittedPair, pixels: Array, task: FitTask) -> bool:
     for kind in (ELLIPSE, SWEPT):
         one[0], one[1], one[4], one[5], one[6], one[7] = x, y, radius, bright, p[8], p[9]
         if kind == SWEPT:
-            # as much light on as long a way: its ends are dimmer than its middle
+            # as much light over the same length: the ends of a swept disc are dimmer than its middle
             one[2], one[3], one[5] = 1.5 * dx, 1.5 * dy, 1.4 * bright
         else:
-            # a round one as wide as both are long
+            # a round target as wide as both discs are long
             one[2], one[3], one[4] = 0.0, 0.0, radius + half
         enough = chi2 + DECISIVE * misfit
         if fit(kind, one, pixels, n, task, enough)[0] < enough:
