@@ -369,9 +369,8 @@ def limit(freedom, sigma):
 def store(hypothesis, error, diameter, rays, at, kept):
     """Complete a hypothesis's values and keep it in row ``at``: values (n, VALUES), members (n, c), trusts (n, c).
 
-    Gain: log-likelihood ratio of its images as one target against chance images, without the density of targets,
-    common to all hypotheses (Poore 1994, section 3): sum log(1 / (2 pi sigma^2 rho)) - chi2 / 2 + log det(2 pi P) /
-    2.
+    Gain: log-likelihood ratio sum log(1 / (2 pi sigma^2 rho)) - chi2 / 2 + log det(2 pi P) / 2 of its images as one
+    target against chance images, without the density of targets, which all hypotheses share (Poore 1994, section 3).
     """
     members, ranks, solved, _ = hypothesis
     covariance = Symmetric3(solved[3], solved[4], solved[5], solved[7], solved[8], solved[11])
