@@ -78,7 +78,7 @@ class Triangulated(NamedTuple):
     xyz: Array
     """(n, 3) world frame [m]; NaN where fewer than two cameras see the point."""
     covariance: Array
-    """(n, 3, 3) of the measurement [m^2]; that of the calibration is not in it."""
+    """(n, 3, 3) covariance of the measurement [m^2]; that of the calibration is not in it."""
     residual_px: Array
     """(n,) rms reprojection error [px]."""
 
@@ -139,7 +139,7 @@ def triangulate(
     sigma_px :
         Standard deviation of an image coordinate [px].
     covariances_px2 : camera name -> (n, 2, 2)
-        Those of the pixels of each camera in ``images``, as detections state them, in place of ``sigma_px``.
+        Covariances of the pixels of each camera in ``images``, as detections state them, in place of ``sigma_px``.
 
     Raises
     ------
@@ -269,7 +269,7 @@ def calibrate(
     fps: float | None = None,
     volume: Volume | None = None,
 ) -> Calibration:
-    """Return cameras calibrated from a recording of a target, judged: ``calibration.rig`` is what measures.
+    """Return the calibration of cameras from a recording of a target, checked: ``calibration.rig`` is the rig to use.
 
     Parameters
     ----------
@@ -282,13 +282,13 @@ def calibrate(
     known :
         Earlier rig, or its file, which the new one is compared with.
     axes : (recording, target file)
-        Of the L-frame that sets the world axes.
+        Those of the L-frame that sets the world axes.
     lengths : (recording, target file)
-        Of a certified scale bar that takes no part in the calibration.
+        Those of a certified scale bar that takes no part in the calibration.
     fps :
         Frame rate [1/s] where the recording has no times of its own; images of a target at rest need none.
     volume : (low (3,), high (3,)) [m, world]
-        Where will be measured; default: where the target was.
+        Volume that will be measured; default: where the target was.
 
     Raises
     ------

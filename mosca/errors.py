@@ -6,7 +6,7 @@ import re
 class MoscaError(Exception):
     """A known error. The command line prints its text on one line and exits with 2.
 
-    What a user gave may stand in it, so signs that no line can show are written as in Python: a line feed as \\n.
+    The text may contain a user's input, so unprintable characters are written as in Python: a line feed as \\n.
     """
 
     def __init__(self, text: object = "") -> None:

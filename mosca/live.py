@@ -107,7 +107,7 @@ def run_live(
 ) -> Iterator[Step]:
     """Turn a live source's frames into tracks, newest first at need; as ``mosca.pipeline.run``.
 
-    A step's ``seconds`` hold ``wait`` besides: how long its frame set waited in the queue of ``queued``.
+    A step's ``seconds`` also contain ``wait``: how long its frame set waited in the queue of ``queued`` sets.
     """
     check_source(source, rig)
     settings = PipelineSettings() if settings is None else settings

@@ -35,9 +35,9 @@ from mosca.tracking.tracker import Tracker, TrackSettings
 MOST_DETECTIONS = 5000
 """Detections an image may have; matching many more would take minutes a frame set."""
 FEWEST_SETS = 4
-"""Recordings of fewer frame sets teach no errors of cameras: one or two updates, each with one or two independent
-residuals a camera, tell a variance to a factor of three. Of the 117 published particles of MyPTV's three sets 114 lie
-within 0.2 mm, and 111 with 2."""
+"""Fewest frame sets of a recording from which errors of cameras are learned: one or two updates, each with one or two
+independent residuals a camera, determine a variance to a factor of three. Of MyPTV's three sets, 114 of the 117
+published particles lie within 0.2 mm, and 111 with 2."""
 
 
 COARSER_STARTS = (1.0, 3.0, 9.0)
@@ -84,10 +84,11 @@ class Step:
     samples: Samples
     """Points whose identity is now certain, some of earlier pulses."""
     seconds: Mapping[str, float]
-    """Computing time of each stage until the step was ready; that of the health comes after
+    """Computing time of each stage until the step was ready; the health is computed afterwards
     (``mosca.diagnostics.camera_health.Health.seconds``)."""
     noise: ImageNoise | None = None
-    """Errors of image points besides detection noise that the set was matched with; None where several rigs were."""
+    """Errors of image points besides detection noise with which the set was matched; None for a step of several
+    rigs."""
 
 
 class Keeper(Protocol):
@@ -96,7 +97,7 @@ class Keeper(Protocol):
     rig: Rig
 
     def attend(self, frame: int, detections: Mapping[str, Detections], points: Points) -> None:
-        """Take a frame set's points; ``rig`` is what the next frame set is to be measured with."""
+        """Take a frame set's points; afterwards, ``rig`` is the one for measuring the next frame set."""
 
 
 def run(
@@ -129,9 +130,9 @@ def run(
     keeper
         Monitors the rig and may correct it while running.
     health
-        Of the cameras, filled while running.
+        Health of the cameras, filled while running.
     sensors
-        What the images tell of the cameras' sensors, filled while running.
+        Properties of the cameras' sensors from the images, filled while running.
     """
     check_source(source, rig)
     settings = PipelineSettings() if settings is None else settings
@@ -173,7 +174,7 @@ def run_seen(
 ) -> Iterator[Step]:
     """Turn frame sets with their detections, and the seconds that these took, into tracks; else as ``run``.
 
-    For detections that come without their images: from a recording that holds no others, or from other machines.
+    For detections without their images: from a recording that has only detections, or from other machines.
     """
     settings = PipelineSettings() if settings is None else settings
     health = Health.of(rig, settings.match) if health is None else health
@@ -275,10 +276,10 @@ class _Matcher:
 
 
 def _errors_first(seen: Iterable[Seen], rig: Rig, matcher: _Matcher, health: Health) -> Iterator[Seen]:
-    """Return all of ``seen``, the first of them matched for once, so that errors and sizes are known from the start.
+    """Return all of ``seen`` after a trial match of the first, so that errors and sizes are known from the start.
 
-    Not in shorter recordings: from a few sets, cameras' own errors are less certain than the setting, which holds
-    throughout where there are fewer than ``FEWEST_SETS``.
+    This is not done in shorter recordings: from a few sets, the cameras' own errors are less certain than the
+    setting. Where there are fewer than ``FEWEST_SETS``, the setting is used throughout.
     """
     left = iter(seen)
     first = list(islice(left, 1))

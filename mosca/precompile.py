@@ -1,10 +1,10 @@
 """Compile the pipeline's kernels before they are needed: ``python -m mosca.precompile``.
 
-With ``look`` only those of detection, with ``points`` only those of correspondence, triangulation and tracking, with
-``windows`` only those of cut targets, so that processes can compile in parallel. With ``look_twice`` those of
-detection in images of 8 and of 16 bits: in one process they share the functions that do not depend on the type of the
-pixels, which are half of it. With ``calibration`` those of a session with coded targets: their images and the
-adjustment. With ``people`` those of a person's pose and joints, which the pipeline does not need.
+An argument selects some of them, so that processes can compile in parallel: ``look`` those of detection, ``points``
+those of correspondence, triangulation and tracking, ``windows`` those of cut targets. ``look_twice`` compiles those
+of detection in images of 8 and of 16 bits: in one process they share the functions that do not depend on the type of
+the pixels, which are half of them. ``calibration`` compiles those of a session with coded targets, for their images
+and the adjustment. ``people`` compiles those of a person's pose and joints, which the pipeline does not need.
 """
 
 import os
@@ -118,9 +118,9 @@ def points() -> int:
 
 
 def windows() -> int:
-    """Fit windows of nothing, as those of points that are cut; returns how many there were.
+    """Fit an empty list of windows, as for points that are cut; returns how many there were.
 
-    The fits come first: meanwhile another process compiles what they share with ``points``.
+    The fits come first: meanwhile another process compiles the functions shared with ``points``.
     """
     rig = _rig()
     many = len(rig.cameras)
@@ -202,6 +202,6 @@ def _coded(target: CodedTarget, pixel_m: float) -> Array:
 
 if __name__ == "__main__":
     if hasattr(os, "nice"):
-        os.nice(5)  # who waits for this has more to compile itself
+        os.nice(5)  # the process that waits for this has more to compile itself
     parts = {f.__name__: f for f in (look, look_twice, points, windows, calibration, people)}
     parts.get("".join(sys.argv[1:]), warm_up)()

@@ -1,11 +1,12 @@
 """Assembly: frames of many cameras become frame sets, pulse by pulse; gaps are counted, never closed up.
 
-A frame's pulse number comes from its mid-exposure time on the common pulse clock: nominal frame rate,
-phase from the first frames, slow drift tracked. Arrival order is not used, and the camera's counter only as a check,
-since a camera that misses a trigger counts on without a gap. The source must provide all cameras' times on one clock.
+A frame's pulse number comes from its mid-exposure time on the common pulse clock. The clock has the nominal frame
+rate and the phase of the first frames, and tracks slow drift. Arrival order is not used, and the camera's counter
+only as a check, since a camera that misses a trigger counts on without a gap. The source must provide all cameras'
+times on one clock.
 
-Each set waits for all cameras, at most until ``open_pulses`` newer pulses are open. So late, reordered,
-doubled and lost frames, and cameras that die, cost that set at most a camera, and nothing shifts.
+Each set waits for all cameras, at most until ``open_pulses`` newer pulses are open. So late, reordered, doubled and
+lost frames, and cameras that fail, cost that set at most one camera; no other frame is shifted.
 """
 
 import cmath
@@ -25,7 +26,7 @@ from mosca.errors import InputError
 PHASE_GAIN = 0.05
 """Share of a set's time residual that moves the pulse clock's phase."""
 PERIOD_GAIN = 0.0005
-"""Share of it that moves the period: a rate that is 0.1 % off is learned within some 300 pulses."""
+"""Share of the residual that moves the period: a rate that is 0.1 % off is learned within some 300 pulses."""
 LARGEST_RATE_ERROR = 0.005
 """How far the period may move from the nominal one."""
 REMEMBERED_SETS = 1000
@@ -104,9 +105,9 @@ def assemble(
 ) -> Iterator[FrameSet]:
     """Yield the frame sets of ``frames``, one a pulse without gaps; the first set is pulse 0.
 
-    A pulse in which no camera delivered yields an empty set at its expected time. ``assembly`` is filled
-    while the iteration runs. Raises InputError for cameras of different rates, for a frame of an unknown
-    camera and when only frames with unbelievable times come.
+    A pulse in which no camera delivered yields an empty set at its expected time. ``assembly`` is filled while the
+    iteration runs. Raises InputError for cameras of different rates, for a frame of an unknown camera and when only
+    frames with implausible times come.
     """
     settings = settings or AssemblySettings()
     counts = assembly if assembly is not None else Assembly()

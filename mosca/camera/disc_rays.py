@@ -1,14 +1,16 @@
-"""Rays of a flat round target's images, freed of their eccentricity: compiled steps.
+"""Rays of a flat round target's images, corrected for eccentricity: compiled steps.
 
-The centroid of a small disc's image is off from the image of its centre by ``mosca.camera.eccentricity``'s formulas,
-here to first order in (r / R)^2 and in the plane across the ray d: the ellipse's centre by ``(r / R)^2 (n . d) G n``,
-G being the derivative of the pixel by the direction, and its centroid from there by the lens's curvature over the
-ellipse's second moments M, ``H : M / 2 + J M grad log det J``. The disc's axes across the ray are known, so that H is
-needed along these two only: differences of G between neighbouring pixels.
+The centroid of a small disc's image differs from the image of its centre by the formulas of
+``mosca.camera.eccentricity``, here to first order in (r / R)^2 and in the plane across the ray d. The ellipse's
+centre is off by ``(r / R)^2 (n . d) G n``, where G is the derivative of the pixel by the direction. Its centroid is
+off from there by the lens's curvature over the ellipse's second moments M, ``H : M / 2 + J M grad log det J``. The
+disc's axes across the ray are known, so H is needed along these two only: differences of G between neighbouring
+pixels.
 
-A lamp at the lens lights the nearer side of a disc at a slant more: its light falls with the squared distance, which
-moves the centroid of the light by ``(r / R)^2 (n . d) G n / 2``, half of that ellipse's eccentricity, and the fit of
-an even disc by a part of it, the smaller the larger the image is beside its blur; distant lamps move neither.
+A lamp at the lens lights the nearer side of an oblique disc more, since its light falls with the squared distance.
+This moves the centroid of the light by ``(r / R)^2 (n . d) G n / 2``, half of that ellipse's eccentricity. It moves
+the fit of an even disc by a part of that, which is the smaller the larger the image is compared with its blur.
+Distant lamps move neither.
 """
 
 import math
@@ -19,7 +21,7 @@ from mosca.data.rays import ROTATION
 from mosca.numba_support.decorators import step
 
 STEP_PX = 1.0
-"""Of the differences of G: lenses change over hundreds of pixels."""
+"""Step of the differences of G: lenses change over hundreds of pixels."""
 
 
 @step
@@ -31,12 +33,12 @@ def free_of_eccentricity(n, c, xy, covariance, disc, cameras, views, rays, work)
     n, c
         Row of ``rays``, and its camera.
     xy, covariance
-        Pixel (x, y) and its covariance (xx, xy, yy) [px^2], with what the camera adds.
+        Pixel (x, y) and its covariance (xx, xy, yy) [px^2], with the variance that the camera adds.
     disc
-        Unit normal of the disc, world frame; squared ratio of its radius and its distance; shift of the place by an
+        Unit normal of the disc, world frame; squared ratio of its radius and its distance; shift of the image by
         uneven light, over the eccentricity of the ellipse.
     cameras, views, rays
-        ``RigTable.cameras``, ``RayTable.views`` and ``RayTable.rays``, whose row is rewritten.
+        ``RigTable.cameras``, ``RayTable.views``, and ``RayTable.rays``, of which row ``n`` is rewritten.
     work
         Scratch (8, 3).
 
@@ -63,7 +65,7 @@ def free_of_eccentricity(n, c, xy, covariance, disc, cameras, views, rays, work)
 def _bend(own, xy, normal, cosine, view, d, local, work):
     """Return H : M / 2 + J M grad log det J of a disc with r / R = 1 [px]."""
     views, c = view
-    # the disc's axes across the ray in the camera's frame: foreshortened, and not
+    # the disc's axes across the ray in the camera's frame: m is foreshortened, e is not
     m0 = m1 = m2 = 0.0
     for k in range(3):
         m0 += views[c, ROTATION + 3 * k] * normal[k]

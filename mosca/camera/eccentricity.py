@@ -9,13 +9,15 @@ unit circle's dual conic diag(-1, -1, 1) there; Hartley and Zisserman 2004, sect
 
 (Mattsson and Dold derive the same; Luhmann 2014 shows its size). A ball's outline is the cone that touches it, with
 ``E = C C^T - r^2 I``: centre - image of C = (Cx / Cz) r^2 / (Cz^2 - r^2), likewise in y. Lens distortion maps the
-ellipse into the image by some g with Jacobian J. With the ellipse's second moments ``M = (c c^T - E_(12,12) / E_33) /
-4`` its centroid, to second order in its size, is ``g(c) + H : M / 2 + J M grad log det J``: the curvature of g (H its
-second derivatives), and the varying magnification. Without distortion both are zero and the result is exact. For a
-fisheye (field beyond the plane z = 1) the plane perpendicular to the ray to C is used instead.
+ellipse into the image by a function g with the Jacobian J and the second derivatives H. With the ellipse's second
+moments ``M = (c c^T - E_(12,12) / E_33) / 4``, its centroid is, to second order in its size, ``g(c) + H : M / 2 + J M
+grad log det J``. The two terms are the curvature of g and the varying magnification. Without distortion both are zero
+and the result is exact. For a fisheye (field beyond the plane z = 1) the plane perpendicular to the ray to C is used
+instead.
 
-A ball at the distance R shifts its image by ``(r / R)^2`` times a field over the image that depends on the lens alone
-(``ball_field``; neglected terms are smaller by another (r / R)^2): the correction needs only its angular size.
+The image of a ball at the distance R is shifted by ``(r / R)^2`` times a field over the image that depends on the
+lens alone (``ball_field``; neglected terms are smaller by another (r / R)^2). The correction needs only the ball's
+angular size.
 """
 
 import numpy as np
@@ -28,7 +30,7 @@ from mosca.errors import InputError
 STEP = 1e-3
 """Step of the second differences in the image plane [tangent of an angle]."""
 FIELD_STEP_PX = 16.0
-"""Grid of ``ball_field``: linear in between is good to some 1e-3 of a shift that is itself below a pixel."""
+"""Grid step of ``ball_field``: linear interpolation is good to some 1e-3 of a shift that is itself below a pixel."""
 SMALL = 3e-3
 """Radius over distance at which ``ball_field`` is taken."""
 
@@ -36,9 +38,9 @@ SMALL = 3e-3
 def eccentricity_px(camera: Camera, centres: Array, normals: Array, radii_m: Array | float) -> Array:
     """Return centroid of the disc's image minus image of its centre (n, 2) [px]; subtract it from a measurement.
 
-    ``centres`` (n, 3) [m] and ``normals`` (n, 3), of any length, world frame, by either face; ``radii_m`` (n,) or one
-    for all. NaN where the lens does not image the disc or the camera lies in its plane. Raises InputError for radii
-    that are not above zero and normals without a direction.
+    ``centres`` (n, 3) [m] and ``normals`` (n, 3), of any length and of either face, world frame; ``radii_m`` (n,) or
+    one for all. NaN where the lens does not image the disc or the camera lies in its plane. Raises InputError for
+    radii that are not above zero and normals without a direction.
     """
     centres = np.asarray(centres, dtype=float).reshape(-1, 3)
     normals = np.asarray(normals, dtype=float).reshape(-1, 3)
@@ -89,14 +91,14 @@ def ball_field(camera: Camera) -> Array:
 def _of_balls(lens: Lens, centres: Array, radius: Array) -> Array:
     """Return the offsets (n, 2) [px] of balls with centres (n, 3) in the camera frame."""
     axes = _planes(lens, centres)
-    # the whole ball lies before the plane through the camera, or its outline is no ellipse
+    # the whole ball must lie before the plane through the camera: else its outline is no ellipse
     circle = np.einsum("nij,ni->nj", axes, centres)
     inertia = radius[:, None, None] ** 2 * np.eye(3)
     return _offsets(lens, axes, circle, inertia, circle[:, 2] > radius)
 
 
 def _planes(lens: Lens, centres: Array) -> Array:
-    """Return rotations (n, 3, 3), columns the axes of the plane in which each ellipse is taken."""
+    """Return rotations (n, 3, 3); their columns are the axes of the plane in which each ellipse is taken."""
     axes = np.broadcast_to(np.eye(3), (len(centres), 3, 3))
     if lens.model != "fisheye":
         return axes

@@ -20,21 +20,21 @@ HELD: dict[str, frozenset[str]] = {
     "opencv": frozenset({"k4", "k5", "k6", "s1", "s2", "s3", "s4", "tauX", "tauY"}),
     "fisheye": frozenset(),
 }
-"""Lens parameters that ``fit_lens`` holds: redundant, or rarely determined by images."""
+"""Lens parameters that ``fit_lens`` holds fixed: redundant, or rarely determined by images."""
 
 
 def lens_directions(lens: Lens, xy_px: Array) -> Array:
-    """Pixel (n, 2) -> unit direction (n, 3) in the camera frame; NaN where the lens has none."""
+    """Return the unit directions (n, 3) of pixels (n, 2), camera frame; NaN where the lens has none."""
     return directions_of(lens, xy_px)[0]
 
 
 def lens_pixels(lens: Lens, directions: Array) -> Array:
-    """Direction (n, 3) of any length in the camera frame -> pixel (n, 2); NaN where it is not imaged."""
+    """Return the pixels (n, 2) of directions (n, 3) of any length, camera frame; NaN where they are not imaged."""
     return pixels(lens, directions)[0]
 
 
 def project(camera: Camera, points: Array) -> Array:
-    """World points (n, 3) [m] -> pixel (n, 2); NaN where the lens does not image them.
+    """Return the pixels (n, 2) of world points (n, 3) [m]; NaN where the lens does not image them.
 
     Pixels beyond the image's edge are returned as they are.
     """
@@ -57,7 +57,7 @@ class Projection:
 
 
 def project_with_jacobians(camera: Camera, points: Array) -> Projection:
-    """World points (n, 3) [m] -> pixels and their Jacobians; NaN where the lens does not image them."""
+    """Return the pixels of world points (n, 3) [m] and their Jacobians; NaN where the lens does not image them."""
     world_from_camera = camera.world_from_camera
     v = world_from_camera.inverse().transform(np.asarray(points, dtype=float).reshape(-1, 3))
     xy, by_direction, by_lens = pixels(camera.lens, v)
@@ -73,7 +73,8 @@ class Rays:
 
     ``origin`` (3,) centre of projection [m]; ``direction`` (n, 3) unit; ``pixel_by_direction`` (n, 2, 3): a point X
     near the ray has the reprojection error ``pixel_by_direction @ (X - origin) / (direction . (X - origin))`` [px] to
-    first order in the error, for every lens model, so that matching and triangulation are independent of the lens.
+    first order in the error. This holds for every lens model, so matching and triangulation are independent of the
+    lens.
     """
 
     origin: Array
@@ -90,7 +91,7 @@ def rays(camera: Camera, xy_px: Array) -> Rays:
 
 @dataclass(frozen=True)
 class Conversion:
-    """A lens fitted to another's rays: rms and largest distance [px] over the image, and where that is [px]."""
+    """A lens fitted to another's rays: rms and largest distance [px] over the image, and the pixel of the largest."""
 
     lens: Lens
     rms_px: float
@@ -99,7 +100,7 @@ class Conversion:
 
     @classmethod
     def of(cls, lens: Lens, residuals: Array, xy_px: Array) -> "Conversion":
-        """Return what residuals (2 n,) at pixels (n, 2) come to."""
+        """Return the conversion to a lens with residuals (2 n,) [px] at pixels (n, 2)."""
         distance = np.linalg.norm(residuals.reshape(-1, 2), axis=1)
         worst = xy_px[int(np.argmax(distance))]
         rms = float(np.sqrt(np.mean(distance**2)))
@@ -109,10 +110,10 @@ class Conversion:
 def fit_lens(model: str, xy_px: Array, directions: Array, start: Lens | None = None) -> Conversion:
     """Fit a lens of ``model`` to pixels (n, 2) and their directions (n, 3), least squares in the image.
 
-    ``start``: where to begin (the principal point and scale; default from the data). A Mosca lens keeps
-    the start's pixel pitch mx (c, mx and my have only two degrees of freedom), and OpenCV's model its rational part,
-    thin prism and tilt (k4-k6, s1-s4, tauX, tauY stay as they are). InputError for an unknown model, fewer than 10
-    usable points, or rays that the model cannot image at all.
+    ``start``: initial lens (its principal point and scale; default from the data). A Mosca lens keeps the start's
+    pixel pitch mx, since c, mx and my have only two degrees of freedom. OpenCV's model keeps its rational part, thin
+    prism and tilt (k4-k6, s1-s4, tauX, tauY). InputError for an unknown model, fewer than 10 usable points, or rays
+    that the model cannot image at all.
     """
     if model not in LENS_MODELS:
         raise InputError(f"lens model '{model}' is unknown; there are {', '.join(LENS_MODELS)}")
@@ -168,7 +169,7 @@ def image_grid(width: int, height: int, step_px: float = 16.0) -> Array:
 
 
 def _plain_lens(model: str, xy: Array, v: Array, pitch_from: Lens | None) -> Lens:
-    """Return a distortion-free lens of ``model`` from a straight line through image and tangent (fisheye: angle)."""
+    """Return a distortion-free lens of ``model`` from a straight line of pixel over tangent (fisheye: angle)."""
     across = np.hypot(v[:, 0], v[:, 1])
     angle = np.arctan2(across, v[:, 2])
     near = angle <= max(np.quantile(angle, 0.3), 1e-6)

@@ -44,17 +44,17 @@ EDGE_STEP_PX = 64.0
 TWO_LONG = 1.6
 """Ratio of a box's sides from which an image is taken for two targets (a small disc's box reaches 3 : 2)."""
 LEAST_DIAMETER_PX = 0.5
-"""A target of one pixel has no measurable size; taken for this one."""
+"""Diameter that is assumed for a target of one pixel, which has no measurable size."""
 REGION_MARGIN_PX = 1.1
-"""A region reaches about a pixel past the disc that has its light."""
+"""Length by which a region exceeds the disc that has its light: about a pixel."""
 LONG = 16
-"""Bit of a ray's FLAGS beside those of its detection: the region is longer than pixels make that of a disc."""
+"""Bit of a ray's FLAGS besides those of its detection: the region is longer than whole pixels make that of a disc."""
 ROUNDED_PX = 1.5
-"""Difference of a region's sides from which it is: those of a disc's differ by one at most."""
+"""Difference of a region's sides from which it is long: the sides of a disc's region differ by one at most."""
 
 IMAGE_NOISE = 0.035
-"""Standard deviation, besides its noise, of an image's area and of its ellipticity, relative: half of
-``mosca.correspondence.hypothesis.SIZE_DEADBAND``, the differences that blur and brightness over the target make."""
+"""Relative standard deviation of an image's area and of its ellipticity, in addition to its noise: half of
+``mosca.correspondence.hypothesis.SIZE_DEADBAND``, for the effects of blur and brightness over the target."""
 ROUND_SIGMAS = 3.0
 """Standard deviations up to which an image's ellipticity is that of a ball."""
 
@@ -66,12 +66,12 @@ class RigTable:
     cameras: Array
     """(c, CAMERA_ROW): lens row (``mosca.camera.lens_models.row``) and image size."""
     views: Array
-    """(c, DENSITY): ``RayTable.views`` but for the density of detections."""
+    """(c, DENSITY): ``RayTable.views`` without the density of detections."""
     pairs: Array
-    """(p, 2) pairs of cameras, those first whose base lies most across both optical axes."""
+    """(p, 2) pairs of cameras, those first whose base is most nearly perpendicular to both optical axes."""
     bases: Array
-    """(p, 2, 3) two unit vectors across each pair's base and each other, the first towards the mean optical axis
-    (infinite for a base of length zero)."""
+    """(p, 2, 3) two unit vectors perpendicular to each pair's base and to each other, the first towards the mean
+    optical axis (infinite for a base of length zero)."""
 
 
 def make_ray_table(
@@ -86,12 +86,12 @@ def make_ray_table(
     detections
         By name of the camera; a camera without any may be missing.
     camera_sigma_px
-        Random error of image points besides the detection's own (camera body, trigger, lens model), standard
-        deviation an axis, of all cameras or of each (c,); its square is added to each detection's covariance.
+        Standard deviation an axis of the random error of image points besides the detection's own (camera body,
+        trigger, lens model), for all cameras or for each (c,); its square is added to each detection's covariance.
     target
-        "ball" frees each image of a ball's eccentricity, by its own size (``mosca.camera.eccentricity``); "point"
-        takes the image as it is; "auto" frees those that are round: of a disc that faces the camera the eccentricity
-        is a ball's, of one at a slant it goes with the normal, which matching finds.
+        "ball" corrects each image for a ball's eccentricity, by its own size (``mosca.camera.eccentricity``). "point"
+        takes the image as it is. "auto" corrects round images: a disc that faces the camera has the eccentricity of a
+        ball; that of an oblique disc depends on its normal, which matching finds.
     """
     table = rig_table(rig)
     found = [detections.get(c.name) for c in rig.cameras]
@@ -130,7 +130,7 @@ def rig_table(rig: Rig) -> RigTable:
 
 
 def _across(a: int, b: int, rotation: Array, origin: Array) -> Array:
-    """Return two unit vectors (2, 3) across the base of cameras a and b."""
+    """Return two unit vectors (2, 3) perpendicular to the base of cameras a and b."""
     base = origin[b] - origin[a]
     if not base.any():
         return np.full((2, 3), np.inf)
@@ -151,7 +151,7 @@ def ball_fields(rig: Rig) -> Array:
 
 @lru_cache(maxsize=32)
 def _fields(lenses: tuple[tuple[Lens, int, int], ...]) -> Array:
-    """Return the fields of lenses and their images' sizes: rigs that move keep them."""
+    """Return the fields for lenses and image sizes: a rig that moves keeps them."""
     still = Pose(np.eye(3), np.zeros(3))
     return np.array([ball_field(Camera("", width, height, lens, still)) for lens, width, height in lenses])
 
@@ -161,7 +161,7 @@ NO_FIELDS = np.zeros((0, 0, 0, 2))
 
 
 def _edges(camera: Camera) -> Array:
-    """Return the box (4,) left, top, right, bottom of what a camera sees, in ``match_index``'s coordinates."""
+    """Return the box (4,) left, top, right, bottom of a camera's field of view, stereographic as in ``RayTable``."""
     rays = lens_directions(camera.lens, image_grid(camera.width, camera.height, EDGE_STEP_PX))
     rays = rays[np.isfinite(rays).all(axis=1)]
     if not len(rays):
@@ -185,10 +185,10 @@ def _ordered_pairs(rotation: Array, origin: Array) -> Array:
 def fill_rays(cameras, seen, start, balls, xy, covariance, extra, size, shape, flags):
     """Return the rays (n, COLUMNS) of detections, the views (c, VIEW), and how many images are odd (``RayTable``).
 
-    Adds to ``covariance`` what eccentricity images may have.
+    Adds to ``covariance`` the eccentricity that images may have.
 
-    ``cameras``, ``seen``: ``RigTable.cameras`` and ``.views``. ``balls``: (c, rows, columns, 2) the eccentricity of
-    balls, or none of them (a ball's image of the angular diameter A is shifted by (A/2)^2 times this field), and
+    ``cameras``, ``seen``: ``RigTable.cameras`` and ``.views``. ``balls``: the eccentricity of balls (c, rows,
+    columns, 2), or no rows (a ball's image of the angular diameter A is shifted by (A/2)^2 times this field); and
     whether long images are of balls, too. ``size``: diameter and its standard deviation; ``shape``: elongation,
     ellipticity and its standard deviation.
     """
@@ -204,7 +204,7 @@ def fill_rays(cameras, seen, start, balls, xy, covariance, extra, size, shape, f
         views[c, DENSITY] = density
         for n in range(start[c], start[c + 1]):
             good = direction_of(own, xy[n, 0], xy[n, 1], d, local)
-            # the same in every frame; a ball's image is long where the lens images its cone so
+            # the same in every frame; where the lens stretches its cone, a ball's image is long
             gram = gram_of(local) if good else (1.0, 0.0, 1.0)
             ratio = np.sqrt(gram[0] / gram[2])
             across, long = _longer_axis(diameter[n], max(1.0, elongation[n] / max(ratio, 1.0 / ratio)))
@@ -226,14 +226,14 @@ def fill_rays(cameras, seen, start, balls, xy, covariance, extra, size, shape, f
                 area = s00 * s11 - s01 * s01
             sigma2 = np.sqrt(area)
             rays[n, SIGMA], rays[n, FLAGS] = np.sqrt(sigma2), flags[n] + (LONG if long else 0)
-            # log-likelihood ratio of a hypothesis with this image: of the target, against clutter anywhere
+            # the image's part in a hypothesis's log-likelihood ratio: target against clutter anywhere
             rays[n, BONUS] = -np.log(2.0 * np.pi * sigma2 * density)
             rays[n, ELLIPTIC], rays[n, ELLIPTIC + 1] = ellipticity[n, 0], ellipticity[n, 1]
             rays[n, ELLIPTIC_SIGMA] = ellipticity_sigma[n]
             rays[n, AREA_RADIUS] = 0.5 * max(diameter[n], LEAST_DIAMETER_PX)
             rays[n, ROOT] = np.sqrt(s00)
             rays[n, ROOT + 1] = s01 / rays[n, ROOT]
-            # px a radian across the ray: the geometric mean of both axes
+            # px per radian across the ray: the geometric mean of both axes
             angle = across / np.sqrt(np.sqrt(gram[0] * gram[2] - gram[1] * gram[1]))
             rays[n, RADIUS], rays[n, ANGLE] = 0.5 * across, angle
             rays[n, SHARE_SIGMA] = 2.0 * diameter_sigma[n] / across
@@ -254,19 +254,19 @@ def fill_rays(cameras, seen, start, balls, xy, covariance, extra, size, shape, f
 
 @inlined_step
 def _longer_axis(diameter, elongation):
-    """Return the diameter [px] that an image's size is judged by, and whether its region is long."""
+    """Return the diameter [px] by which an image's size is judged, and whether its region is long."""
     root = np.sqrt(elongation)
     # a disc of a pixel lights one or two
     shorter = (diameter + REGION_MARGIN_PX) / root
     long = (elongation - 1.0) * (shorter if shorter >= 2.0 else 1.0) > ROUNDED_PX
-    # two targets grown together are long, and their flux and peak give no diameter: the longer axis does
+    # two merged targets are long; their longer axis gives a diameter, their flux and peak do not
     across = max(diameter * (root if long and elongation > TWO_LONG else 1.0), LEAST_DIAMETER_PX)
     return across, long
 
 
 @inlined_step
 def _beyond_ball(ellipticity, sigma, gram):
-    """Return an image's ellipticity (2) less that of a ball there, and its size, 0 where it may be a ball's."""
+    """Return an image's ellipticity (2) minus that of a ball there, and its length, 0 where it may be a ball's."""
     f2 = np.sqrt(gram[0] * gram[2] - gram[1] * gram[1])
     p, q = ellipticity[0] - 0.5 * (gram[0] - gram[2]) / f2, ellipticity[1] - gram[1] / f2
     size2 = p * p + q * q
@@ -275,11 +275,11 @@ def _beyond_ball(ellipticity, sigma, gram):
 
 @inlined_step
 def _possible_eccentricity(diameter, ellipticity, sigma, gram):
-    """Return the covariance (xx, xy, yy) [px^2] of an ellipse's centroid if it may be a disc at a slant, else zeros.
+    """Return the covariance (xx, xy, yy) [px^2] of an ellipse's centroid if it may be an oblique disc, else zeros.
 
-    The disc's centre is off by b sqrt(a^2 - b^2) / f along the minor axis, to one side or the other: a and b, the
-    semi-axes; f [px/rad] (``mosca.camera.eccentricity``: (r / R)^2 f times sine and cosine of the slant). What a ball
-    has there is no slant.
+    The disc's centre is off by b sqrt(a^2 - b^2) / f along the minor axis, to either side, with the semi-axes a and b
+    and the scale f [px/rad] (``mosca.camera.eccentricity``: (r / R)^2 f times sine and cosine of the slant). The
+    ellipticity of a ball at this pixel is no slant.
     """
     p, q, size = _beyond_ball(ellipticity, sigma, gram)
     if size == 0.0:
@@ -352,7 +352,7 @@ def normals(rays, n, x, y, z):
 
 @inlined_step
 def whiten_at_shifted(rays, n):
-    """Take from the whitened errors of a ray their part along its shifted direction, where the error is zero."""
+    """Remove from a ray's whitened errors the part along its shifted direction, where the error is zero."""
     norm2 = rays[n, 0] ** 2 + rays[n, 1] ** 2 + rays[n, 2] ** 2
     for row in (WHITE, WHITE + 3):
         along = (rays[n, row] * rays[n, 0] + rays[n, row + 1] * rays[n, 1] + rays[n, row + 2] * rays[n, 2]) / norm2

@@ -1,15 +1,15 @@
 """Final weights of a point's images: those that agree count in full. Compiled steps of matching.
 
-While hypotheses are searched for, an image of odd shape counts as one that is hidden in part or merged with a
-neighbour (``mosca.correspondence.hypothesis.trust2_of``): its error may be a good part of the target's radius. A
-target in motion, or a box of whole pixels, has such images that err by their detection's noise alone; if all of a
-point's images are doubted, a merged one counts as much as they do. Once all images of a point are known, they tell
-which agree to within their noise. Each doubted image has two possible variances; the likelihood of all images
-with the point integrated out (with equal prior probabilities; ``evidence``) chooses between them. That one which
-looks clean errs like that has the prior probability of ``LN_UNSEEN``.
+During the search for hypotheses, an image of odd shape is treated as partly hidden or merged with a neighbour
+(``mosca.correspondence.hypothesis.trust2_of``): its error may be a good part of the target's radius. A target in
+motion, or a box of whole pixels, also makes such images, which err by their detection's noise alone. If all images of
+a point are doubted, a merged one counts as much as the others. Once all images of a point are known, their residuals
+show which agree to within their noise. Each doubted image has two possible variances; the likelihood of all images
+with the point integrated out (with equal prior probabilities; ``evidence``) chooses between them. The prior
+probability that an image of regular shape is hidden or merged is that of ``LN_UNSEEN``.
 
-An image that contradicts the others, beyond ``MatchSettings.outlier_sigma`` of the chi-square of those that count in
-full, is taken for one of a target that is mostly hidden or merged, though its size does not show it.
+An image contradicts the others if it exceeds ``MatchSettings.outlier_sigma`` of the chi-square of those that count in
+full. It is then treated as one of a target that is mostly hidden or merged, though its size does not show it.
 """
 
 import numpy as np
@@ -35,14 +35,14 @@ from mosca.numba_support.linalg3 import Symmetric3, cofactors3, determinant3
 from mosca.triangulation.triangulate import TRUST
 
 FEWEST_IMAGES = 3
-"""Images of a point that show which of them agree: two have one residual, along an epipolar line."""
+"""Fewest images of a point that show which of them agree: two have one residual, along an epipolar line."""
 LN_UNSEEN = float(np.log(0.01))
 """Logarithm of the prior probability that a target is mostly hidden, or merged, and its image does not show it."""
 
 
 @step
 def weigh_by_agreement(kept, state, data):
-    """Weigh the images of the hypotheses that were taken by how they agree, and solve these again."""
+    """Weight the images of the accepted hypotheses by how well they agree, and solve these hypotheses again."""
     rules = data.rules.copy()
     rules[0].judge = min(rules[0].judge, AREAS)
     by_area = MatchData(data.rays, data.views, rules)
@@ -56,7 +56,7 @@ def weigh_by_agreement(kept, state, data):
             members[c], ranks[c, TRUST] = kept.members[g, c], kept.trusts[g, c]
         copy_row(kept.values[g], values)
         if judge_sizes(hypothesis, by_area)[1]:
-            continue  # a circle's images are judged by their sizes, and solved with what is not known of it
+            continue  # a disc's images are judged by their sizes; its uncertainty is in the covariance
         error = _settle(hypothesis, kept.trusts[g], data)
         rarer = 0.0
         for c in range(cameras):
@@ -72,7 +72,7 @@ def weigh_by_agreement(kept, state, data):
 
 @bare_step
 def _is_doubtful(g, kept, rules):
-    """Whether an image of a point of three and more does not count in full, or contradicts the others."""
+    """Whether a point of three or more images has one that does not count in full or contradicts the others."""
     count = in_full = 0
     for c in range(kept.members.shape[1]):
         if kept.members[g, c] >= 0:
@@ -85,7 +85,7 @@ def _is_doubtful(g, kept, rules):
 
 @bare_step
 def evidence(values, error, members, trusts):
-    """Return the log-likelihood of a hypothesis's images, their target's place integrated out, up to a constant.
+    """Return the log-likelihood of a hypothesis's images, target position integrated out, up to a constant.
 
     As in ``mosca.correspondence.hypothesis.store``.
     """

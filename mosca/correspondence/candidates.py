@@ -1,10 +1,10 @@
-"""The search for hypotheses, rays that meet: compiled steps of ``mosca.correspondence.match``.
+"""Search for hypotheses, which are sets of rays that meet: compiled steps of ``mosca.correspondence.match``.
 
-For every pair of rays in one epipolar plane: intersect, judge the images by their sizes, add the nearest rays of the
-other cameras, leave out an outlier. Rays are whitened (``mosca.data.rays.RayTable``), so that errors are counted in
-standard deviations. A hypothesis of so many rays that chance does not explain it explains its rays, and no further
-one is searched for with them; so the work grows with the rays and not with their pairs. A second pass searches, for
-the rays left over, as far as half-hidden targets may lie beside their epipolar lines.
+For every pair of rays in one epipolar plane, the search intersects the rays, judges the images by their sizes, adds
+the nearest rays of the other cameras and leaves out an outlier. Rays are whitened (``mosca.data.rays.RayTable``), so
+that errors are counted in standard deviations. A hypothesis with too many rays to be due to chance explains its rays:
+no further one is searched for with them. So the work grows with the number of rays and not with that of their pairs.
+A second pass searches for the remaining rays as far beside their epipolar lines as half-hidden targets may lie.
 """
 
 from typing import Any, NamedTuple
@@ -42,7 +42,7 @@ from mosca.numba_support.decorators import bare_step, inlined_step, step
 from mosca.triangulation.triangulate import DEPTH, SHARE, TRUST
 
 CERTAIN = 1e-3
-"""Expected number of hypotheses as good by chance, below which a hypothesis explains its rays."""
+"""Expected number of equally good hypotheses by chance below which a hypothesis explains its rays."""
 PLAIN = 3.0
 """Standard deviations up to which a hypothesis that a track predicts is taken without a search for others."""
 EDGE_ON = 0.5
@@ -53,15 +53,15 @@ class SearchState(NamedTuple):
     """State of the search."""
 
     rays: RayIndex
-    """Where the rays of each camera are found."""
+    """Spatial index of each camera's rays."""
     slack: Any
     """(n,) factor on each ray's variance if its target were mostly hidden."""
     explained: Any
-    """(n,) whether a hypothesis that chance does not explain has the ray."""
+    """(n,) whether the ray belongs to a hypothesis that is not due to chance."""
     joined: Any
-    """(n,) whether a hypothesis of three rays and more has it."""
+    """(n,) whether the ray belongs to a hypothesis of three or more rays."""
     partner: Any
-    """(n, c) the ray of camera c that a hypothesis of three and more has joined with ray n."""
+    """(n, c) ray of camera c that a hypothesis of three or more rays has joined with ray n; -1: none."""
 
 
 @step
@@ -83,7 +83,7 @@ def search(data, pairs, bases, start, xyz, covariance):
             _note(hypothesis, chance, state, data)
     for stage in range(2 if rules.judge > 0.0 else 1):
         if stage == 1:
-            # half-hidden targets: for rays that no three cameras join as they are
+            # half-hidden targets: only for rays that the first stage has not joined in three cameras
             for i in range(total):
                 state.explained[i] |= state.joined[i]
         for pair in range(pairs.shape[0]):
@@ -164,11 +164,11 @@ def _search_pair(pair, across, stage, start, hypothesis, state, data, kept, coun
 
 @inlined_step
 def _expected(track, xyz, covariance, hypothesis, state, data):
-    """Join the rays nearest to a track's prediction. Returns as ``_grown``.
+    """Join the rays nearest to a track's prediction; return what ``_grown`` does.
 
-    The hypothesis is judged as any other is; the track only saves the search. None where anything is doubtful and has
-    to compete with other hypotheses: rays that meet poorly, that chance explains, that are not the nearest to their
-    point.
+    The hypothesis is judged like any other; the track only saves the search. Nothing is found (size 0) where the
+    hypothesis is doubtful and must compete with others: where its rays meet poorly, may meet by chance, or are not
+    the nearest to their point.
     """
     members, ranks, values, _ = hypothesis
     rules, cameras = data.rules[0], data.views.shape[0]
@@ -188,7 +188,7 @@ def _expected(track, xyz, covariance, hypothesis, state, data):
             doubtful |= admitted > 1
     if size < 3 or size < rules.minimum_cameras or not chance < CERTAIN:
         return 0, 0.0, 0.0, 1.0
-    # round images are trusted already by their sizes there, since the typical one is known
+    # nearest_ray has set the trusts of round images by their sizes, since the typical one is known
     flat = rules.discs > 0 and ellipses(members, data.rays) >= FEWEST_ELLIPSES
     diameter = judge_sizes(hypothesis, data)[0] if flat else 0.0
     error = solve(hypothesis, TWICE, data)
@@ -206,9 +206,9 @@ def _expected(track, xyz, covariance, hypothesis, state, data):
 
 @inlined_step
 def _note(hypothesis, chance, state, data):
-    """Record which rays a hypothesis joins, and that one which chance does not explain explains them.
+    """Record which rays a hypothesis joins, and whether it explains them because it is not due to chance.
 
-    Images that are less than half visible agree with much: with two others that meet by chance, once in some takes.
+    Images that are less than half visible agree with many others: in some takes, once with two that met by chance.
     """
     members, ranks, values, _ = hypothesis
     explained, partner = state.explained, state.partner
@@ -230,8 +230,9 @@ def _note(hypothesis, chance, state, data):
 
 @step
 def _slack(rays, start, rules):
-    """Return for each ray (n,) the factor on its variance if its target were mostly hidden, and for each camera (c,)
-    the largest variance of a ray's direction [rad^2] with it.
+    """Return the rays' factors (n,) on variance for mostly hidden targets, and the largest variances (c,) with them.
+
+    The latter are those of a ray's direction [rad^2], one for each camera.
     """
     slack, reach = np.ones(rays.shape[0]), np.zeros(start.shape[0] - 1)
     for c in range(reach.shape[0]):
@@ -249,7 +250,7 @@ def _slack(rays, start, rules):
 
 @bare_step
 def _unexplained(first, last, explained, active, at):
-    """List the rays that no hypothesis explains in ``active`` from ``at`` on; returns how many."""
+    """Write the rays that no hypothesis explains into ``active`` from ``at`` on; return how many."""
     n = 0
     for i in range(first, last):
         if not explained[i]:
@@ -297,8 +298,10 @@ def _meet(i, j, a, b, away2, variance_i, variance_j, hypothesis, data):
 
 @inlined_step
 def _grown(a, b, chance, hypothesis, state, data):
-    """Extend a pair to all cameras, drop outliers, judge. Returns how many rays it has (0: none), its squared error,
-    diameter and the expected number of hypotheses as good by chance.
+    """Extend a pair to all cameras, drop outliers and judge the hypothesis.
+
+    Returns its number of rays (0: rejected), its squared error, its diameter [m] and the expected number of equally
+    good hypotheses by chance.
     """
     members, ranks, values, _ = hypothesis
     rules, cameras = data.rules[0], members.shape[0]
@@ -317,13 +320,13 @@ def _grown(a, b, chance, hypothesis, state, data):
     diameter, _ = judge_sizes(hypothesis, data)
     error = solve(hypothesis, TWICE, data)
     while size > 2 and not 0.0 <= error <= limit(2 * size - 3, rules.outlier_sigma):
-        # an outlier pulls the point towards itself: judge each by what is left without it
+        # an outlier pulls the point towards itself: judge each by the error that remains without it
         at = worst_ray(hypothesis, data) if error >= 0.0 else -1
         if at < 0:
             return 0, 0.0, 0.0, 1.0
         members[at] = -1
         size -= 1
-        # with one of three bad, this pair or another: each is a hypothesis of its own
+        # if one of three rays is wrong, this pair or another is right: each is a hypothesis of its own
         if size == 2 and at in (a, b):
             return 0, 0.0, 0.0, 1.0
         error = solve(hypothesis, TWICE, data)
@@ -334,7 +337,7 @@ def _grown(a, b, chance, hypothesis, state, data):
     added = 0
     for c in range(cameras):
         if members[c] >= 0 and c != a and c != b:
-            # whichever of the other cameras these are: the number of choices
+            # the added rays may be of any of the other cameras: count the choices
             chance *= min(1.0, ranks[c, SHARE]) * (cameras - 2 - added) / (added + 1)
             added += 1
     return size, error, diameter, chance
@@ -342,10 +345,10 @@ def _grown(a, b, chance, hypothesis, state, data):
 
 @inlined_step
 def worst_ray(hypothesis, data):
-    """Return the camera whose ray, left out, lowers the hypothesis's squared error most.
+    """Return the camera whose ray, if left out, lowers the hypothesis's squared error most.
 
-    By e' (I - H)^-1 e with the ray's whitened error e and its share H = A P A' of its own error in the solution:
-    exact for fixed depths, in which the problem is linear (Cook and Weisberg 1982, section 2.2).
+    The decrease is e' (I - H)^-1 e with the ray's whitened error e and its leverage H = A P A'. It is exact for fixed
+    depths, for which the problem is linear (Cook and Weisberg 1982, section 2.2).
     """
     members, ranks, solved, _ = hypothesis
     rays, views = data.rays, data.views

@@ -1,14 +1,14 @@
-"""Whether the images of a hypothesis are of one flat round target; its normal and radius: compiled steps.
+"""Test of whether a hypothesis's images show one flat round target, and its normal and radius: compiled steps.
 
 A circle of radius r with the unit normal n, seen from the distance D, has the image ellipse with the matrix
 
     W = (r / D)^2 (G G' - v v'),  v = G n,
 
-to first order in r / D: its eigenvalues are the squared semi-axes [px^2], G is the derivative of the pixel by the
-direction, and ``(r / D)^2 (I - n n')`` what the camera sees of the disc across its ray. A ball has v = 0. One image
-has two such circles, of normals mirrored at the ray; a second image tells them apart. Each image's circles are
-tried, the best is refined by weighted least squares, and taken for a disc where it explains an image more than the
-best ball does.
+to first order in r / D. Its eigenvalues are the squared semi-axes [px^2], G is the derivative of the pixel by the
+direction, and ``(r / D)^2 (I - n n')`` is the disc as it appears to the camera across its ray. A ball has v = 0. Two
+circles have the same image, with normals mirrored at the ray; a second image distinguishes them. The circles of each
+image are tried. The best one is refined by weighted least squares, and accepted as a disc if it explains one image
+more than the best ball does.
 """
 
 import math
@@ -21,16 +21,16 @@ from mosca.numba_support.linalg3 import Symmetric3, inverse3, scaled3, times3
 
 FACING, LN_RADIUS, CIRCLE_COVARIANCE, CIRCLE = 0, 3, 4, 10
 """Columns of a circle: unit normal (3), logarithm of the radius [m], and the covariance (6, upper triangle) of that
-logarithm and of the normal's turns towards ``across`` it [rad]."""
+logarithm and of the normal's rotations towards its two ``across`` vectors [rad]."""
 ODD_CHI2 = 16.0
 """Chi-square of an image's three residuals beyond which it is no image of the circle (4 standard deviations)."""
 FEWEST_ELLIPSES = 2
-"""Images that must be ellipses: a single one among round images is of two targets, or of a ball that is hidden in
-part. Most images of a disc at a slant are."""
+"""Fewest images that must be ellipses: a single ellipse among round images shows two targets, or a partly hidden
+ball. Most images of an oblique disc are ellipses."""
 STEPS = 4
-"""Of the refinement: the first circle is off by the errors of one image."""
+"""Steps of the refinement: the first circle has the errors of one image."""
 STEP = 1e-4
-"""Of the derivatives by the logarithm of the radius and by the normal's turns."""
+"""Step of the derivatives by the logarithm of the radius and by the normal's rotations."""
 EDGE_ON = 1e-9
 """Least squared cosine between ray and normal."""
 
@@ -43,7 +43,7 @@ def is_elliptic(k, rays):
 
 @inlined_step
 def shows_shape(k, rays):
-    """Whether a ray's image tells of its target's shape: one of a single target that a disc fits."""
+    """Whether a ray's image shows its target's shape: it is of a single target, and a disc fits it."""
     return rays[k, ELLIPTIC_SIGMA] > 0.0 and not int(rays[k, FLAGS]) & (MERGED | PARTIAL | UNREFINED)
 
 
@@ -75,7 +75,7 @@ def distance_to(point, c, views):
 
 @bare_step
 def across(x, y, z):
-    """Return two unit vectors across a unit vector and each other."""
+    """Return two unit vectors perpendicular to a unit vector and to each other."""
     if abs(x) < 0.8:
         s = 1.0 / math.sqrt(y * y + z * z)
         p, q, r = 0.0, -z * s, y * s
@@ -87,7 +87,7 @@ def across(x, y, z):
 
 @bare_step
 def residuals(k, distance, flat, normal, ln_radius, rays):
-    """Return an image's area and ellipticity (2) less those of a disc, or of a ball (``flat`` 0), over sigma."""
+    """Return an image's area and ellipticity (2) minus those of a disc, or of a ball (``flat`` 0), over sigma."""
     a0, a1, a2, b0, b1, b2 = pixel_by_direction(k, rays)
     nx, ny, nz = normal
     va, vb = flat * (a0 * nx + a1 * ny + a2 * nz), flat * (b0 * nx + b1 * ny + b2 * nz)
@@ -107,7 +107,7 @@ def residuals(k, distance, flat, normal, ln_radius, rays):
 
 @bare_step
 def misfit(flat, normal, ln_radius, members, point, data):
-    """Return the sum over the images of chi-square, each up to ``ODD_CHI2``, and how many reach that."""
+    """Return the sum of the images' chi-squares, each limited to ``ODD_CHI2``, and how many reach that limit."""
     total, odd = 0.0, 0
     for c in range(members.shape[0]):
         k = members[c]
@@ -122,10 +122,10 @@ def misfit(flat, normal, ln_radius, members, point, data):
 
 @bare_step
 def circles_of_image(k, distance, rays):
-    """Return the two circles that have an image: part of the normal across the ray (3), share along it, ln radius.
+    """Return the two circles that fit an image: the normal's part across the ray (3), its part along it, ln radius.
 
-    And last the logarithm of the radius of the ball that has an image of the same area.
-    With G G' = C C' the matrix C^-1 W C'^-1 = (r / D)^2 (I - w w') is that of the ellipse across the ray.
+    The last value is the logarithm of the radius of the ball whose image has the same area. With G G' = C C', the
+    ellipse across the ray has the matrix C^-1 W C'^-1 = (r / D)^2 (I - w w').
     """
     a0, a1, a2, b0, b1, b2 = pixel_by_direction(k, rays)
     qaa, qab, qbb = a0 * a0 + a1 * a1 + a2 * a2, a0 * b0 + a1 * b1 + a2 * b2, b0 * b0 + b1 * b1 + b2 * b2
@@ -136,7 +136,7 @@ def circles_of_image(k, distance, rays):
     size = math.sqrt(p * p + q * q)
     even, odd = math.cosh(size), math.sinh(size) / size if size > 1e-9 else 1.0
     waa, wab, wbb = even + odd * p, odd * q, even - odd * p
-    # C^-1 W C'^-1 of a radius of one pixel
+    # C^-1 W C'^-1 for a radius of one pixel
     xaa = waa / qaa
     xab = (wab - c10 * waa / c00) / (c00 * c11)
     xbb = (wbb - 2.0 * c10 * wab / c00 + c10 * c10 * waa / qaa) / (c11 * c11)
@@ -161,7 +161,7 @@ def refine(members, point, circle, data):
     for _step in range(STEPS):
         nx, ny, nz, ln_radius = circle[0], circle[1], circle[2], circle[LN_RADIUS]
         p0, p1, p2, q0, q1, q2 = across(nx, ny, nz)
-        # along a tangent the unit normal stays one to second order
+        # a step along a tangent keeps the normal's unit length to second order
         to_p = nx + STEP * p0, ny + STEP * p1, nz + STEP * p2
         to_q = nx + STEP * q0, ny + STEP * q1, nz + STEP * q2
         rr = rp = rq = pp = pq = qq = r = p = q = 0.0
@@ -192,7 +192,7 @@ def refine(members, point, circle, data):
                 q += weight * jq * e
             total += weight * chi2
             freedom += 3.0 * weight
-        # the normal turns by a radian at most: without an ellipse its turns are not known
+        # prior of one radian for the normal's rotations: without an ellipse they are not determined
         covariance = inverse3(Symmetric3(rr, rp, rq, pp + 1.0, pq, qq + 1.0))
         dr, dp, dq = times3(covariance, r, p, q)
         hold = 1.0 / max(1.0, math.sqrt(dp * dp + dq * dq) / 0.5)
@@ -212,8 +212,8 @@ def fit_circle(members, point, circle, data):
     """Fit a circle to the images of the rays ``members`` (c,), -1 for none, of a target at ``point``.
 
     Fills ``circle`` (CIRCLE,). Returns whether the target is flat: the circle explains all images, or all but one of
-    three and more, ``Rules.discs`` at least, ``FEWEST_ELLIPSES`` are ellipses, and it leaves less than a ball does by
-    an image's worth.
+    three or more, and at least ``Rules.discs``; ``FEWEST_ELLIPSES`` of them are ellipses; and its misfit is lower
+    than a ball's by that of one image.
     """
     rays, best, ball, images = data.rays, math.inf, math.inf, 0
     if ellipses(members, rays) < FEWEST_ELLIPSES:

@@ -1,10 +1,10 @@
-"""Points of flat round targets from images freed of their eccentricity: a compiled step of matching.
+"""Points of flat round targets from images corrected for eccentricity: a compiled step of matching.
 
-Each point's disc follows from all of its images (``mosca.correspondence.circle_fit``); each image is then moved from
-the ellipse's centroid to the image of the disc's centre (``mosca.camera.disc_rays``), and the point solved again.
-What is not known of the disc adds ``P (sum J' ds/dq) Q (sum J' ds/dq)' P`` to the point's covariance P: J, the
-whitened image by the point; s, the image's whitened shift; q, the logarithm of the radius and the normal's two turns;
-Q, their covariance.
+Each point's disc is estimated from all of its images (``mosca.correspondence.circle_fit``). Each image is then moved
+from the ellipse's centroid to the image of the disc's centre (``mosca.camera.disc_rays``), and the point is solved
+again. The uncertainty of the disc adds ``P (sum J' ds/dq) Q (sum J' ds/dq)' P`` to the point's covariance P. J is the
+derivative of the whitened image by the point, s the image's whitened shift, q the logarithm of the radius and the
+normal's two rotations, and Q their covariance.
 """
 
 from typing import Any, NamedTuple
@@ -32,14 +32,14 @@ from mosca.numba_support.linalg3 import Symmetric3, quadratic_form3
 from mosca.triangulation.triangulate import TRUST
 
 BY_RADIUS, BY_TURN, BY_OTHER = 0, 1, 2
-"""Rows of ``pulls``: logarithm of the radius, turns of the normal."""
+"""Rows of ``pulls``: logarithm of the radius, rotations of the normal."""
 
 
 class Images(NamedTuple):
-    """Pixels of the rays, and what turns them into rays."""
+    """Pixels of the rays, and what is needed to turn them into rays."""
 
     freed: bool
-    """Whether images of flat targets are freed of their eccentricity."""
+    """Whether images of flat targets are corrected for eccentricity."""
     cameras: Any
     """``mosca.camera.ray_table.RigTable.cameras``."""
     xy: Any
@@ -47,9 +47,9 @@ class Images(NamedTuple):
     covariance: Any
     """(n, 2, 2) [px^2], of the detections alone."""
     whitened_by: Any
-    """(n, 2, 2) [px^2]: what rays are whitened by, with the next."""
+    """(n, 2, 2) [px^2]: with ``extra``, the covariance by which rays are whitened."""
     extra: Any
-    """(c,) variance that each camera adds to it."""
+    """(c,) variance [px^2] that each camera adds to it."""
     gradient: float
     """Shift of a flat target's image by the gradient of its light, over its eccentricity."""
     gradient_variance: float
@@ -57,10 +57,10 @@ class Images(NamedTuple):
 
 @step
 def aim_at_centres(kept, state, data, images):
-    """Solve the flat targets among the hypotheses that were taken again, from rays aimed at their centres.
+    """Solve the flat targets among the accepted hypotheses again, from rays aimed at their centres.
 
-    And others with elliptic images, such as balls in motion, from rays that err by their detections' noise alone.
-    Rewrites these rays, always from their pixels: done twice, they are as if done once.
+    Other targets with elliptic images, such as balls in motion, are solved from rays that err by their detections'
+    noise alone. These rays are rewritten, always from their pixels, so that a second call changes nothing.
     """
     cameras = kept.members.shape[1]
     hypothesis, work, pulls = new_hypothesis(cameras), np.empty((8, 3)), np.empty((3, 3))
@@ -87,7 +87,7 @@ def aim_at_centres(kept, state, data, images):
 
 @step
 def _aim(members, point, circle, ranks, data, images, pulls, work):
-    """Aim the rays of a disc at its centre; fill ``pulls`` (3, 3): sums of J' ds/dq, a row for each of q."""
+    """Aim the rays of a disc at its centre; fill ``pulls`` (3, 3): sums of J' ds/dq, one row for each value of q."""
     rays, views, _ = data
     nx, ny, nz = circle[0], circle[1], circle[2]
     p0, p1, p2, q0, q1, q2 = across(nx, ny, nz)
@@ -135,7 +135,7 @@ def _whiten_as_detected(members, data, images, g):
 
 @step
 def _detected(k, c, rays, images):
-    """Return the covariance (xx, xy, yy) of a detection, and note it as what whitens its ray."""
+    """Return the covariance (xx, xy, yy) of a detection, and store it as the one that whitens its ray."""
     s = images.covariance[k]
     copy_rows(s, images.whitened_by[k])
     xx, xy, yy = s[0, 0] + images.extra[c], s[0, 1], s[1, 1] + images.extra[c]
@@ -147,14 +147,14 @@ def _detected(k, c, rays, images):
 
 @step
 def _widen(values, circle, pulls, gradient_variance):
-    """Add to a point's covariance what is not known of its disc and of its light."""
-    shifts = np.zeros((3, 3))  # a row for each of q
+    """Add the uncertainties of a point's disc and of its light to the point's covariance."""
+    shifts = np.zeros((3, 3))  # one row for each element of q
     for row in range(3):
         for i in range(3):
             for j in range(3):
                 shifts[row, i] += values[COVARIANCE + 3 * i + j] * pulls[row, j]
     c = circle[CIRCLE_COVARIANCE:]
-    # what is not known of the light shifts images as an error of the radius does, which counts twice
+    # uncertain light shifts images as an error of the radius does, which counts twice
     of_q = Symmetric3(c[0] + 0.25 * gradient_variance, c[1], c[2], c[3], c[4], c[5])
     for i in range(3):
         for j in range(i, 3):

@@ -1,4 +1,4 @@
-"""Hypotheses, "these images in different cameras are one target": intersect, judge by image sizes, accept, keep.
+"""Hypotheses "these images in different cameras show one target": solved, judged by image sizes, accepted, stored.
 
 Compiled steps of ``mosca.correspondence.candidates`` and ``mosca.correspondence.selection``. Arrays travel in
 NamedTuples, which Numba passes as their members.
@@ -20,37 +20,38 @@ from mosca.triangulation.triangulate import DEPTH, RANKS, TRUST, WHOLE, solve_ra
 MOST_ODD, MOST_LARGE = 0.7, 0.9
 """Areas of small and of large images are compared up to this difference; beyond it there is no further evidence."""
 ODD_SHIFT = 1.05
-"""Shift of an image's centroid over (missing share of its area x radius). A disc with the share h hidden shifts by
-0.85 h R to h R; of small blurred images a little less than h is seen missing."""
+"""Shift of an image's centroid over (missing share of its area x radius). If a share h of a disc is hidden, its
+centroid shifts by 0.85 h R to h R; in small blurred images a little less than h appears to be missing."""
 SIZE_DEADBAND, SIZE_NOISE = 0.07, 0.1
-"""Missing shares of the area below this are noise of the measured sizes, and differences of images that are too large
-or whose brightest pixels are saturated."""
+"""Differences of area, as shares, below which they are noise of the measured sizes: of images that are too small, and
+of those that are too large or whose brightest pixels are saturated."""
 SIZE_SIGMAS = 4.0
-"""Or below so many standard deviations of the image's own area: small images tell little of their sizes. The
-benchmark's actor: nees 2.7 with 2 and 2.8, 3.7 with 4, 4.8 with 5.2, 4.2 with 8, where 0.7 % fewer are complete."""
+"""Standard deviations of the image's own area below which a difference of area is noise, too: sizes of small images
+are uncertain. The benchmark's actor: nees 2.7 with 2 and 2.8, 3.7 with 4, 4.8 with 5.2, 4.2 with 8, where 0.7 % fewer
+are complete."""
 HALF_HIDDEN = 0.55
-"""Missing share that only more than half a disc leaves, though sizes are noisy; two cameras do not make a point with
-such an image. The benchmark's actor: completeness 0.991, 0.995, 0.997, 0.998 and 0.999, rms 0.55, 0.56, 0.59, 0.66
-and 0.69 mm with 0.28, 0.39, 0.55, 0.72 and 1.1."""
+"""Missing share from which more than half of a disc must be hidden, though sizes are noisy; two cameras do not make a
+point with such an image. The benchmark's actor: completeness 0.991, 0.995, 0.997, 0.998 and 0.999, rms 0.55, 0.56,
+0.59, 0.66 and 0.69 mm with 0.28, 0.39, 0.55, 0.72 and 1.1."""
 PARTIAL_ODD, LONG_ODD, UNFITTED_ODD = 0.2, 0.3, 0.6
-"""Missing share, at least, of an image that detection takes for partly hidden; of one that is long where the others
-are round (cut on one side; its size is little evidence); of one that is isolated and that no disc fits, where
-discs fit the others: more than half of such targets is hidden, whatever their size."""
+"""Least missing share that is assumed for an image that detection takes for partly hidden; for one that is long where
+the others are round (cut on one side; its size is little evidence); for one that is isolated and that no disc fits,
+where discs fit the others (more than half of such targets is hidden, whatever their size)."""
 AREAS, SIZES, SHAPES = 0.5, 1.0, 2.0
 """What images are judged by: their areas alone; also whether detection takes them for partly hidden; also whether
 they are long and whether a disc fits them."""
 PAIR = 2
 """Images that must fit a circle where flat targets are usual (``Rules.discs``)."""
 LEAST_SEEN = 0.05
-"""Least share of a disc's area that a camera sees of it: nearer to its plane the image is a line."""
+"""Least share of a disc's area that a camera sees: for a camera nearer to the disc's plane the image is a line."""
 TOO_LARGE = 1.3
-"""Area over a target's from which an image is taken for two targets."""
+"""Ratio of an image's area to its target's from which the image is taken for two targets."""
 
 XYZ, COVARIANCE, CHI2, GAIN, DIAMETER, VALUES = 0, 3, 12, 13, 14, 15
 """Columns of a hypothesis's values: point [m], covariance (3, 3) row by row [m^2], sum of squared whitened errors,
 log-likelihood ratio against clutter, diameter [m]."""
 
-# Not plain numbers: Numba would compile what takes them once for each value.
+# Not plain numbers: Numba would compile the functions that take them once for each value.
 NONE, ONCE, TWICE = np.int64(0), np.int64(1), np.int64(2)
 
 
@@ -105,7 +106,7 @@ class MatchData(NamedTuple):
     rays: Any
     views: Any
     rules: Any
-    """(1,) of RULES: passed by its address, where the numbers themselves cost matching 13 %."""
+    """(1,) of RULES, passed by its address: passing the numbers themselves costs matching 13 %."""
 
 
 class Hypothesis(NamedTuple):
@@ -114,7 +115,7 @@ class Hypothesis(NamedTuple):
     members: Any
     """(c,) ray of each camera, or -1."""
     ranks: Any
-    """(c, RANKS) what goes with each ray (``mosca.triangulation.triangulate``)."""
+    """(c, RANKS) values of each ray (``mosca.triangulation.triangulate``)."""
     values: Any
     """(VALUES,)."""
     circle: Any
@@ -182,8 +183,8 @@ def judge_sizes(hypothesis, data):
 
     The diameter of a ball is that of its largest image.
 
-    While no typical size is known, the second largest of four and more images is taken as unoccluded: the largest
-    may be of two targets. The images of a flat target are as large as its circle shows itself to each camera.
+    While no typical size is known, the second largest of four or more images is taken as unoccluded: the largest may
+    be of two targets. Images of a flat target are expected to be as large as its circle appears to each camera.
     """
     members, ranks, values, circle = hypothesis
     rules = data.rules[0]
@@ -213,7 +214,7 @@ def judge_sizes(hypothesis, data):
 
 @inlined_step
 def largest_image(members, point, data):
-    """Return the largest and second largest size [m] of a hypothesis's images, and of how many.
+    """Return the largest and second largest size [m] of a hypothesis's images, and the number of images used.
 
     Images that detection takes for two targets are no evidence of the size, unless all are.
     """
@@ -233,7 +234,7 @@ def largest_image(members, point, data):
 
 @inlined_step
 def image_size(ray, camera, point, data):
-    """Return how large [m] a target at ``point`` is that fills the ray's image."""
+    """Return the size [m] of a target at ``point`` that fills the ray's image."""
     views = data.views
     x, y, z = point[0] - views[camera, 0], point[1] - views[camera, 1], point[2] - views[camera, 2]
     return data.rays[ray, ANGLE] * np.sqrt(x * x + y * y + z * z)
@@ -241,7 +242,7 @@ def image_size(ray, camera, point, data):
 
 @inlined_step
 def larger(i, size_i, j, size_j, rays):
-    """Return the larger of two images' sizes; one that is two targets' does not count beside one that is not."""
+    """Return the larger of two images' sizes; an image of two targets does not count beside one of one target."""
     one, other = int(rays[i, FLAGS]) & MERGED, int(rays[j, FLAGS]) & MERGED
     if one and not other:
         return size_j
@@ -252,11 +253,12 @@ def larger(i, size_i, j, size_j, rays):
 
 @inlined_step
 def trust2_of(ray, size, whole, rays, judge):
-    """Return the factor on a ray's squared error when its image has ``size`` where ``whole`` would be right.
+    """Return the factor on a ray's squared error if its image has ``size`` and ``whole`` is expected.
 
-    Too small: partly hidden. Too large: merged with a neighbour, whose share of the light moves the centroid.
-    What detection itself takes for partly hidden counts for less, whatever its size, and what is long, or what no
-    disc fits though nothing touches it. ``judge``: 0, AREAS, SIZES or SHAPES.
+    A target whose image is too small is partly hidden. One whose image is too large is merged with a neighbour, whose
+    share of the light moves the centroid. Whatever its size, an image also counts for less if detection takes it for
+    partly hidden, if it is long, or if no disc fits it though nothing touches it. ``judge``: 0, AREAS, SIZES or
+    SHAPES.
     """
     odd, flags = 0.0, int(rays[ray, FLAGS])
     if judge > 0.0:
@@ -280,7 +282,7 @@ def trust2_of(ray, size, whole, rays, judge):
 
 @inlined_step
 def wholeness(ray, trust, rays):
-    """Return how whole an image is, by its trust: 1 of the right size, 0 half hidden."""
+    """Return how complete an image is, from its trust: 1 at the right size, 0 if half hidden."""
     if trust >= 1.0:
         return 1.0
     shift = rays[ray, SIGMA] * np.sqrt(2.0 * (1.0 / trust**2 - 1.0))  # undoes trust2_of
@@ -289,9 +291,10 @@ def wholeness(ray, trust, rays):
 
 @inlined_step
 def too_large(ray, camera, point, data):
-    """Whether an image shows two targets grown together.
+    """Whether an image shows two merged targets.
 
-    That no disc fits an image beside another is little evidence of it: where targets' size is known, its area tells.
+    If no disc fits an image beside another, this is little evidence: where the targets' size is known, the area
+    decides.
     """
     rules, flags = data.rules[0], int(data.rays[ray, FLAGS])
     known = rules.judge > 0.0 and rules.typical_m > 0.0
@@ -304,7 +307,7 @@ def too_large(ray, camera, point, data):
 def half_hidden(hypothesis, data):
     """Whether a member's image is so small that more than half of the target must be hidden.
 
-    Where flat targets are usual, an ellipse is as large as its longer axis: the other is short by the slant.
+    Where flat targets are usual, the size of an ellipse is its longer axis: the slant shortens the other one.
     """
     members, ranks, point, _ = hypothesis
     rules = data.rules[0]
@@ -324,7 +327,7 @@ def half_hidden(hypothesis, data):
 
 @inlined_step
 def acceptable(hypothesis, count, error, data):
-    """Whether a hypothesis is accepted: errors, volume, certainty; a pair only with images at least half visible."""
+    """Whether a hypothesis keeps limits of error, volume and variance; a pair needs images at least half visible."""
     rules, solved = data.rules[0], hypothesis.values
     if not 0.0 <= error <= limit(2 * count - 3, rules.gate_sigma if count == 2 else rules.outlier_sigma):
         return False
@@ -335,7 +338,7 @@ def acceptable(hypothesis, count, error, data):
     worst = rules.worst_m2
     if solved[3] + solved[7] + solved[11] <= worst:
         return True
-    # no eigenvalue above the worst: worst x identity less the covariance has no negative one (Sylvester)
+    # no eigenvalue exceeds the worst if worst x identity minus the covariance has no negative one (Sylvester)
     d0, d1, d2 = worst - solved[3], worst - solved[7], worst - solved[11]
     e01, e02, e12 = solved[4], solved[5], solved[8]
     minor = d0 * d1 - e01 * e01
@@ -355,7 +358,7 @@ def inside(point, rules):
 
 @inlined_step
 def limit(freedom, sigma):
-    """Chi-square bound of ``sigma`` standard deviations (exact for one, else Wilson and Hilferty's cube)."""
+    """Return chi-square at ``sigma`` deviations (exact for 1 degree of freedom, else Wilson and Hilferty's cube)."""
     if freedom == 1:
         return sigma * sigma
     q = 2.0 / (9.0 * freedom)
@@ -366,9 +369,8 @@ def limit(freedom, sigma):
 def store(hypothesis, error, diameter, rays, at, kept):
     """Complete a hypothesis's values and keep it in row ``at``: values (n, VALUES), members (n, c), trusts (n, c).
 
-    Gain: the likelihood of its images as one target against that of images by chance, but for the density of
-    targets, which all hypotheses share (Poore 1994, section 3): sum log(1 / (2 pi sigma^2 rho)) - chi2 / 2 +
-    log det(2 pi P) / 2.
+    Gain: log-likelihood ratio sum log(1 / (2 pi sigma^2 rho)) - chi2 / 2 + log det(2 pi P) / 2 of its images as one
+    target against chance images, without the density of targets, which all hypotheses share (Poore 1994, section 3).
     """
     members, ranks, solved, _ = hypothesis
     covariance = Symmetric3(solved[3], solved[4], solved[5], solved[7], solved[8], solved[11])

@@ -1,12 +1,12 @@
-"""Which images in different cameras are the same target: epipolar geometry over any number of cameras.
+"""Matching of the images of a target in any number of cameras, by epipolar geometry.
 
 Mosca paper, section 3.2: the ray of a target in one camera appears as an epipolar line in another; targets
 on that line are candidates, and further cameras decide where the lines meet. "On the line" is judged by the
 covariances of both detections (gating), never by a fixed number of pixels.
 
-The search (``mosca.correspondence.candidates``) lists the hypotheses, rays that meet; the selection
-(``mosca.correspondence.selection``) takes a consistent set of them, in which each detection is used at most once, by
-their likelihood against clutter; predictions of tracks decide what two cameras alone leave ambiguous.
+The search (``mosca.correspondence.candidates``) lists the hypotheses, which are sets of rays that meet. The selection
+(``mosca.correspondence.selection``) takes a consistent set of them, by their likelihood against clutter; each
+detection is used at most once. Predictions of tracks decide where two cameras alone leave an ambiguity.
 """
 
 from dataclasses import dataclass
@@ -25,10 +25,11 @@ from mosca.data.tracks import Points
 from mosca.numba_support.decorators import kernel
 
 USUAL, USUAL_DISCS = 0.125, 0.25
-"""Shares of images that are elongated, or isolated without a fit, from which that is no evidence against an image
-(targets are flat or fast, fits were not tried), and from which two of them are enough to take a target for a disc."""
+"""Shares of images that are elongated, or isolated without a fit, from which this is no evidence against an image
+(targets are flat or fast, or fits were not tried), and from which two such images suffice to take a target for a
+disc."""
 GRADIENTS = {"unknown": (0.25, 1.0 / 48.0), "even": (0.0, 0.0)}
-"""Mean and variance of the shift of flat targets' images by the gradient of their light, over their eccentricity:
+"""Mean and variance of the shift that a gradient of the light gives to flat targets' images, over their eccentricity:
 from 0 for distant lamps to 1/2 for the light's centroid under lamps at the lens (``mosca.camera.disc_rays``)."""
 EVERYWHERE = (np.full(3, -np.inf), np.full(3, np.inf))
 """A volume without bounds."""
@@ -36,13 +37,13 @@ EVERYWHERE = (np.full(3, -np.inf), np.full(3, np.inf))
 
 @dataclass(frozen=True, eq=False)
 class Matched:
-    """The points of a frame set, and counts of what led to them."""
+    """The points of a frame set, and counts of the hypotheses behind them."""
 
     points: Points
     considered: int
     """How many hypotheses there were."""
     left_open: int
-    """Number of ambiguous pairs: another with about the same residual has one of their images."""
+    """Number of ambiguous pairs: another pair with about the same residual shares one of their images."""
 
 
 def match(
@@ -55,24 +56,24 @@ def match(
     """Return the points whose rays meet, from a consistent set of hypotheses.
 
     A hypothesis is scored by its likelihood ratio against clutter and that of the track that predicts it (each track
-    supports one hypothesis). A pair without a track is accepted only where no other such pair with about the same
-    residual has one of its rays: two cameras leave that ambiguous, later frame sets resolve it.
+    supports one hypothesis). A pair without a track is accepted only if no other such pair with about the same
+    residual shares one of its rays: two cameras cannot resolve this ambiguity, later frame sets do.
 
     Parameters
     ----------
     table
         The rays of a frame set.
     predicted
-        Where tracks expect their targets.
+        Predicted positions of the tracks.
     settings
         Gates, and what is judged.
     volume
         Corners low (3,) and high (3,) [m] of where points may be.
     typical_diameter_m
-        Diameter of the targets as far as it is known (0: compare the images of a hypothesis alone). An image too
-        small for it is a target partly hidden, one too large is merged with another; the centroid is shifted by about
-        ``share of the area x radius``: the ray counts for less and its gate is wider. A merged image is used a second
-        time if a track predicts that hypothesis.
+        Diameter of the targets if it is known (0: only the images of a hypothesis are compared). An image too small
+        for it is of a partly hidden target, one too large is merged with another. The centroid is then shifted by
+        about ``share of the area x radius``, so the ray counts for less and its gate is wider. A merged image is used
+        a second time if a track predicts that hypothesis.
     """
     return match_counted(table, predicted, settings, volume, typical_diameter_m).points
 
@@ -84,7 +85,7 @@ def match_counted(
     volume: tuple[Array, Array] = EVERYWHERE,
     typical_diameter_m: float = 0.0,
 ) -> Matched:
-    """As ``match``, with the counts of what was considered and what was left open."""
+    """Return what ``match`` does, with the counts of hypotheses considered and of pairs left open."""
     (x0, y0, z0), (x1, y1, z1) = volume
     rules = Rules(
         float(settings.gate_sigma), float(settings.outlier_sigma), float(settings.support_sigma),
@@ -129,7 +130,8 @@ def match_rays(rays, views, pairs, bases, start, rules, xyz, covariance, images)
 def _fewest_images(table: RayTable, settings: MatchSettings) -> int:
     """Return how many images must fit a circle for a target to be taken for a disc.
 
-    Two do where many images are long; where that is rare, two grown together with neighbours may fit one by chance.
+    Two suffice where many images are long. Where long images are rare, two that are merged with neighbours may fit a
+    circle by chance.
     """
     if settings.target == "ball":
         return 0

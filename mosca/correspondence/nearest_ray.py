@@ -10,18 +10,19 @@ from mosca.data.rays import ANGLE, DENSITY, SIGMA, WHITE
 from mosca.numba_support.decorators import bare_step, inlined_step
 
 FEW_CELLS = 2
-"""More cells than these beside the first are searched only where the error ellipse itself, not its bound, covers
-them."""
+"""More cells than these besides the first are searched only where the error ellipse itself covers them, not merely
+its bound."""
 FIRST_ORDER = 1.01
 """Factor on gates that are computed to first order in the errors."""
 SAME_SIDE = 0.9995
 """Cosine of a ray's angle to a point below which it is far outside any gate: a thousandth of a radian squared."""
 NEAREST_CHI2 = 0.05
-"""Least squared distance for which chance rays are counted, so that a perfect hit is not infinitely unlikely."""
+"""Lower limit of the squared distance up to which chance rays are counted, so that a perfect hit is not infinitely
+unlikely."""
 
 
 class RayIndex(NamedTuple):
-    """Where the rays of each camera are found, and how wide their gates may be."""
+    """Spatial index of each camera's rays, and the largest widths of their gates."""
 
     cells: Any
     """``mosca.correspondence.spatial_index.cells``."""
@@ -31,8 +32,9 @@ class RayIndex(NamedTuple):
 
 @inlined_step
 def nearest_ray(c, whole, index, solved, data):
-    """Return the ray of camera c nearest to the hypothesis's point among those that the covariances admit (-1: none),
-    its trust, the expected number of chance rays as near, and how many were admitted.
+    """Return the ray of camera c nearest to the hypothesis's point among those that the covariances admit (-1: none).
+
+    Further values: its trust, the expected number of equally near chance rays, and how many rays were admitted.
     """
     rays, views, rules = data.rays, data.views, data.rules[0]
     frame, first_in_cell, in_cell, place = index.cells
@@ -46,7 +48,7 @@ def nearest_ray(c, whole, index, solved, data):
     u = (views[c, 3] * x + views[c, 6] * y + views[c, 9] * z) * inverse
     v = (views[c, 4] * x + views[c, 7] * y + views[c, 10] * z) * inverse
     v00, v01, v02, v11, v12, v22 = solved[3], solved[4], solved[5], solved[7], solved[8], solved[11]
-    # an angle counts (1 + |place|^2) / 2 there, and a point's error in no direction more than in all together
+    # the plane scales an angle by (1 + |place|^2) / 2; a point's variance in any direction is at most the trace
     scale = 0.5 * (1.0 + u * u + v * v)
     side = FIRST_ORDER * rules.gate_sigma * scale * np.sqrt(reach + (v00 + v11 + v22) / (distance * distance))
     beside, above = side, side
@@ -92,7 +94,7 @@ def nearest_ray(c, whole, index, solved, data):
             away = (s11 * e0 * e0 - 2.0 * s01 * e0 * e1 + s00 * e1 * e1) / det
             if t2 * away < gate2:
                 admitted += 1
-                # among those admitted the nearest in the image decides, not the least trusted
+                # the admitted ray nearest in the image is taken: low trust must not favour a ray
                 if away < nearest:
                     nearest, at, trust2, det_there = away, k, t2, det
     if at < 0:
@@ -110,7 +112,7 @@ def _cells_beside(c, axis, place, side, frame):
 
 @bare_step
 def _side(c, axis, place, direction, w, own, solved, data):
-    """Return half the gate along one axis of the stereographic plane about the image ``place`` of a point.
+    """Return half the gate's width along one axis of the stereographic plane, about a point's image ``place``.
 
     ``direction``: unit vector from the camera to the point; ``own``: variance of the rays themselves.
     """

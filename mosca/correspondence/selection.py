@@ -1,9 +1,8 @@
-"""Which hypotheses are targets: compiled steps of ``mosca.correspondence.match``, after
-``mosca.correspondence.candidates``.
+"""Selection of the hypotheses that are targets: compiled steps of ``mosca.correspondence.match``.
 
-Greedy selection by likelihood ratio against clutter, best first, each image used once; a hypothesis that loses images
-to a better one is tried again at once with those that remain, or, where two remain, after all others. Pairs that are
-ambiguous in two cameras are left open.
+It follows ``mosca.correspondence.candidates``. Hypotheses are selected greedily by likelihood ratio against clutter,
+best first; each image is used once. A hypothesis that loses images to a better one is tried again with those that
+remain: at once or, if only two remain, after all others. Pairs that are ambiguous in two cameras are left open.
 """
 
 from typing import Any, NamedTuple
@@ -40,7 +39,7 @@ PRIOR_SEEN = 5.0
 """Prior of the detection probability, as so many images detected and as many missed (Laplace smoothing)."""
 OPEN, TAKEN, GONE = 0, 1, 2
 ONE_OF_TWO, USED_UP = 1, 2
-"""What a hypothesis leaves of an image: place for another one, or none."""
+"""How a hypothesis uses an image: another one may use it, too, or none."""
 
 
 class TrackPredictions(NamedTuple):
@@ -51,7 +50,7 @@ class TrackPredictions(NamedTuple):
     line: Any
     """Their intervals along x (``mosca.correspondence.spatial_index``)."""
     assigned: Any
-    """(k,) whether a hypothesis that was taken is the track's."""
+    """(k,) whether an accepted hypothesis is assigned to the track."""
 
 
 class LogPrior(NamedTuple):
@@ -91,7 +90,7 @@ def choose(kept, data, xyz, covariance):
                 track[g], worth[g] = _worth(g, kept, tracks, prior, data, found)
                 if _put_back(order, at, worth):
                     continue
-            # clutter explains it as well, and no track predicts it
+            # clutter explains it better, and no track predicts it
             if worth[g] < 0.0 and track[g] < 0:
                 state[g] = GONE
             elif _take(g, kept, track, used, assigned, data):
@@ -101,11 +100,11 @@ def choose(kept, data, xyz, covariance):
                 if left == 0:
                     state[g] = GONE
                 elif last or left > 2:
-                    # at once: what is left of it may be better than what comes next and has the same rays
+                    # at once: the reduced hypothesis may be better than the next one with the same rays
                     track[g], worth[g] = _worth(g, kept, tracks, prior, data, found)
                     _put_back(order, at, worth)
                     continue
-                # a pair that is left of more waits for those that were found as pairs
+                # a pair that remains of more rays waits for hypotheses that were found as pairs
             at += 1
     for g in range(n):
         if state[g] == OPEN and _has_used(g, members, used):
@@ -129,7 +128,7 @@ def _worth(g, kept, tracks, prior, data, found):
 
 @bare_step
 def _put_back(order, at, worth):
-    """Move the hypothesis at a place of ``order`` behind all that are worth more now; return whether any was."""
+    """Move the hypothesis ``order[at]`` behind all that are worth more now; return whether there were any."""
     g, k = order[at], at
     while k + 1 < order.shape[0] and worth[order[k + 1]] > worth[g]:
         order[k] = order[k + 1]
@@ -167,7 +166,7 @@ def _log_density(values, xyz):
 def _log_detection_shares(values, members, views):
     """Return the logarithms of the shares of cameras that miss, and that see, a target in their field of view.
 
-    From the hypotheses of three rays and more of this frame set, as far as there are enough.
+    They are estimated from this frame set's hypotheses of three or more rays, as far as there are enough.
     """
     seen, missed = PRIOR_SEEN, PRIOR_SEEN
     for g in range(members.shape[0]):
@@ -180,7 +179,7 @@ def _log_detection_shares(values, members, views):
 
 @bare_step
 def _seen_and_missing(g, values, members, views):
-    """Return how many cameras have a ray in a hypothesis, and how many have its point in view and none."""
+    """Return how many cameras have a ray in a hypothesis, and how many have its point in view but no ray."""
     seen = count = 0
     for c in range(members.shape[1]):
         if members[g, c] >= 0:
@@ -198,10 +197,10 @@ def _seen_and_missing(g, values, members, views):
 
 @bare_step
 def _best_track(values, xyz, covariance, assigned, gate, density, found, near):
-    """Return the track that best predicts a hypothesis, of the first ``near`` of ``found``, or -1, and its score.
+    """Return the track among ``found[:near]`` that best predicts a hypothesis, or -1, and its score.
 
     The score is the log-likelihood ratio of "this track's target" against "a hypothesis anywhere": small for a track
-    that has not been seen for long, whose prediction is uncertain.
+    that has not been seen for long, since its prediction is uncertain.
     """
     best, worth, gate2 = -1, 0.0, gate * gate
     for k in range(near):
@@ -230,9 +229,9 @@ def _best_track(values, xyz, covariance, assigned, gate, density, found, near):
 
 @bare_step
 def _take(g, kept, track, used, assigned, data):
-    """Take a hypothesis if its rays are unused; a pair only if a track, not yet assigned, predicts it.
+    """Accept a hypothesis if its rays are unused; a pair only if a track, not yet assigned, predicts it.
 
-    An image that is too large for both of two targets is used a second time if a track predicts that hypothesis.
+    An image that is too large for each of two targets is used a second time if a track predicts that hypothesis.
     """
     values, members = kept.values, kept.members
     alone = track[g] < 0 or assigned[track[g]]
@@ -258,7 +257,7 @@ def _take(g, kept, track, used, assigned, data):
 
 @bare_step
 def _shrink(g, kept, used, hypothesis, data):
-    """Remove the used rays from a hypothesis and solve it again; return how many are left, 0 where no target is."""
+    """Remove the used rays from a hypothesis and solve it again; return how many remain, 0 if it is rejected."""
     values, members = kept.values, kept.members
     mates, ranks, solved, _ = hypothesis
     count = NONE

@@ -1,9 +1,9 @@
-"""Spatial indexes, with which ``mosca.correspondence.candidates`` and ``mosca.correspondence.selection`` find
-neighbours in constant time.
+"""Spatial indexes that find neighbours in constant time.
 
-Two of them. Intervals on a line in buckets: the rays of two cameras by the angle of their epipolar plane about the
-base, or tracks by one coordinate. Rays of a camera in the cells of a plane: directions by stereographic projection
-from the camera's axis, which is finite for every direction but straight behind and maps circles to circles.
+``mosca.correspondence.candidates`` and ``mosca.correspondence.selection`` use two of them. Buckets hold intervals on
+a line: the rays of two cameras by the angle of their epipolar plane about the base, or tracks by one coordinate.
+Cells of a plane hold the rays of a camera, by stereographic projection of their directions from the camera's axis. It
+is finite for every direction but straight behind and maps circles to circles.
 """
 
 from typing import Any, NamedTuple
@@ -16,7 +16,8 @@ from mosca.numba_support.decorators import bare_step, step
 MOST_BUCKETS = 16
 """An interval over more buckets than this is kept in a list that every search reads."""
 CORNER, SCALE, CELLS, FIRST, FRAME = 0, 2, 4, 5, 6
-"""Columns of a camera's frame of cells: its corner (2), cells a unit (2), cells a side, number of its first cell."""
+"""Columns of a camera's frame of cells: its corner (2), cells per unit (2), cells per side, number of its first
+cell."""
 
 
 class Buckets(NamedTuple):
@@ -70,7 +71,7 @@ def buckets(middle, half):
 
 @bare_step
 def bucket_of(value, low, step, n):
-    """Return the bucket of a value, the end ones for what lies beyond, the first for NaN."""
+    """Return the bucket of a value: an end bucket for values beyond the ends, the first for NaN."""
     at = (value - low) / step
     return int(min(at, n + 0.0)) if at > 0.0 else 0
 
@@ -103,8 +104,8 @@ def within(line, middle, half, found):
 def cells(rays, views, start):
     """Sort the rays (n, COLUMNS) of all cameras into cells of about one ray; rays without a direction into none.
 
-    Returns each camera's frame (c, FRAME), and the cells: number k holds ``items[first[k]:first[k + 1]]``, whose
-    coordinates (n, 2) in the plane follow in the same order.
+    Returns each camera's frame (c, FRAME), ``first`` and ``items``, and coordinates (n, 2) in the plane in the order
+    of ``items``. Cell k holds ``items[first[k]:first[k + 1]]``.
     """
     cameras, n = views.shape[0], rays.shape[0]
     place, cell, frame = np.empty((n, 2)), np.full(n, -1, dtype=np.int64), np.zeros((cameras, FRAME))
@@ -155,7 +156,8 @@ def cell_of(value, corner, scale, side):
 def plane_angles(rays, chosen, across, angle, variance):
     """Fill the angle (n,) of the epipolar planes of the rays ``chosen`` (n,) and its variance (n,) [rad^2].
 
-    ``across`` (2, 3): unit vectors across the base and each other; angles count from the first to the second.
+    ``across`` (2, 3): unit vectors perpendicular to the base and to each other; angles count from the first to the
+    second.
     """
     x, y, z, u, v, w = across[0, 0], across[0, 1], across[0, 2], across[1, 0], across[1, 1], across[1, 2]
     for n in range(chosen.shape[0]):

@@ -1,7 +1,7 @@
-"""The targets' typical diameter, learned, and whether targets are so alike that an image's size is evidence.
+"""Learned typical diameter of the targets, and whether they are so alike that an image's size is evidence.
 
-Markers are of one size: an image that is too small for it is of a target hidden in part. Particles differ: then a
-small image may be of a small target, and sizes are judged no more.
+Markers are of one size: an image that is too small for it shows a partly hidden target. Particles differ: a small
+image may show a small target, so sizes are no longer judged.
 """
 
 import math
@@ -13,14 +13,14 @@ from mosca.data.arrays import middle
 from mosca.data.tracks import Points
 
 LEAST_GAIN = 0.05
-"""Weight of a frame set in the averages (exponential). At first it is more, the n-th weighs 2 / (n + 1): in the first
-sets small targets are measured without the knowledge of others."""
+"""Weight of a frame set in the exponential averages. At first it is larger, 2 / (n + 1) for the n-th set: in the
+first sets small targets are measured without the knowledge of others."""
 QUARTILES = 1.349
 """Distance of a normal distribution's quartiles, in standard deviations."""
 
 
 class TypicalSize:
-    """Of the points that three cameras and more agree on; frame sets with less than three of them say nothing."""
+    """Typical size of points on which three or more cameras agree; frame sets with fewer than three are not used."""
 
     def __init__(self) -> None:
         self.diameter_m = 0.0
@@ -31,12 +31,12 @@ class TypicalSize:
 
     @property
     def known(self) -> bool:
-        """Whether any frame set has said something."""
+        """Whether any frame set has been used."""
         return self._sets > 0
 
     @property
     def alike(self) -> bool:
-        """Whether a target half hidden can be told from a small one."""
+        """Whether a half-hidden target can be distinguished from a small one."""
         return SIZE_SIGMAS * self.scatter <= HALF_HIDDEN
 
     def learn(self, points: Points) -> None:
@@ -48,8 +48,8 @@ class TypicalSize:
         self._sets += 1
         gain = max(2 / (self._sets + 1), LEAST_GAIN)
         median = middle(sure)
-        # of the logarithm, since an area cannot be negative; an area is the diameter squared. Hidden targets spread
-        # sizes below the median alone, merged ones above it: the narrower side counts
+        # scatter of the logarithm, since an area cannot be negative; an area is the diameter squared. Hidden targets
+        # spread sizes only below the median, merged ones only above it: the narrower side counts
         low, high = float(sure[n // 4]), float(sure[3 * n // 4])
         side = min(high / median, median / low) if low > 0.0 else 1.0
         scatter = 4 * math.log(side) / QUARTILES

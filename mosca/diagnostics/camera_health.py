@@ -1,10 +1,10 @@
 """Health of a running rig, camera by camera: residuals, connected detections, dropouts, clock offsets.
 
-A camera that exposes d seconds late shows every point u d farther along its motion, u its image's speed: d follows
-from the residuals by least squares. A delay that all cameras share is a shift of time that no residual shows: offsets
-are against their mean. How certain an offset is follows from the scatter of whole frame sets about it, since a body's
-shake moves all images of a set together; and the errors of a rig, which change as slowly as points move through the
-images, are alike in neighbouring sets (``long_run_covariance``).
+A camera that exposes d seconds late shows every point u d farther along its motion, where u is the speed of its
+image. The delay d is estimated from the residuals by least squares. A delay that all cameras share is a shift of time
+that no residual shows: offsets are relative to their mean. The standard deviation of an offset is estimated from the
+scatter of whole frame sets about it, since a body's shake moves all images of a set together. The errors of a rig
+change as slowly as points move through the images, so they are alike in neighbouring sets (``long_run_covariance``).
 """
 
 import math
@@ -33,9 +33,9 @@ from mosca.diagnostics.residual_sums import ImageErrors, PointColumns, RayColumn
 START_SETS = 200
 """Frame sets at the start after each ``every`` of which residuals are summed."""
 WHOLE_SETS = 20
-"""Frame sets at the start of which all points count. Of ``most_points`` a set, ten sets have too few where images err
-unequally (a target field's rings): its nees came out at 2.1 to 8.6 by which of them were drawn, and by a processor's
-last digits; of all, at 4.1. With 10 or 40 the same."""
+"""Frame sets at the start of which all points count. With ``most_points`` a set, ten sets have too few where images
+err unequally (a target field's rings): its nees was 2.1 to 8.6, depending on which points were drawn and on a
+processor's last digits; with all points, 4.1. With 10 or 40 the same."""
 CLOCK_UPDATES = 1000
 """Latest updates from which clock offsets are estimated."""
 
@@ -78,7 +78,7 @@ class CameraHealth:
 
     name: str
     residual_px: float
-    """Rms an axis of late."""
+    """Recent rms residual an axis."""
     extra_px: float
     """Error besides detection noise."""
     connected: float
@@ -117,7 +117,7 @@ class Health:
 
     @classmethod
     def of(cls, rig: Rig, match: MatchSettings) -> "Health":
-        """Return the health of a rig with what matching is set to start from."""
+        """Return the health of a rig that starts from the error set for matching."""
         return cls(rig, HealthSettings(start_px=match.camera_sigma_px))
 
     @property
@@ -126,11 +126,11 @@ class Health:
         return self._model.noise
 
     def start_from(self, trial: "Health") -> None:
-        """Take what another one learned of the image points' errors, until this one has learned as much."""
+        """Use the image points' errors that ``trial`` has learned, until this one has as many updates."""
         self._model.start_from(trial._model)
 
     def keep_start(self) -> None:
-        """Keep the image points' errors that were assumed at the start: what comes is too little to learn them."""
+        """Keep the image points' errors assumed at the start: what follows is too little to learn them."""
         self._model.keep_start()
 
     def attend(
@@ -141,9 +141,9 @@ class Health:
         points: Points,
         bundle: RayTable | None = None,
     ) -> None:
-        """Take a frame set's points and the detections that they were made of; ``rig``: that they were made with.
+        """Take a frame set's points, and the detections and the ``rig`` that they were made from.
 
-        ``bundle``: the rays that they were made of, traced anew where not given.
+        ``bundle``: the rays that they were made from, computed again if not given.
         """
         begin = perf_counter()
         time_s = frame_set.time_ns * 1e-9
@@ -164,7 +164,7 @@ class Health:
         self.seconds += perf_counter() - begin
 
     def cameras(self) -> tuple[CameraHealth, ...]:
-        """Return how each camera is doing."""
+        """Return the health of each camera."""
         late, sigma = self._offsets()
         rms = np.sqrt(self._square / np.maximum(2 * self._images, 1))
         share = np.minimum(self._connected / np.maximum(self._detected, 1), 1.0)
@@ -185,7 +185,7 @@ class Health:
         extra = np.array([one.extra_px for one in cameras])
         poor = [self._detected[k] >= s.least_images and one.connected < s.poor_share for k, one in enumerate(cameras)]
         for k, one in enumerate(cameras):
-            # a camera that was moved shows its points displaced, as one that is late does
+            # a camera that was moved shows displaced points, as a late one does
             if not any(poor) and abs(one.late_s) > max(s.late_s, s.certain_sigma * one.late_sigma_s):
                 when = "later" if one.late_s > 0 else "earlier"
                 lines.append(
@@ -206,7 +206,7 @@ class Health:
         return tuple(lines)
 
     def left_out(self) -> dict[str, str]:
-        """Return which samples are in no track, a line a reason."""
+        """Return how many samples are in no track, one line for each reason."""
         lines = {
             "nameless": (self.nameless, "at the end had no identity yet"),
             "withheld": (self.withheld, "have a standard deviation above track.worst_sigma_m"),

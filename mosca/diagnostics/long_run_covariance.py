@@ -5,15 +5,17 @@ import numpy as np
 from mosca.data.arrays import Array
 
 MOST_PERSISTENT = 0.99
-"""Largest autocorrelation of neighbours that is believed: of a series without an end nothing could be said."""
+"""Largest autocorrelation of neighbours that is used: nothing can be estimated from a series whose correlation has no
+end."""
 
 
 def long_run_covariance(terms: Array) -> Array:
     """Return the covariance (c, c) of the sum of ``terms`` (n, c), a series with mean zero.
 
-    Heteroscedasticity and autocorrelation consistent (Newey and West 1987, Econometrica 55, 703), with Bartlett's
-    weights; how far neighbours count follows from the autocorrelation of the series (Andrews 1991, Econometrica 59,
-    817, eq. 6.2 with an AR(1)). Of independent terms it is White's (1980), the sum of their squares.
+    The estimate is heteroscedasticity and autocorrelation consistent (Newey and West 1987, Econometrica 55, 703),
+    with Bartlett's weights. The lag up to which neighbours count follows from the autocorrelation of the series
+    (Andrews 1991, Econometrica 59, 817, eq. 6.2 with an AR(1)). For independent terms it is White's (1980), the sum
+    of their squares.
     """
     n = len(terms)
     scale = np.sqrt(np.mean(terms**2, axis=0))

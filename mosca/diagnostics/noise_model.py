@@ -1,11 +1,11 @@
-"""How large the errors of image points really are: the noise model that matching uses, learned while a rig runs.
+"""Noise model of image points that matching uses, learned while a rig runs.
 
-A detection's covariance holds the noise of its pixels alone; the camera's body shakes, its trigger jitters, its lens
-is not quite what the calibration states. These are estimated from the residuals themselves: with weights W = S^-1, S
-an image's whole covariance, and J its Jacobian by the point, what is left of its error after the point is fitted has
-the trace ``tr (S - J P J')``, P = (sum J' W J)^-1. Squared residuals regressed on it give the variance that each
-camera adds and, as the part that grows with the square of the image's speed, the jitter of the triggers (variance
-components, Foerstner 1979).
+A detection's covariance contains the noise of its pixels alone. The camera's body also shakes, its trigger jitters,
+and its lens is not quite what the calibration states. These errors are estimated from the residuals. With the weights
+W = S^-1, where S is an image's whole covariance, and its Jacobian J by the point, the image's residual after the
+point is fitted has a covariance with the trace ``tr (S - J P J')``, P = (sum J' W J)^-1. A regression of squared
+residuals on this trace gives the variance that each camera adds. The part that grows with the square of the image's
+speed gives the jitter of the triggers (variance components, Foerstner 1979).
 """
 
 import math
@@ -19,14 +19,14 @@ from mosca.data.rig import Rig
 from mosca.diagnostics.residual_sums import ResidualSums
 
 ALIKE_WEIGHT, START_WEIGHT = 3.0, 0.05
-"""Weights of the prior, in equivalent number of updates: that cameras of a rig shake alike to about a third (their
-variances to 0.6), and that of the starting value. A body shakes all images of a set together: an update has one
-or two independent residuals a camera. The start is a guess of an order of magnitude: its weight falls with the number
-of updates, so that ten frame sets with an error 20 times smaller show that."""
+"""Weights of two priors, as equivalent numbers of updates: that cameras of a rig shake alike to about a third (their
+variances to 0.6), and that of the starting value. A body shakes all images of a set together, so an update has one or
+two independent residuals a camera. The starting value is a guess of the order of magnitude. Its weight falls with the
+number of updates, so that ten frame sets with an error 20 times smaller show that."""
 
 
 MOST_WEIGHT = 2.0
-"""Most that earlier images may weigh on average, over those of an update: the scatter of one update's weights."""
+"""Largest average weight of earlier images over that of an update's images: the scatter of one update's weights."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,9 +34,10 @@ class ImageNoise:
     """Error of image points besides detection noise."""
 
     sigma_px: Array
-    """(c,) an axis, of each camera: what was learned and what the calibration states that its lens model leaves."""
+    """(c,) an axis, of each camera: the learned error and the misfit of its lens model that the calibration
+    states."""
     jitter_s: float
-    """Of the triggers."""
+    """Standard deviation of the triggers [s]."""
 
 
 class NoiseModel:
@@ -54,17 +55,17 @@ class NoiseModel:
         self._normal, self._right = np.zeros((c + 1, c + 1)), np.zeros(c + 1)
 
     def start_from(self, other: "NoiseModel") -> None:
-        """Take what another one learned, until this one has as many updates."""
+        """Use what another model has learned, until this one has as many updates."""
         self.noise, self._known = other.noise, other._updates
 
     def keep_start(self) -> None:
-        """Learn nothing from what comes."""
+        """Learn nothing from later updates."""
         self._known = math.inf
 
     def update(self, sums: ResidualSums) -> None:
         """Take the sums over the points of a frame set and solve for the variances."""
-        # images count by the variances of their time; those of a time when cameras were taken for still would
-        # outweigh all that come after
+        # images are weighted by the variances estimated at their time; those of a time when cameras were taken for
+        # still would outweigh all later ones
         images, here = float(sums.images.sum()), float(sums.normal.diagonal()[:-1].sum())
         before = float(self._normal.diagonal()[:-1].sum())
         most = MOST_WEIGHT * here / images * self._images
@@ -82,11 +83,12 @@ class NoiseModel:
         seen = own > 0
         if not seen.any():
             return
-        # what an update tells of each camera: of a noisy one as much of its variance's logarithm as of a quiet one
+        # information of an update about each camera: the logarithm of its variance is as certain for noisy as for
+        # quiet ones
         update = np.where(seen, own, own[seen].mean()) / self._updates
         first = _with_prior(self._normal, self._right, START_WEIGHT / self._updates * update, self._start_px**2)
         found = _with_prior(self._normal, self._right, ALIKE_WEIGHT * update, float(first[:c].mean()))
-        # an estimate from few residuals: their predictive distribution is Student's
+        # the estimate is from few residuals: their predictive distribution is Student's
         freedom = (2 * c - 3) / c * self._updates + ALIKE_WEIGHT
         sigma = np.sqrt((1.0 + 2.0 / freedom) * found[:c] + self._lens_px**2)
         self.noise = ImageNoise(sigma, math.sqrt(found[c]))

@@ -1,7 +1,7 @@
 """Sums over the residuals of a frame set, camera by camera, for ``mosca.diagnostics``: compiled.
 
-Each point first moves to its best position; ``mosca.diagnostics.noise_model`` and ``camera_health`` derive what is
-summed.
+Each point first moves to its best position. The sums are derived in ``mosca.diagnostics.noise_model`` and
+``camera_health``.
 """
 
 from typing import NamedTuple
@@ -14,18 +14,19 @@ from mosca.numba_support.decorators import bare_step, kernel
 from mosca.numba_support.linalg3 import Symmetric3, cofactors3, determinant3, divided3, store3, times3
 
 MOST_DOUBT = 0.01
-"""Cameras that a point's images may count less than in full where it teaches the cameras' errors: of images that are
-hidden in part only noise is known. Of a walker (seeds 5 and 3) cameras that err by 0.031 to 0.035 px came out at
-0.029 to 0.053 with 0.5, nees 1.85 and 2.54; now at 0.029 to 0.037, nees 3.01 and 3.46."""
+"""Largest difference between the number of a point's cameras and that of those which count in full, for the cameras'
+errors to be learned from it: of partly hidden images only the noise is known. For a walker (seeds 5 and 3), cameras
+that err by 0.031 to 0.035 px came out at 0.029 to 0.053 with 0.5, nees 1.85 and 2.54; now at 0.029 to 0.037, nees
+3.01 and 3.46."""
 FARTHEST_SIGMAS = 5.0
 """Points with an image farther than this from its prediction do not count for the usual error."""
 LEAST_LEFT = 0.05
-"""Share of its error that an image must keep beside its point to count."""
+"""Least share of its error that an image keeps after its point is fitted, for it to count."""
 SINGULAR = 1e-9
 """Normal matrices whose smallest eigenvalue over the largest is below this (within a factor of 9) are singular."""
 REST, FLOW, SLOPE, WEIGHT, OWN, TABLE = 0, 2, 4, 10, 13, 16
-"""Columns of an image: residual and speed (2) each, its Jacobian by the point (2 x 3), weight and own covariance (xx,
-xy, yy)."""
+"""Columns of an image: residual and speed (2 each), its Jacobian by the point (2 x 3), weight and own covariance
+(each xx, xy, yy)."""
 
 
 class RayColumns(NamedTuple):
@@ -39,7 +40,7 @@ class RayColumns(NamedTuple):
 
 
 class PointColumns(NamedTuple):
-    """The n points made of them, and where points were in the frame set before."""
+    """The n points made from these rays, and the points of the frame set before."""
 
     members: Array
     """(n, c) each camera's ray of the point, -1 for none."""
@@ -70,7 +71,8 @@ class Sampling(NamedTuple):
     every: int
     """Every so many points from ``first`` on."""
     farthest_m: float
-    """A point's speed is that since the nearest point before, if nearer than this and mutually nearest."""
+    """A point's speed is measured from the nearest point before, if it is nearer than this and both are nearest to
+    each other."""
     adopt_px: float
     """How far beside a point an unused ray may lie to be its image, where clocks are estimated."""
 
@@ -91,11 +93,11 @@ class ResidualSums(NamedTuple):
     images: Array
     """(c,)"""
     pull: Array
-    """(c,) right side for each camera's delay, over all points."""
+    """(c,) right side of the normal equations for each camera's delay, over all points."""
     clock: Array
-    """(c, c) its normal matrix."""
+    """(c, c) normal matrix of the delays."""
     timed: Array
-    """(c,) images in it."""
+    """(c,) number of images in these sums."""
 
 
 class _Fit(NamedTuple):
@@ -113,7 +115,7 @@ class _Fit(NamedTuple):
 
 @kernel
 def residual_sums(rays, points, errors, sampling):
-    """Return the ``ResidualSums`` of those of the points that have a speed."""
+    """Return the ``ResidualSums`` of the sampled points that have a speed."""
     n, c = points.members.shape
     sums = ResidualSums(
         0, 0, np.zeros((c + 1, c + 1)), np.zeros(c + 1), np.zeros(c), np.zeros(c), np.zeros(c), np.zeros((c, c)),
@@ -138,7 +140,7 @@ def residual_sums(rays, points, errors, sampling):
             if fitted and _is_usual(fit):
                 usual += 1
                 _add_noise(fit, errors, sums)
-        # a late camera's images are not among the points': search for them nearby
+        # images of a late camera are not among those of the points: search for them nearby
         if points.cameras[i] < c and _adopt(which, points.xyz[i], rays, taken, sampling.adopt_px):
             fitted = _adjusted(which, points.xyz[i], speed, rays, errors, fit)
         if fitted:
@@ -173,9 +175,9 @@ def _nearest(point, others, within):
 
 @bare_step
 def _adjusted(which, point, speed, rays, errors, fit):
-    """Fill ``fit`` with the images ``which`` (c,) of a point, as they are after it has moved to its best position.
+    """Fill ``fit`` with the images ``which`` (c,) of a point after it has moved to its best position.
 
-    A ray gives the residual of its image to first order, as triangulation does: no point needs to be projected.
+    A ray gives the residual of its image to first order, as in triangulation: no point needs to be projected. Returns
     False where the images do not determine the point.
     """
     n00 = n01 = n02 = n11 = n12 = n22 = b0 = b1 = b2 = 0.0
@@ -223,7 +225,7 @@ def _image(own, c, k, point, speed, rays, errors):
     if not depth > 0.0:
         return False
     own[OWN], own[OWN + 1], own[OWN + 2] = covariance[k, 0, 0], covariance[k, 0, 1], covariance[k, 1, 1]
-    # the rays are whitened by all that they were assumed to err by
+    # the rays are whitened by their whole assumed covariance
     l00 = np.sqrt(own[OWN] + rays.extra_px2[c])
     l10 = own[OWN + 1] / l00
     l11 = np.sqrt(own[OWN + 2] + rays.extra_px2[c] - l10 * l10)
@@ -245,7 +247,7 @@ def _image(own, c, k, point, speed, rays, errors):
 
 @bare_step
 def _weighted(own, row):
-    """Return a column (3) of J'W: the pull on the point of a residual along one axis of the image."""
+    """Return a column (3) of J'W: the effect on the point of a residual along one axis of the image."""
     v, w = own[WEIGHT + row], own[WEIGHT + 1 + row]
     return (
         own[SLOPE] * v + own[SLOPE + 3] * w,
@@ -330,7 +332,7 @@ def _add_clocks(fit, sums):
 
 @bare_step
 def _adopt(which, point, rays, taken, reach_px):
-    """Give a point without an image in a camera the free ray nearest to it within reach; True where any was."""
+    """Give a point the nearest free ray within reach in each camera without its image; True where there was any."""
     adopted = False
     for c in range(which.shape[0]):
         if which[c] >= 0:

@@ -1,6 +1,6 @@
-"""What the images tell of each camera's sensor, with 95 % intervals, and what was seen in them but left out.
+"""Properties of each camera's sensor from its images, with 95 % intervals, and what was seen in them but left out.
 
-Learned from the sums from which detection learns what it uses (``mosca.detection.pixel_noise``), in the terms of EMVA
+They are estimated from the sums that detection itself uses (``mosca.detection.pixel_noise``), in the terms of EMVA
 1288:
 
 - noise [DN]: standard deviation of a pixel without light from a target, less rounding: dark noise, fixed pattern and
@@ -9,13 +9,13 @@ Learned from the sums from which detection learns what it uses (``mosca.detectio
 - gain K [DN/e-], by photon transfer from the residuals of fitted discs;
 - blur [px], standard deviation of the discs' edges.
 
-Intervals. The gain is a weighted least-squares estimate, the blur a weighted mean; their sums are kept in blocks of
-consecutive frame sets. The variance is that of the weights (how many residuals there are), or, where it is larger
-and there are ``FEWEST_BLOCKS``, that of the scatter of blocks about the estimate (White 1980; Liang and Zeger 1986)
-with Student's t. The noise is the median of cells: its variance follows from the scatter of cells, is at least that
+Intervals. The gain is a weighted least-squares estimate, the blur a weighted mean. Their sums are kept in blocks of
+consecutive frame sets. The variance follows from the weights (how many residuals there are), or from the scatter of
+blocks about the estimate (White 1980; Liang and Zeger 1986), with Student's t, where that is larger and there are
+``FEWEST_BLOCKS``. The noise is the median of cells. Its variance follows from the scatter of cells, is at least that
 of chi-square, and is scaled by the ratio of Birge (1932) where measurements at different times differ by more. An
-interval holds chance alone: what a disc's misfit (limbs, blur that is no Gaussian) does to the gain is the same in
-each block.
+interval covers chance alone: the effect of a disc's misfit (limbs, blur that is no Gaussian) on the gain is the same
+in each block.
 """
 
 import math
@@ -45,35 +45,37 @@ from mosca.detection.search import LEFT_OUT_REASONS
 from mosca.detection.settings import DEFAULTS, DetectionSettings
 
 LEAST_NOISE_DN = 0.5
-"""Noise from which the variance of rounded grey values is its own plus 1/12 to 3 %, wherever between two grey values
-their mean lies (the terms left out fall with exp(-2 pi^2 noise^2): 20 % at 0.4, 90 % at 0.3)."""
+"""Noise from which the variance of rounded grey values equals that of the noise plus 1/12 to within 3 %, wherever
+between two grey values their mean lies (the neglected terms fall with exp(-2 pi^2 noise^2): 20 % at 0.4, 90 % at
+0.3)."""
 DIGEST_SETS = 32
 """Frame sets that are added up at a time: one by one takes longer."""
 MOST_BLOCKS, FEWEST_BLOCKS = 64, 8
-"""Blocks of frame sets that are kept, neighbours being joined beyond; from the second on their scatter counts: with
-fewer, the scatter itself is known to worse than 25 %."""
+"""Most blocks of frame sets that are kept, beyond which neighbours are joined, and fewest whose scatter counts: with
+fewer, the scatter itself is uncertain by more than 25 %."""
 CONFIDENCE = 0.95
-"""Of all intervals."""
+"""Confidence of all intervals."""
 MEDIAN_LOSS = 0.5 * math.pi
 """Variance of a normal sample's median over that of its mean."""
 FILTERED_CELLS = 9
 """Cells of which each noise figure is the median: so many times fewer are independent."""
 NOTABLE = 0.05
-"""Share of what was seen in a camera's images that may be left out without a word."""
+"""Share of what was seen in a camera's images that may be left out without a message."""
 BY_CHANCE = 1e-3
-"""Chance at which noise alone makes so many that a person is told of them."""
+"""Probability that noise alone makes so many left-out spots, below which they are reported."""
 NORMAL = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
-"""Of the sums of photon transfer, those of the normal matrix; the right side follows."""
+"""Indices of the normal matrix in the sums of photon transfer; the right side follows."""
 MISFIT_PX2 = 1.0
-"""Before any image q's share, the edge's error squared, is 0 to within this [px^2]: images tell more."""
+"""Prior standard deviation of q's share, the edge's error squared, about 0 [px^2]: images determine it better."""
 UNEVEN = 1e-4
-"""And u's to within this, or to within what was found where that is more: (1 %)^2, as data sheets (EMVA 1288) state a
-PRNU of 0.3 to 1.5 %. Few images do not tell u from s: with ten times as much 8 images of 35 targets give intervals
-three times as wide as the gain, with a tenth PRNU of 1 % makes it 12 % too large there."""
+"""Prior standard deviation of u's share about 0, or the share found where that is larger: (1 %)^2, as data sheets
+(EMVA 1288) state a PRNU of 0.3 to 1.5 %. Few images do not separate u from s: with ten times as much, 8 images of 35
+targets give intervals three times as wide as the gain; with a tenth, a PRNU of 1 % makes the gain 12 % too large
+there."""
 PASSES = 6
-"""Solutions of the gain, each with u's prior as wide as the one before found u."""
+"""Solutions of the gain; in each, u's prior is as wide as the u found before."""
 SAMPLED_PX = 8_192
-"""Pixels of an image, about, whose bits are looked at."""
+"""Approximate number of pixels of an image whose bits are examined."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +89,7 @@ class Estimate:
 
 @dataclass(frozen=True)
 class LearnedSensor:
-    """What one camera's images tell; grey values [DN] are its own."""
+    """Properties of a sensor from one camera's images; grey values [DN] are its own."""
 
     name: str
     images: int
@@ -95,12 +97,12 @@ class LearnedSensor:
     targets: int
     """Discs that were fitted to single targets."""
     residuals: int
-    """Pixels of these that taught the gain."""
+    """Pixels of these from which the gain was estimated."""
     noise_dn: Estimate | None
-    """Noise of a pixel without light from a target, less rounding; an upper bound alone (``low`` is 0) where it is
-    not measurable, None where it was not measured."""
+    """Noise of a pixel without light from a target, less rounding; only an upper bound (``low`` is 0) where it is not
+    measurable, None where it was not measured."""
     gain_dn_per_e: Estimate | None
-    """System gain K; None: no target taught it, or their misfits hide it."""
+    """System gain K; None: no target determined it, or misfits of the discs hide it."""
     blur_px: Estimate | None
     background_dn: float | None
     """Median grey value without targets."""
@@ -126,7 +128,7 @@ class LearnedSensor:
 
     @property
     def noise_measurable(self) -> bool:
-        """Whether the noise is more than rounding hides."""
+        """Whether the noise is large enough to be measured despite rounding."""
         return self.noise_dn is not None and self.noise_dn.low > 0.0
 
 
@@ -138,14 +140,15 @@ class Sensors:
     cameras
         Of the source: names, sizes and bits.
     settings
-        With which targets are detected.
+        Settings with which targets are detected.
     """
 
     def __init__(self, cameras: Sequence[CameraInfo], settings: DetectionSettings = DEFAULTS) -> None:
         self._settings = settings
         self._cameras = {info.name: _Camera(info) for info in cameras}
         self._waiting: list[tuple[dict[str, Array], tuple[str, ...], Array, Mapping[str, LocalBackground]]] = []
-        """Largest grey values of each camera's targets, and of what frame sets add names, tallies and backgrounds."""
+        """For each frame set: largest grey values of each camera's targets; names, tallies and backgrounds that it
+        adds."""
 
     def attend(self, frame_set: FrameSet, detections: Mapping[str, Detections], added: CameraStatistics) -> None:
         """Take a frame set's images, their detections, and what they add to the cameras' statistics, in order."""
@@ -168,7 +171,7 @@ class Sensors:
         return tuple(sensor_line(one) for one in self.cameras())
 
     def findings(self) -> tuple[str, ...]:
-        """Return what a person should know of what was seen and left out, a line a camera where it is notable."""
+        """Return what was seen but left out, one line for each camera where it is notable."""
         lines = []
         for one in self.cameras():
             info = self._cameras[one.name].info
@@ -198,12 +201,12 @@ class _Camera:
         self._blocks = np.zeros((MOST_BLOCKS, N_TALLIES))
         self._bits = 0
         self._filled, self._length = 0, 1
-        """Frame sets in the blocks, and in each of them."""
+        """Frame sets in all blocks, and in each block."""
         self._backgrounds: list[tuple[float, float, float]] = []
         """Level, variance and its standard deviation of each measurement."""
 
     def look_at(self, image: Array) -> None:
-        """Note which bits the pixels of an image (H, W) have."""
+        """Record which bits are set in the pixels of an image (H, W)."""
         rows = np.ascontiguousarray(image[:: max(1, image.size // SAMPLED_PX)])
         self._bits |= int(np.bitwise_or.reduce(rows.ravel()))
 
@@ -227,7 +230,7 @@ class _Camera:
         self._backgrounds += [background_figures(one, pixels) for one in backgrounds if one is not None]
 
     def learned(self) -> LearnedSensor:
-        """Return what they tell."""
+        """Return the properties that follow from these sums."""
         blocks = self._blocks[: -(-self._filled // self._length)]
         total = blocks.sum(axis=0)
         seen = np.flatnonzero(self._peaks)
@@ -258,11 +261,11 @@ class _Camera:
 def gain_estimate(blocks: Array) -> Estimate | None:
     """Return the gain [DN/e-] from the photon-transfer sums (b, 9) of blocks of frame sets.
 
-    ss, sq, su, qq, qu, uu, rs, rq, ru of ``mosca.detection.disc_fit.residual_noise``. None where no residual taught
-    it, and where it comes out below zero: then misfits of the discs outweigh the photon noise. The shares of q and u
-    stay in where they come out below zero, as by chance each does every other time where discs fit: to leave them out
-    then, which ``mosca.detection.pixel_noise.gain_of`` does to be safe with single images, makes the gain too small
-    on average.
+    ss, sq, su, qq, qu, uu, rs, rq, ru of ``mosca.detection.disc_fit.residual_noise``. None where no residual
+    determines the gain, and where it comes out below zero: then misfits of the discs outweigh the photon noise. The
+    shares of q and u are kept even where they come out below zero, which happens by chance every other time where
+    discs fit. ``mosca.detection.pixel_noise.gain_of`` leaves them out then, to be safe with single images; this makes
+    the gain too small on average.
     """
     if not blocks[:, 0].sum() > 0.0:
         return None
@@ -309,7 +312,7 @@ def background_figures(background: LocalBackground, pixels: int) -> tuple[float,
 def noise_estimate(measured: Sequence[tuple[float, float]]) -> Estimate | None:
     """Return the noise [DN] less rounding from variances [DN^2] and their standard deviations.
 
-    None without any; where it is not measurable 0 to the least that would be.
+    None without any; where the noise is not measurable, the interval from 0 to the least measurable noise.
     """
     if not measured:
         return None
@@ -355,8 +358,8 @@ def _in_words(estimate: Estimate, unit: str) -> str:
 def left_out_line(one: LearnedSensor, settings: DetectionSettings, shape: tuple[int, int]) -> str:
     """Return in words how many targets were left out of how many, and why, '' where that is not notable.
 
-    ``shape``: (H, W) of the camera's images. Those cut by the border count beyond what targets all over the image
-    would have cut; all, beyond what noise alone makes.
+    ``shape``: (H, W) of the camera's images. Targets cut by the border count as far as they exceed the number
+    expected from targets all over the image. The others must exceed what noise alone makes.
     """
     left_out = {reason: n for reason, n in one.left_out.items() if n}
     seen = one.found + sum(left_out.values())

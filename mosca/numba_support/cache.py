@@ -1,9 +1,9 @@
-"""Compiled kernels are kept until something changes that went into them.
+"""Cache of compiled kernels, valid until a source that went into them changes.
 
-Numba's own cache notices a change of a kernel's own file only, not of the functions and constants from other files
-that it has compiled in: after an update it would run old code. Here the stamp that Numba compares also covers all
-files of this project that the kernel's file imports, directly or not. Where the files lie is Numba's choice:
-``__pycache__`` beside the source, a user's cache folder, or ``NUMBA_CACHE_DIR``.
+Numba's own cache detects changes of a kernel's own file only, not of functions and constants that were compiled in
+from other files: after an update it would run old code. Here the stamp that Numba compares also covers all files of
+this project that the kernel's file imports, directly or not. Where the files lie is Numba's choice: ``__pycache__``
+beside the source, a user's cache folder, or ``NUMBA_CACHE_DIR``.
 """
 
 import functools
@@ -23,7 +23,7 @@ IMPORT = re.compile(
 
 
 def kept(dispatcher: Any) -> Any:
-    """Return a Numba dispatcher that was made with ``cache=True``, with its version widened to what it imports.
+    """Return a Numba dispatcher made with ``cache=True``, with a cache version that also covers what it imports.
 
     Numba compares the version of an index file before it reads the rest, which may name classes that an update has
     removed. Data files carry the digest too: a process that still runs older sources cannot replace them. Version and

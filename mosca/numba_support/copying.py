@@ -1,7 +1,7 @@
 """Copies between arrays for compiled code.
 
-``target[:] = source`` does the same, but compiles the text of an error for shapes that differ: a second and a half
-in each process that compiles, and code in every kernel.
+``target[:] = source`` does the same, but also compiles the error text for shapes that differ. This takes a second and
+a half in each process that compiles, and adds code to every kernel.
 """
 
 from mosca.data.arrays import Array

@@ -5,9 +5,9 @@ All are free of exceptions for divisions by zero (``error_model="numpy"``). Kern
 
 Reference counts. Passing an array to a compiled function costs two atomic reference-count updates (Numba's NRT). With
 them in all steps, side by side on one core of a shared machine (4 x 656 x 491 pixels, 200 markers, best of 3 rounds),
-images to tracks took 1.10 times as long, of that detection 1.14 times and matching 1.18 times. A
-``bare_step`` is compiled with Numba's private flag ``_nrt=False``: it must neither allocate nor return arrays, and it
-must not take an array from a step that allocates one. Numba refuses the first; ``tests/test_compiled.py`` the others.
+images to tracks took 1.10 times as long (detection 1.14 times, matching 1.18 times). A ``bare_step`` is compiled with
+Numba's private flag ``_nrt=False``: it must neither allocate nor return arrays, and it must not take an array from a
+step that allocates one. Numba refuses the first; ``tests/test_compiled.py`` the others.
 """
 
 from collections.abc import Callable
@@ -20,7 +20,7 @@ from mosca.numba_support.libraries import KernelCompiler, StepCompiler
 
 FastMath = bool | set[str]
 Compiled = Callable[..., Any]
-"""What a decorator makes, to a type checker: Numba infers the types itself, call by call."""
+"""Type of a decorated function for a type checker: Numba infers the types itself, call by call."""
 
 
 class Decorator(Protocol):
@@ -61,6 +61,6 @@ be inherited from the first caller."""
 bare_step = _decorator(False, _nrt=False, **_ONLY_COMPILED)
 """As ``step``, without reference counting."""
 inlined_step = _decorator(False, _nrt=False, forceinline=True, **_ONLY_COMPILED)
-"""A bare step that is compiled into each that calls it: to pass its many arguments costs more than what it does."""
+"""A bare step that is compiled into each of its callers: passing its many arguments costs more than its work."""
 callable_bare_step = _decorator(False, _nrt=False)
 """As ``bare_step``; Python may call it too, as tests do."""

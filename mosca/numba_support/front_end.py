@@ -1,14 +1,14 @@
-"""What Numba finds out again and again while it compiles, found out once.
+"""Memory for results that Numba otherwise finds out again and again while it compiles.
 
-For each operation in a function Numba tries all implementations of it, up to forty that fail, and then that which
-fits. For each function it imports all modules that register implementations; for each array it builds a module of
-LLVM to learn the size of an element. All its flags it compares by attribute for each call that it types. Here what
-was found is found again: the same signatures and implementations, and so the same code.
+For each operation in a function Numba tries its implementations, up to forty that fail, until one fits. For each
+function it imports all modules that register implementations. For each array it builds an LLVM module to find the
+size of an element. For each call that it types it compares all its flags by attribute. Here these results are
+remembered: signatures and implementations are the same, and so is the code.
 
 ``resolve_function_type`` of a typing context, ``load_additional_registries``, ``install_registry`` and
 ``get_abi_sizeof`` of a target context are its methods to override; ``_lookup_global``, ``_impl_keys``,
-``_registries`` and the flags' ``_values`` are private (0.61 to 0.68 have them). Numba's own methods are back as soon
-as a kernel is compiled. ``tests/test_compiled.py`` shows that it works.
+``_registries`` and the flags' ``_values`` are private (0.61 to 0.68 have them). Numba's own methods are restored as
+soon as a kernel is compiled. ``tests/test_compiled.py`` shows that it works.
 """
 
 from collections.abc import Callable, Iterator
@@ -21,9 +21,9 @@ from numba.core.targetconfig import ConfigStack, TargetConfig
 
 
 class QuickFlags(Flags):
-    """Numba's compiler flags, compared by what was set; Numba compares all 25 by attribute, for each call it types.
+    """Numba's compiler flags, compared by what was set; Numba compares all 25 by attribute for each call it types.
 
-    Equal where Numba's own are, which all have one hash.
+    They are equal where Numba's own flags are equal; all of those have one hash.
     """
 
     __slots__ = ()
@@ -46,13 +46,13 @@ _HASH = hash(Flags())
 
 
 class Remembered:
-    """What was found in this process."""
+    """Results found in this process."""
 
     def __init__(self) -> None:
         self.signatures: dict[Any, tuple[Any, Any, Any]] = {}
         """By function, types of its arguments and flags: signature, key of the implementation, the function."""
         self.sizes: dict[Any, int] = {}
-        """Of types of LLVM [bytes]."""
+        """Sizes of LLVM types [bytes]."""
         self.knows_registries = False
         self.in_use = False
 
@@ -62,9 +62,9 @@ REMEMBERED = Remembered()
 
 @contextmanager
 def remembering(typing: Any, target: Any, found: Remembered = REMEMBERED) -> Iterator[None]:
-    """While the block runs, let a typing and a target context of Numba remember; blocks may be nested.
+    """Make a typing and a target context of Numba remember results while the block runs; blocks may be nested.
 
-    Numba's compiler lock is to be held: one function is compiled at a time in a process.
+    The caller must hold Numba's compiler lock: one function is compiled at a time in a process.
     """
     if found.in_use:
         yield

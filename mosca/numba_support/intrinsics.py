@@ -1,10 +1,10 @@
 """LLVM instructions for compiled kernels: 64 pixels compared or 16 copied at a time, and arrays at an address.
 
-The only module with LLVM IR. What it gains, measured side by side with plain loops in its stead on one core of a
-shared machine, images to tracks of 4 x 656 x 491 pixels and 200 markers / detection in 15.5 megapixels, as times
-without it over times with it: ``bright_mask`` with the two bit counts 1.26 / 4.0; ``copy_16`` 1.07 / 1.0, where runs
-of the same code differ by 0.04. Detection alone of the four images without ``copy_16``: 1.10 to 1.15 times the time
-(1.36 to 1.41 ms against 1.22 to 1.23 ms, three pairs in turn).
+The only module with LLVM IR. Its gain, the time without it over the time with it, was measured side by side with
+plain loops in its place on one core of a shared machine. Images to tracks of 4 x 656 x 491 pixels and 200 markers /
+detection in 15.5 megapixels gained by ``bright_mask`` with the two bit counts 1.26 / 4.0, and by ``copy_16`` 1.07 /
+1.0, where runs of the same code differ by 0.04. Detection alone of the four images took 1.10 to 1.15 times as long
+without ``copy_16`` (1.36 to 1.41 ms against 1.22 to 1.23 ms, three pairs in turn).
 """
 
 from typing import Any
@@ -16,7 +16,7 @@ from numba.np.arrayobj import populate_array
 
 
 def _instruction(code: Any) -> Any:
-    """Make an intrinsic, untyped for what calls it: the typing context is Numba's to pass."""
+    """Make an intrinsic, untyped for its callers: Numba itself passes the typing context."""
     return intrinsic(code)
 
 
@@ -24,10 +24,10 @@ def _instruction(code: Any) -> Any:
 def bright_mask(_context: Any, address: Any, like: Any, limits: Any) -> Any:
     """Return which of the 64 pixels from ``address`` (uint64) on exceed those from ``limits`` (uint64) on.
 
-    Bit k of an int64 for pixel k.
+    The result is an int64 whose bit k is for pixel k.
 
-    Pixels are of the type of the array ``like``, unsigned. One compare of 64 lanes, which the compiler cuts into
-    those of the machine.
+    Pixels are of the type of the array ``like``, unsigned. It is one comparison of 64 lanes, which the compiler
+    divides into those of the machine.
     """
 
     def code(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
@@ -65,7 +65,7 @@ def bits_set(_context: Any, mask: Any) -> Any:
 def copy_16(_context: Any, source: Any, like: Any, target: Any, wanted: Any) -> Any:
     """Copy the 16 values from ``source`` (uint64) on, of the type of the array ``like``, unsigned, to ``target``.
 
-    There they are of the type of the array ``wanted``, a float32 or a wider integer. In one go.
+    At ``target`` they are of the type of the array ``wanted``, a float32 or a wider integer. All are copied at once.
     """
 
     def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -84,8 +84,8 @@ def copy_16(_context: Any, source: Any, like: Any, target: Any, wanted: Any) -> 
 def array_at(_context: Any, address: Any, like: Any, shape: Any) -> Any:
     """Return the contiguous array of a shape and of the type of ``like`` at ``address`` (uint64), without owning it.
 
-    So compiled code takes images that are known by their addresses, and parts of working memory, without a reference
-    count. The caller keeps the owner alive. (Numba's ``carray`` does the same for pointers; what is compiled without
+    So compiled code can use images given by their addresses, and parts of working memory, without a reference count.
+    The caller must keep the owner alive. (Numba's ``carray`` does the same for pointers; what is compiled without
     reference counting must not call it.)
     """
 

@@ -1,11 +1,11 @@
-"""How compiled functions are linked: a kernel is optimised once, whole, with copies of its own of all steps.
+"""Linking of compiled functions: a kernel is optimised once, as a whole, with its own copies of all steps.
 
 By default Numba optimises and emits machine code for each function, and again for its copy in each caller, under one
-weak symbol: whichever copy is loaded first answers for all. Copies of a ``fastmath`` function may round differently,
-so that results depended on whether kernels were compiled in this process or loaded from the cache, and in which
-order. Here steps are only linked, and the copies in a kernel are internal to it, under names of their own. This also
-saves a third of the time to compile (images to tracks, one core: 122 to 83 s); seldom garbage collection and what
-``mosca.numba_support.front_end`` remembers save more.
+weak symbol: the copy that is loaded first is used for all. Copies of a ``fastmath`` function may round differently.
+So results depended on whether kernels were compiled in this process or loaded from the cache, and in which order.
+Here steps are only linked, and the copies in a kernel are internal to it, under names of their own. This also saves a
+third of the time to compile (images to tracks, one core: 122 to 83 s). Less frequent garbage collection and the
+results that ``mosca.numba_support.front_end`` remembers save more.
 
 ``pipeline_class`` is Numba's documented way to change how it compiles; ``finalize`` and ``_optimize_final_module`` of
 its code libraries are private (0.61 to 0.68 have them).
@@ -88,7 +88,7 @@ class StepCompiler(Compiler):
         self._contexts = typing, target
 
     def compile_extra(self, func: Any) -> Any:
-        """Compile, and collect garbage more seldom meanwhile: what is made is a great many objects that live on."""
+        """Compile with less frequent garbage collection: compiling makes a great many objects that live on."""
         thresholds = gc.get_threshold()
         gc.set_threshold(100_000, *thresholds[1:])
         try:

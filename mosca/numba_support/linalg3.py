@@ -1,8 +1,8 @@
 """Linear algebra of three dimensions for compiled code: symmetric 3 x 3 matrices and vectors as scalars.
 
 Matrices are NamedTuples of numbers, which Numba keeps in registers: no array is made and none is counted, so that
-bare steps may make and return them. All are inlined: as calls they cost matching 8 %. Inverses are by cofactors:
-good to about the condition number times 1e-16, far better than covariances of single points need.
+bare steps may make and return them. All functions are inlined: as calls they cost matching 8 %. Inverses are by
+cofactors: good to about the condition number times 1e-16, far better than covariances of single points need.
 """
 
 from typing import Any, NamedTuple

@@ -1,1 +1,1 @@
-"""Tracks after the fact: Rauch-Tung-Striebel smoothing, and a smoother with a fixed lag."""
+"""Smoothing of tracks: Rauch-Tung-Striebel after the fact, and a smoother with a fixed lag."""

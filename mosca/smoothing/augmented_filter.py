@@ -1,7 +1,7 @@
 """A Kalman filter that keeps correcting the positions of the last instants, compiled.
 
-Its state is augmented by earlier positions (Anderson and Moore 1979, section 7.3). Of the augmented
-covariance only what is used is kept: each earlier position's own 3 x 3 and its 3 x 9 with the newest state.
+Its state is augmented by earlier positions (Anderson and Moore 1979, section 7.3). Only the parts of the augmented
+covariance that are used are kept: each earlier position's own 3 x 3 block and its 3 x 9 block with the newest state.
 """
 
 from typing import NamedTuple
@@ -30,7 +30,8 @@ class Filters(NamedTuple):
     cross: Array
     """(s, w, 3, 9) their covariances with the newest state."""
     axis_mean: Array
-    """(s, r, 3, 3) states of filters of one axis each, for the likelihood of each variance of acceleration."""
+    """(s, r, 3, 3) states of filters for one axis each, which give the likelihood of each variance of
+    acceleration."""
     axis_spread: Array
     """(s, r, 3, 3, 3) their covariances."""
     cost: Array
@@ -63,7 +64,7 @@ class TrackMeasurements(NamedTuple):
     noise: Array
     """(n, 3, 3) its noise for variance of acceleration 1."""
     remembered: Array
-    """(n,) what share of the cost so far still counts."""
+    """(n,) share of the cost so far that still counts."""
 
 
 class Prior(NamedTuple):
@@ -74,7 +75,7 @@ class Prior(NamedTuple):
     ladder: Array
     """(r,) variances of acceleration to choose from."""
     start: Array
-    """(r,) cost of each a priori."""
+    """(r,) prior cost of each."""
     fixed: float
     """The variance of acceleration; below 0: the likeliest of the ladder."""
 
@@ -105,7 +106,7 @@ def release(upto, frame, filters, released, xyz, own):
     """Take the earlier positions of frames up to ``upto`` out of all slots; return how many there were.
 
     ``frame`` (s, w) of each position. Fills ``xyz`` (m, 3) and ``own`` (m, 3, 3), slot by slot, and ``released`` (s,)
-    with the number of each slot: the caller shifts its own columns.
+    with the number taken from each slot. The caller shifts its own columns.
     """
     out = 0
     for s in range(filters.kept.shape[0]):

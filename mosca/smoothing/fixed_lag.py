@@ -1,8 +1,8 @@
 """Fixed-lag smoothing: samples leave ``lag`` frames late, corrected by all that was measured until then.
 
-The same motion as offline (``mosca.smoothing.rts``): Singer's, each track by itself. With a lag longer than the
-tracks and the same acceleration the two are equal. Online a track's acceleration is not known beforehand: the
-likeliest of the ladder so far is used, with exponential forgetting.
+The motion model is the same as offline (``mosca.smoothing.rts``): Singer's, each track by itself. With a lag longer
+than the tracks and the same acceleration, both give equal results. Online a track's acceleration is not known
+beforehand: the value of the ladder that is likeliest so far is used, with exponential forgetting.
 """
 
 from typing import NamedTuple
@@ -23,7 +23,7 @@ FIRST_WAITING = 64
 START_MPS2 = 16.0
 """Acceleration that is most probable a priori."""
 PRIOR_COST = 0.5
-"""What a factor of 2 away from that costs a priori, in units of -2 log-likelihood."""
+"""Prior cost of a factor of 2 away from that, in units of -2 log-likelihood."""
 
 
 @dataclass(frozen=True, config=SETTINGS)
@@ -116,7 +116,7 @@ class FixedLag:
         fresh = before < 0
         late = ~fresh & (samples.time_ns <= before)
         if late.any():
-            # what follows a late one is compared again, with what is left
+            # samples after a late one are compared again, with those that are left
             times, rest = self._take(samples.select(~late))
             return times, Samples.joined([samples.select(late), rest])
         steps = np.where(fresh, 0, samples.time_ns - before) * 1e-9

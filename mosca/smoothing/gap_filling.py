@@ -1,8 +1,8 @@
-"""Gaps of finished tracks filled, with a covariance that is measured on the tracks themselves.
+"""Filling of gaps in finished tracks, with a covariance that is measured on the tracks themselves.
 
-Measured samples stay as they are; samples of status ``filled`` are added only where a track has none. How far to
-trust the motion model inside a gap: intervals that were seen are left out, predicted and compared, and the covariance
-of filled samples is scaled until these errors fit it.
+Measured samples stay as they are; samples of status ``filled`` are added only where a track has none. The errors of
+the motion model inside a gap are measured: intervals that were seen are left out, predicted and compared. The
+covariance of filled samples is scaled until it fits these errors.
 """
 
 from dataclasses import replace
@@ -58,7 +58,7 @@ def filled(tracks: Tracks, settings: SmoothSettings | None = None) -> Tracks:
 def _with_lasting_errors(path: TrackInstants) -> TrackInstants:
     """Return ``path`` with wider covariances where a target is measured worse than it mostly is.
 
-    It is partly occluded there, as before and after a gap, and its errors are correlated: frames within
+    There the target is partly occluded, as before and after a gap, and its errors are correlated: frames within
     ``LASTING_S`` hold no more information than one.
     """
     size = np.trace(path.covariance, axis1=1, axis2=2)
@@ -79,11 +79,11 @@ def _named(added: Tracks, measured: Tracks) -> Tracks:
 
 
 def _widening(paths: list[TrackInstants], variances: list[float], settings: SmoothSettings) -> dict[int, float]:
-    """Return by gap length (instants, powers of two) how the errors compare with the model's covariance: a factor.
+    """Return, by gap length (instants, powers of two), the factor of the observed errors over the model's covariance.
 
-    Intervals that were seen are left out, as far apart as four times their length; what counts is their mean squared
-    error in units of the stated covariance, over 3, or their 95 % quantile over a normal distribution's where that
-    is more. It is below 1 only where ENOUGH intervals were tried.
+    Intervals that were seen are left out, four times their length apart. The factor is their mean squared error in
+    units of the stated covariance, over 3, or their 95 % quantile over that of a normal distribution where this is
+    more. It is below 1 only where ENOUGH intervals were tried.
     """
     squares: dict[int, list[float]] = {}
     shares: dict[int, list[float]] = {}
@@ -108,9 +108,10 @@ def _widening(paths: list[TrackInstants], variances: list[float], settings: Smoo
 
 
 def _factor(squares: Array, shares: Array, length: int) -> float:
-    """Return by how much to scale a covariance for errors of these ``squares`` (n,), ``length`` of each interval.
+    """Return the factor on a covariance for errors with these ``squares`` (n,), ``length`` of them an interval.
 
-    ``shares`` (n,): of the estimate in the errors' variance; the rest is that of the measurement compared with.
+    ``shares`` (n,): shares of the estimate in the errors' variance; the rest is that of the measurement it is
+    compared with.
     """
     if not len(squares):
         return 1.0

@@ -1,9 +1,9 @@
 """Smoothing of finished tracks: Rauch-Tung-Striebel with Singer's motion, each track by itself.
 
-The variance of a track's acceleration is the likeliest of a ladder. Compiled as a Kalman filter forwards and Bryson
-and Frazier's recursion backwards: this form (Bierman 1973) needs no inverse of a predicted covariance, so that
-instants without a measurement are only steps without an update. Matrices this small are multiplied in loops: a
-library's call costs more, and is slow to compile.
+The variance of a track's acceleration is the likeliest of a ladder of values. The compiled smoother is a Kalman
+filter forwards and Bryson and Frazier's recursion backwards. This form (Bierman 1973) needs no inverse of a predicted
+covariance, so that instants without a measurement are only steps without an update. Matrices this small are
+multiplied in loops: a library call costs more, and is slow to compile.
 """
 
 from dataclasses import dataclass as plain_dataclass
@@ -41,7 +41,7 @@ class SmoothSettings:
 
 @plain_dataclass(frozen=True, eq=False)
 class TrackInstants:
-    """One track on all its instants: rows measured and, between them, instants without."""
+    """One track on all its instants: measured ones and, between them, instants without a measurement."""
 
     track: int
     frame: Array
@@ -104,7 +104,7 @@ def axis_moves(steps_s: Array, memory_s: float) -> tuple[Array, Array]:
 def smooth_track(
     path: TrackInstants, measured: Array, variance: float, settings: SmoothSettings
 ) -> tuple[Array, Array, float, float]:
-    """Smooth a track of which ``measured`` (t,) counts; return what ``smooth_one`` does."""
+    """Smooth a track of which only the ``measured`` (t,) instants count; return what ``smooth_one`` does."""
     xyz, spread, cost, nis = smooth_one(
         path.xyz, path.covariance, measured, path.move, path.noise, settings.speed_mps**2, variance
     )
@@ -120,7 +120,7 @@ def likeliest_variance(path: TrackInstants, settings: SmoothSettings) -> float:
 
 
 class _Filtered(NamedTuple):
-    """What the forward pass over t instants leaves for the backward pass."""
+    """Results of the forward pass over t instants for the backward pass."""
 
     predicted_p: Array
     """(t, 9, 9) covariance before the update."""
@@ -182,7 +182,7 @@ def smooth_states(xyz, covariance, measured, move, noise, speed2, variance):
 
 @step
 def _forward(xyz, covariance, measured, move, noise, speed2, variance, filtered):
-    """Kalman filter; fills ``filtered`` and returns -2 log-likelihood and mean normalised innovation squared."""
+    """Run the Kalman filter; fill ``filtered``, return -2 log-likelihood and mean normalised innovation squared."""
     x, p, scratch = np.zeros(9), np.zeros((9, 9)), Scratch(np.empty((9, 3)), np.empty((3, 9)))
     for a in range(3):
         x[a] = xyz[0, a]
@@ -217,8 +217,8 @@ def _forward(xyz, covariance, measured, move, noise, speed2, variance, filtered)
 
 @step
 def _backward(measured, move, filtered, state, spread):
-    """Bryson and Frazier's recursion; fills the first s of the state's 9 values (t, s), and covariances (t, s, s)."""
-    # lead, weight: adjoint of what is measured later, at the corrected state
+    """Run Bryson and Frazier's recursion; fill the state's first s of 9 values (t, s), covariances (t, s, s)."""
+    # lead, weight: adjoint of the later measurements, at the corrected state
     lead, weight, left, work = np.zeros(9), np.zeros((9, 9)), np.empty((9, 9)), np.empty((9, 9))
     f = np.empty((3, 3))
     for k in range(state.shape[0] - 1, -1, -1):
@@ -313,7 +313,7 @@ def predict_state(x, f):
 
 @step
 def predict_covariance(p, f):
-    """Multiply the symmetric covariance (9, 9) of such a state by it from both sides, in place."""
+    """Multiply a state's symmetric covariance (9, 9) by one axis' transition (3, 3) from both sides, in place."""
     for _ in range(2):
         for i in range(9):
             for a in range(3):

@@ -61,7 +61,7 @@ def pairs_of(one: Tracks, two: Tracks, gate_m: float, least_common: int) -> list
 
 
 def same_target(pair: Pair, gate_sigma: float, gate_m: float, gate_mps: float) -> float:
-    """Return the score of one target, 0 where positions or velocities disagree beyond the covariances."""
+    """Return the score of a pair as one target, 0 where positions or velocities disagree beyond the covariances."""
     squares = np.einsum("ni,nij,nj->n", pair.apart, np.linalg.inv(pair.covariance), pair.apart)
     typical = float(np.median(squares))
     rms = float(np.sqrt(np.mean(np.median(pair.apart**2, axis=0).sum())))
@@ -78,7 +78,7 @@ def same_target(pair: Pair, gate_sigma: float, gate_m: float, gate_mps: float) -
 
 
 def placed_like(zones: Mapping[str, Tracks], links: Sequence[tuple[float, Key, Key]]) -> list[Group]:
-    """Return targets by ``links`` (score, track, track), best first; none has two tracks of a zone at one instant."""
+    """Return the targets that ``links`` (score, track, track) join, best first; none has two of a zone at once."""
     frames = {key: rows for name, tracks in zones.items() for key, rows in _frames_of(name, tracks).items()}
     group_of: dict[Key, list[Key]] = {key: [key] for key in frames}
     for _, one, two in sorted(links, key=lambda link: -link[0]):
@@ -89,7 +89,7 @@ def placed_like(zones: Mapping[str, Tracks], links: Sequence[tuple[float, Key, K
 def bridged(
     zones: Mapping[str, Tracks], groups: Sequence[Group], bridge_s: float, acceleration_mps2: float, gate_m: float
 ) -> list[Group]:
-    """Return ``groups`` with those joined that end in one zone and go on in another within ``bridge_s``."""
+    """Return ``groups``, where those that end in one zone and go on in another within ``bridge_s`` are joined."""
     frames = {key: rows for name, tracks in zones.items() for key, rows in _frames_of(name, tracks).items()}
     group_of: dict[Key, list[Key]] = {}
     for group in groups:

@@ -18,9 +18,10 @@ def shifted(tracks: Tracks, by_m: Array) -> Tracks:
 def merged(zones: Mapping[str, Tracks], groups: Sequence[Group], gate_sigma: float) -> tuple[Tracks, int, int]:
     """Return one set of tracks, numbered as ``groups``; how many samples were merged, and how many did not fit.
 
-    Samples of one target and instant become the mean weighted by inverse covariances, whose covariance is the inverse
-    of the weights' sum; measured ones take precedence over filled ones. Where two differ by more than ``gate_sigma``
-    standard deviations only the one with less variance is kept. Camera counts add up; residuals are the cameras' rms.
+    Samples of one target and instant are replaced by their mean, weighted by inverse covariances; its covariance is
+    the inverse of the weights' sum. Measured samples take precedence over filled ones. Where two differ by more than
+    ``gate_sigma`` standard deviations only the one with less variance is kept. Camera counts add up; residuals are
+    the cameras' rms.
     """
     number = {key: k for k, group in enumerate(groups) for key in group}
     parts = []

@@ -33,8 +33,8 @@ def run_zones(
     """Turn frame sets with the detections of all cameras into tracks, zone by zone; one Step a pulse, of all zones.
 
     A step's track numbers encode the zone (see ``of_zones``); a target that two zones see occurs twice until its
-    tracks are stitched (``mosca.stitching.stitch``). ``seconds`` are the zones' sums. ``healths``: of each zone.
-    InputError where two zones share a camera: their errors would not be independent.
+    tracks are stitched (``mosca.stitching.stitch``). ``seconds`` are sums over the zones. ``healths``: one of each
+    zone. InputError where two zones share a camera: their errors would not be independent.
     """
     check_zones(zones)
     shares = tee(seen, len(zones))

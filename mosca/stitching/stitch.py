@@ -49,7 +49,7 @@ class ZoneSettings:
 
 DEFAULTS = ZoneSettings()
 NEARLY = 0.7
-"""Share of the most votes that a smaller shift needs."""
+"""Share of the largest number of votes that a smaller shift needs to be preferred."""
 
 
 @plain_dataclass(frozen=True, eq=False)
@@ -65,7 +65,7 @@ class ZoneShift:
     targets: int
     """Number of common targets."""
     real: bool
-    """Larger than the errors of the calibrations."""
+    """Whether it is larger than the errors of the calibrations."""
 
 
 @plain_dataclass(frozen=True, eq=False)
@@ -138,7 +138,7 @@ def _shift_between(one: Tracks, two: Tracks, name: str, other: str, settings: Zo
     sigma = np.sqrt(np.trace(spreads, axis1=1, axis2=2) / 3)
     reach = settings.gate_sigma * np.hypot(sigma[:, None], sigma)
     near = np.linalg.norm(means[:, None] - means, axis=2) < reach
-    # pairs of one target agree with each other, pairs of neighbours point everywhere
+    # pairs of one target agree with each other, pairs of neighbouring targets do not
     votes = (near * np.array([len(pair.apart) for pair in found], float)).sum(axis=1)
     # pairs of different targets agree too where their spacing is regular: of the shifts with nearly as many votes
     # (NEARLY) the smallest is taken
@@ -156,7 +156,7 @@ def _shift_between(one: Tracks, two: Tracks, name: str, other: str, settings: Zo
 
 
 def _places(names: Sequence[str], shifts: Sequence[ZoneShift]) -> dict[str, Array]:
-    """Return how far each zone's frame is from the first's: from the shifts that are real, by least squares."""
+    """Return the shift (3,) [m] of each zone's frame from the first's, by least squares from real shifts."""
     at = {name: k for k, name in enumerate(names)}
     n = len(names)
     normal, right = np.zeros((n, n)), np.zeros((n, 3))
@@ -177,7 +177,7 @@ def _places(names: Sequence[str], shifts: Sequence[ZoneShift]) -> dict[str, Arra
 
 
 def _linked(zones: Mapping[str, Tracks], settings: ZoneSettings) -> list[Group]:
-    """Return the tracks (zone, number) of each target, those first seen first."""
+    """Return the tracks (zone, number) of each target, in the order in which targets were first seen."""
     links = []
     for one, two in combinations(zones, 2):
         for pair in pairs_of(zones[one], zones[two], settings.gate_m, settings.least_common):

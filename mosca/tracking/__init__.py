@@ -1,1 +1,1 @@
-"""Points of consecutive frame sets to tracks: gating, assignment, Kalman filters, rigid neighbours."""
+"""Tracks from points of consecutive frame sets: gating, assignment, Kalman filters, rigid neighbours."""

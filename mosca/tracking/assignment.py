@@ -1,6 +1,6 @@
 """Data association: the one-to-one assignment of greatest total score, connected component by component.
 
-Most tracks have one point in their gate and it has one track: those need no search. What remains falls into small
+Most tracks have one point in their gate, which lies in no other gate: those need no search. The rest falls into small
 groups that share no track and no point; each is solved by shortest augmenting paths (Jonker and Volgenant 1987).
 ``scipy.optimize.linear_sum_assignment`` is the same algorithm, but cannot be called from compiled code: a return to
 Python in the middle of a frame set would wait for the GIL. Tests compare the two.
@@ -17,7 +17,7 @@ FORBIDDEN = 1e12
 
 @step
 def best_pairs(left, right, score, n_left, n_right):
-    """Return for each right (n_right,) its left, or -1: one to one, with the greatest sum of ``score`` > 0.
+    """Return the left partner of each right (n_right,), or -1: one to one, with the greatest sum of ``score`` > 0.
 
     Pair k: ``left[k]``, ``right[k]``, ``score[k]``.
     """

@@ -11,11 +11,11 @@ from mosca.tracking.neighbour_model import distance_evidence
 from mosca.tracking.state import BY_MOTION, CONFIRMED, SLOTS_USED, UNPREDICTED
 
 SEEN_BONUS = 16.0
-"""-2 log of the probability that a track seen last is not seen now."""
+"""-2 log of the probability that a track seen at the last instant is not seen now."""
 MANOEUVRE_COST = 9.0
 """-2 log of the probability that a target accelerates far beyond what it has shown."""
 CONTRADICTED = -2.0
-"""Log-likelihood ratio of inter-marker distances below which an unreliable point is not a hidden track's."""
+"""Log-likelihood ratio of inter-marker distances below which an unreliable point is not taken by a hidden track."""
 LEAST_GATE = 0.25
 """Share of the largest gate in which a confirmed track takes a point of the least weight."""
 
@@ -35,10 +35,10 @@ class Gate(NamedTuple):
 def gated_pairs(bank, neighbours, points, used, state, rules, time_s):
     """Return the pairs of tracks in ``state`` and unused points within the gates: slots, rows and scores (k,).
 
-    Score: log-likelihood ratio (times 2) of "this track's point" against "a new target's", new targets being as
-    dense as one in a gate; greater than 0. A sudden manoeuvre (``rules.manoeuvre_mps2``) is the alternative
-    hypothesis of each track that its own motion predicts; the likelier of the two counts. A hidden track's point by a
-    manoeuvre must also fit its distances.
+    Score: twice the log-likelihood ratio of "this track's point" against "a new target's", where new targets have a
+    density of one in a gate; greater than 0. For each track that its own motion predicts, a sudden manoeuvre
+    (``rules.manoeuvre_mps2``) is the alternative hypothesis; the likelier of the two counts. A point that a hidden
+    track reaches by a manoeuvre must also fit the track's distances.
     """
     xyz, covariance = points.xyz, points.covariance
     top, m = bank.counters[SLOTS_USED], xyz.shape[0]

@@ -1,4 +1,4 @@
-"""The tracker's Kalman filters, compiled: predict all tracks, update them with their points, initiate new ones.
+"""The tracker's compiled Kalman filters: predict all tracks, update them with their points, initiate new ones.
 
 Filters of 6 or 9 states, all axes coupled, because points are far less certain along the cameras' view. The variance
 of acceleration is adapted for each track from its normalised innovations squared (NIS).
@@ -20,7 +20,7 @@ from mosca.tracking.state import (
 )
 
 ADAPTATION_RATE = 0.12
-"""How fast the variance of acceleration follows the innovations (its logarithm, an instant)."""
+"""Rate at which the logarithm of the variance of acceleration follows the innovations, per instant."""
 LARGEST_NIS_RATIO = 4.0
 """A normalised innovation squared counts up to this many times its expectation."""
 EXPECTED_NIS = 3.0
@@ -70,9 +70,9 @@ def predictions(bank):
 def update(bank, slot_of, points, jitter_s, time_s, rules, scratch):
     """Update each track with its point; a point without one begins a new track.
 
-    ``slot_of`` (m,): slot of each point's track, -1 for none, and then filled in. ``points``: ``Measurements`` (m);
-    ``jitter_s`` of the triggers spreads moving points along their paths, added to their covariance. ``scratch``: a
-    ``Scratch``. Returns how many confirmed tracks have no identity yet.
+    ``slot_of`` (m,): slot of each point's track; -1 for none, then filled in. ``points``: ``Measurements`` (m).
+    ``jitter_s``: of the triggers; it spreads moving points along their paths, which is added to their covariance.
+    ``scratch``: a ``Scratch``. Returns how many confirmed tracks have no identity yet.
     """
     for row in range(slot_of.shape[0]):
         i = slot_of[row]
@@ -83,7 +83,7 @@ def update(bank, slot_of, points, jitter_s, time_s, rules, scratch):
                     points.covariance[row, a, b] += share * bank.mean[i, 3 + a] * bank.mean[i, 3 + b]
             if bank.source[i] == BY_NEIGHBOURS and time_s - bank.seen_s[i] > rules.coast_s:
                 for a in range(3):
-                    bank.mean[i, 3 + a] = 0.0  # a velocity of so long ago says nothing
+                    bank.mean[i, 3 + a] = 0.0  # a velocity of so long ago is no information
             _update_track(bank, i, points.xyz[row], points.covariance[row], rules, scratch)
         else:
             i = _begin(bank, points.xyz[row], points.covariance[row], rules)
@@ -153,7 +153,7 @@ def _begin(bank, xyz, covariance, rules):
 
 @bare_step
 def _restart(bank, i, xyz, covariance, speed):
-    """Restart a filter at a point; its velocity, now +- ``speed``, stays the best estimate."""
+    """Restart a filter at a point; its velocity stays the best estimate, with the standard deviation ``speed``."""
     for a in range(9):
         for b in range(9):
             bank.covariance[i, a, b] = 0.0

@@ -1,15 +1,15 @@
-"""How targets move between two instants: constant velocity, or an acceleration that lasts a while.
+"""Motion models of targets between two instants: constant velocity, or an acceleration with a correlation time.
 
 ``velocity``: white acceleration, constant over each step (Bar-Shalom, Li and Kirubarajan 2001, section 6.3.2).
-``acceleration``: Singer's model, acceleration with an exponential memory (the same, section 8.2.3; Singer 1970).
-It runs from nearly constant acceleration (memory long against the step) to nearly constant velocity (short).
+``acceleration``: Singer's model, an exponentially correlated acceleration (the same, section 8.2.3; Singer 1970). It
+ranges from nearly constant acceleration (memory longer than the step) to nearly constant velocity (shorter).
 """
 
 import math
 from typing import NamedTuple
 
 SHORT = 1e-2
-"""Step over memory below which the closed form loses digits and the white-jerk limit serves."""
+"""Step over memory below which the closed form loses digits, and the white-jerk limit is used."""
 
 
 class TransitionModel(NamedTuple):

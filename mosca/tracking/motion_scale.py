@@ -1,10 +1,10 @@
-"""How fast targets move and how far they are apart, by the size of what is measured.
+"""Speeds and distances of targets, scaled with the size of the measured space.
 
-A tank of 7 cm, a room and a hall are measured by the same rules: lengths and speeds that the settings leave open are
-those of a person in a space of 2.5 m, times the size of the space over 2.5 m. That size is a volume's longest edge
-where one is given; else it is the width of the cameras' fields of view where the first points are, which is 1.0 to
+A tank of 7 cm, a room and a hall are measured by the same rules. Lengths and speeds that the settings leave open are
+those of a person in a space of 2.5 m, times the size of the space over 2.5 m. This size is the longest edge of a
+volume where one is given. Else it is the width of the cameras' fields of view at the first points, which is 1.0 to
 1.6 of the edge for rigs that are aimed at a working space. Times are not scaled: a target crosses its space in the
-same time, whatever its size.
+same time, whatever the space's size.
 """
 
 from typing import NamedTuple
@@ -19,13 +19,13 @@ from mosca.data.tracks import Points
 
 PERSON_SPACE_M = 2.5
 """Longest edge [m] of the space for which the lengths and speeds of ``PERSON`` are meant. The benchmark's actor: no
-name is exchanged with 1.25, one with 2.5, three with 5, where completeness falls from 0.997 to 0.973."""
+identity is exchanged with 1.25, one with 2.5, three with 5, where completeness falls from 0.997 to 0.973."""
 LEARNED_FROM = 100
 """Frame sets with points from which the field's width is learned."""
 
 
 class MotionScale(NamedTuple):
-    """Lengths and speeds of ``TrackSettings``, none of them open."""
+    """Lengths and speeds of ``TrackSettings``, all of them set."""
 
     acceleration_mps2: float = 20.0
     speed_mps: float = 1.5
@@ -34,14 +34,14 @@ class MotionScale(NamedTuple):
 
 
 def motion_scale(settings: TrackSettings, edge_m: float = PERSON_SPACE_M) -> MotionScale:
-    """Return the settings' lengths and speeds; those left open are of a space of ``edge_m`` [m]."""
+    """Return the settings' lengths and speeds; those left open are scaled to a space of ``edge_m`` [m]."""
     scale = edge_m / PERSON_SPACE_M
     given = (getattr(settings, name) for name in MotionScale._fields)
     return MotionScale(*(scale * usual if own is None else own for usual, own in zip(PERSON, given, strict=True)))
 
 
 class FieldWidth:
-    """Width of the cameras' fields of view where the points are: mean of the first sets' medians."""
+    """Width of the cameras' fields of view at the points: mean of the medians of the first sets."""
 
     def __init__(self, rig: Rig) -> None:
         self._centre = np.array([camera.world_from_camera.translation for camera in rig.cameras])
@@ -68,4 +68,4 @@ def relative_width(camera: Camera) -> float:
 
 
 PERSON = MotionScale()
-"""Of a person in PERSON_SPACE_M."""
+"""Values of a person in a space of PERSON_SPACE_M."""

@@ -1,9 +1,9 @@
-"""Neighbour model: distances between tracks that stay the same, learned, and used while a marker is occluded.
+"""Neighbour model: learned constant distances between tracks, used while a marker is occluded.
 
-Markers of one rigid segment keep their distances. Which those are is learned from the tracks: for each track the mean
-and the variance of its distances to ``NEIGHBOURS`` others. They predict an occluded marker (the rigid motion of its
-neighbours since it was last seen carries it along: ``mosca.tracking.neighbour_motion``) and decide whether a new
-track is one that was lost.
+Markers of one rigid segment keep their distances. Which distances are constant is learned from the tracks: for each
+track, the mean and the variance of its distances to ``NEIGHBOURS`` others. An occluded marker is predicted from them:
+it follows the rigid motion of its neighbours since it was last seen (``mosca.tracking.neighbour_motion``). They also
+decide whether a new track is a lost one.
 """
 
 import numpy as np
@@ -28,7 +28,7 @@ is evidence for a track."""
 RELAXED_S = 0.5
 """Correlation time of a distance's deviation from its mean [s]."""
 RATE_WINDOW_S = 2.0
-"""Time over which it is averaged how fast a distance changes [s]: movements differ from one to the next."""
+"""Time over which the rate of change of a distance is averaged [s]: movements differ from one to the next."""
 WINDOW_S = 20.0
 """Time over which distances are averaged [s]."""
 UPDATE_EVERY, SEARCH_EVERY, EXCHANGED = 1, 16, 3
@@ -37,10 +37,10 @@ next; how many of the worst neighbours a search exchanges at most."""
 FOREIGN = 0.05
 """Prior probability that a distance does not fit for another reason (a neighbour exchanged, clutter)."""
 OUTLIER_CHI2, OUTLIER_RATE = 16.0, 0.2
-"""Squared deviation of a distance, in variances, from which it is taken for an outlier, and the factor of the
-learning rate then."""
+"""Squared deviation of a distance, in variances, from which it is taken for an outlier, and the factor on the
+learning rate of outliers."""
 LARGEST_RATIO = 1e6
-"""Likelihood ratio that one distance contributes at most."""
+"""Largest likelihood ratio that one distance contributes."""
 SECOND_BEHIND = 3.0
 """Log-likelihood ratio by which the second best lost track must be behind."""
 
@@ -49,7 +49,7 @@ SECOND_BEHIND = 3.0
 def learn_distances(bank, neighbours, step_s, reach_m):
     """Update the distances of all tracks just seen and keep the positions; search for better neighbours at times.
 
-    ``reach_m``: how far a neighbour may be.
+    ``reach_m``: largest distance [m] of a neighbour.
     """
     bank.counters[INSTANT] += 1
     instant = bank.counters[INSTANT]
@@ -88,7 +88,7 @@ def _learn_one(neighbours: Neighbours, i: int, k: int, measured: float, update_s
     mean, variance, observed_s = (neighbours.distance[i, k], neighbours.variance[i, k], neighbours.observed_s[i, k])
     away = measured - mean
     rate = min(update_s / min(observed_s + update_s, WINDOW_S), 1.0)
-    # a sudden change is rather a wrong point than a segment that changed
+    # a sudden change is more likely a wrong point than a changed segment
     if observed_s > 2 * OBSERVED_HALF_S and away * away > OUTLIER_CHI2 * distance_variance(
         mean, variance, observed_s
     ):
@@ -100,7 +100,7 @@ def _learn_one(neighbours: Neighbours, i: int, k: int, measured: float, update_s
 
 @bare_step
 def _learn_rate(bank, neighbours, i, k, update_s):
-    """Update how fast a distance changes, by its value when both were last seen."""
+    """Update the rate of change of a distance, by its value when both tracks were last seen."""
     before = _distance(neighbours.own_xyz_last_seen[i], neighbours.xyz_last_seen[i, k])
     change = (_track_distance(bank, i, neighbours.slot[i, k]) - before) / update_s
     rate = min(update_s / min(neighbours.observed_s[i, k] + update_s, RATE_WINDOW_S), 1.0)
@@ -109,7 +109,7 @@ def _learn_rate(bank, neighbours, i, k, update_s):
 
 @step
 def predict_hidden(bank, neighbours, time_s, step_s, widest_m):
-    """Set the prediction of each hidden track to that of its neighbours, where that is more certain.
+    """Predict each hidden track from its neighbours where that is more certain than its own motion.
 
     Predictions whose standard deviation exceeds ``widest_m`` [m, of the 3D distance] are not used.
     """
@@ -132,10 +132,10 @@ def predict_hidden(bank, neighbours, time_s, step_s, widest_m):
 
 @short_kernel
 def reidentified(bank, neighbours, i, time_s, least, range_m, speed_mps):
-    """Return the lost track whose distances the unnamed slot ``i`` fits, and whether it may be any lost track.
+    """Return the lost track whose distances the unnamed slot ``i`` fits, or -1, and whether any is possible.
 
-    The former is -1 where none is convincing: ``least`` is the log-likelihood ratio required. It may be any whose
-    distances are known and that could have moved here from where it was lost.
+    ``least`` is the log-likelihood ratio required. A lost track is possible if its distances are known and if it
+    could have moved here from where it was lost.
     """
     best, second, found, possible = -np.inf, -np.inf, -1, False
     for j in range(bank.counters[SLOTS_USED]):
@@ -156,9 +156,9 @@ def reidentified(bank, neighbours, i, time_s, least, range_m, speed_mps):
 
 @short_kernel
 def reacquired_nearby(bank, i, time_s, near_m):
-    """Return the track reacquired at this instant where the unnamed slot ``i`` is predicted, or -1.
+    """Return the track that was reacquired at this instant at the unnamed slot ``i``'s prediction, or -1.
 
-    Only one that was lost before ``i`` began: then ``i`` was the same target all the time.
+    Only a track that was lost before ``i`` began: then ``i`` was the same target all the time.
     """
     for j in range(bank.counters[SLOTS_USED]):
         known = bank.state[j] == CONFIRMED and bank.identity[j] >= 0
@@ -182,23 +182,23 @@ def take_over(bank, old, new):
 
 @bare_step
 def distance_evidence(bank, neighbours, i, point, noise, hidden_s, range_m):
-    """Log-likelihood ratio that ``point`` (3,) is track ``i``, by its distances to the neighbours seen now.
+    """Return the log-likelihood ratio that ``point`` (3,) is of track ``i``, by its distances to neighbours seen now.
 
-    ``noise`` (3, 3): covariance of the point; ``hidden_s``: since the track was last seen; ``range_m``: other
-    targets are as dense as one in this range.
+    ``noise`` (3, 3): covariance of the point; ``hidden_s``: time since the track was last seen; ``range_m``: other
+    targets have a density of one in this range.
     """
     own = (noise[0, 0] + noise[1, 1] + noise[2, 2]) / 3.0
     kept = np.exp(-hidden_s / RELAXED_S)
     total = 0.0
     for k in range(NEIGHBOURS):
-        # a distance that was last seen may be used at once: how little is known of it, its variance says
+        # a distance seen together with the track may be used at once: its variance shows how uncertain it is
         known = neighbours.observed_s[i, k] > OBSERVED_HALF_S or neighbours.valid[i, k]
         if known and observed_now(bank, neighbours, i, k):
             expected, variance = neighbours.distance[i, k], neighbours.variance[i, k]
             spread2 = distance_variance(expected, variance, neighbours.observed_s[i, k])
             if neighbours.valid[i, k]:
                 # a distance returns from its last value to its mean, and its variance grows (Ornstein-Uhlenbeck), at
-                # first as fast as it was seen to change
+                # first at the observed rate of change
                 last = _distance(neighbours.own_xyz_last_seen[i], neighbours.xyz_last_seen[i, k])
                 away = last - expected
                 grown = min(neighbours.rate2[i, k] * hidden_s * hidden_s, max(variance, away * away))
@@ -208,7 +208,7 @@ def distance_evidence(bank, neighbours, i, point, noise, hidden_s, range_m):
             if spread2 > (USED_UP_TO * expected) ** 2:
                 continue
             away = _distance(point, bank.mean[neighbours.slot[i, k]]) - expected
-            # Student's t, with as many degrees of freedom as there were postures: few say little of the next one
+            # Student's t with one degree of freedom per posture: few of them hardly predict the next one
             freedom = max(neighbours.observed_s[i, k] / RELAXED_S, 1.0)
             ratio = (1.0 + away * away / (freedom * spread2)) ** (-0.5 * (freedom + 1.0))
             ratio *= range_m / np.sqrt(2.0 * np.pi * spread2)
@@ -260,7 +260,8 @@ def _search(bank, neighbours, i, reach_m, round_number):
 def _nearest_other(bank, neighbours, i, reach_m, every, round_number):
     """Return the nearest track within reach that is no neighbour of ``i`` yet, or -1, and its squared distance.
 
-    Unless ``every``, a third of the tracks at a time, so that a neighbour that was dropped does not return at once.
+    Unless ``every``, a third of the tracks is searched at a time, so that a dropped neighbour does not return at
+    once.
     """
     nearest2, found = reach_m * reach_m, -1
     for j in range(0 if every else -round_number % 3, bank.counters[SLOTS_USED], 1 if every else 3):

@@ -1,7 +1,7 @@
 """Rigid motion of an occluded marker's neighbours since it was last seen: predicts where the marker is now.
 
-Translation by the weighted centroid of the neighbours; rotation by a filter: it continues from that of the instant
-before, by Gauss-Newton steps with a prior that limits the spin where the neighbours do not determine it.
+The translation is that of the neighbours' weighted centroid. The rotation is filtered: Gauss-Newton steps start from
+the rotation at the previous instant, with a prior that limits the spin where the neighbours do not determine it.
 """
 
 import numpy as np
@@ -12,12 +12,12 @@ from mosca.numba_support.linalg3 import inverse3, plus_identity3, store3, symmet
 from mosca.tracking.state import NEIGHBOURS, Bank, Neighbours
 
 RIGID, UNOBSERVED, OBSERVED_HALF_S = 0.005, 0.15, 0.2
-"""Standard deviation of a distance over its length: at least, before anything is observed, and after how long of
-observation the latter's variance is halved [s]."""
+"""Standard deviation of a distance over its length: the least, and that before any observation; and the time of
+observation [s] that halves the variance of the latter."""
 SPIN_RADPS = 4.0
 """How fast a rigid segment may rotate about an axis that its visible markers do not determine."""
 LARGEST_SPIN_RAD2 = 3.0
-"""Variance of such a rotation at most: any orientation."""
+"""Largest variance of such a rotation: any orientation."""
 ITERATIONS = 3
 
 
@@ -31,7 +31,7 @@ def observed_now(bank: Bank, neighbours: Neighbours, i: int, k: int) -> bool:
 
 @bare_step
 def distance_variance(distance: float, variance: float, observed_s: float) -> float:
-    """Return the variance [m^2] with which a distance is known to stay the same."""
+    """Return the variance [m^2] of a distance that is assumed to stay the same."""
     observed = observed_s / OBSERVED_HALF_S
     return variance + (RIGID**2 + UNOBSERVED**2 / (1.0 + observed * observed)) * distance * distance
 
@@ -40,9 +40,9 @@ def distance_variance(distance: float, variance: float, observed_s: float) -> fl
 def carried_along(bank, neighbours, i, hidden_s, step_s, xyz, covariance):
     """Predict track ``i`` from the rigid motion of its neighbours since it was last seen, ``hidden_s`` ago.
 
-    Fills ``xyz`` (3,) and ``covariance`` (3, 3): of the segment's translation, of its rotation times the lever arm,
-    and of the marker's own rigidity; inflated where the neighbours do not move as one body. Returns the covariance's
-    trace; ``inf`` where no neighbour is seen.
+    Fills ``xyz`` (3,) and ``covariance`` (3, 3). The latter sums those of the segment's translation, of its rotation
+    times the lever arm, and of the marker's own rigidity. It is inflated where the neighbours do not move as one
+    body. Returns the covariance's trace; ``inf`` where no neighbour is seen.
     """
     then, now = np.zeros(3), np.zeros(3)
     total, seen = _centroids(bank, neighbours, i, then, now)
@@ -124,7 +124,7 @@ def _normal_equations(
 
 @bare_step
 def _fill_covariance(spin, lever, position_variance, inflation, covariance):
-    """Fill [lever]x spin [lever]x' + position variance, inflated: a rotation moves the marker by it x the lever."""
+    """Fill [lever]x spin [lever]x' + position variance, inflated: a rotation w moves the marker by w x the lever."""
     for a in range(3):
         # rows of the lever's cross-product matrix
         p, q = (a + 1) % 3, (a + 2) % 3

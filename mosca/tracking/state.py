@@ -12,7 +12,7 @@ from mosca.data.arrays import Array
 
 FREE, TENTATIVE, CONFIRMED = range(3)
 UNPREDICTED, BY_MOTION, BY_NEIGHBOURS = range(3)
-"""What the predicted position of a track rests on: none, its own motion, its rigid neighbours."""
+"""Source of a track's predicted position: none, its own motion, its rigid neighbours."""
 NEIGHBOURS = 10
 """Number of neighbouring tracks in a track's distance model."""
 SLOTS_USED, NEXT_SERIAL, NEXT_IDENTITY, INSTANT = range(4)
@@ -34,7 +34,7 @@ class TrackRules(NamedTuple):
     speed_mps: float
     confirm_weight: float
     reliable_from: float
-    """Cameras that must count in full for a measurement from which distances are learned."""
+    """Cameras that must count in full before distances are learned from a measurement."""
     coast_s: float
     remember_s: float
     limb_m: float
@@ -87,9 +87,9 @@ class Bank(NamedTuple):
     lost_s: Array
     """(n,) last measurement before that pause."""
     weight: Array
-    """(n,) of the measurements so far, which confirms a track."""
+    """(n,) total weight of the measurements so far, which confirms a track."""
     variance: Array
-    """(n,) of the acceleration, an axis."""
+    """(n,) variance of the acceleration, an axis."""
     mean: Array
     """(n, 9) position, velocity, acceleration."""
     covariance: Array
@@ -99,7 +99,7 @@ class Bank(NamedTuple):
     predicted_covariance: Array
     """(n, 3, 3)"""
     source: Array
-    """(n,) what the prediction rests on."""
+    """(n,) source of the prediction."""
 
 
 class Neighbours(NamedTuple):
@@ -108,7 +108,7 @@ class Neighbours(NamedTuple):
     slot: Array
     """(n, k) slot of the neighbour, -1 where none."""
     serial: Array
-    """(n, k) the owner of that slot, where there is one."""
+    """(n, k) ``serial`` of that slot's owner, where there is one."""
     distance: Array
     """(n, k) mean [m]."""
     variance: Array

@@ -28,9 +28,9 @@ def predict_tracks(bank, neighbours, motion, time_s, step_s, rules):
 
 @kernel
 def update_tracks(bank, neighbours, points, jitter_s, time_s, step_s, rules):
-    """Assign the points to the tracks, update these and begin new ones; learn distances unless names are open.
+    """Assign the points to the tracks, update these and begin new ones; learn distances unless identities are open.
 
-    ``points``: ``Measurements`` (m) as they are where nothing moves; ``jitter_s``: standard deviation of each
+    ``points``: ``Measurements`` (m) with the covariances of points at rest; ``jitter_s``: standard deviation of each
     camera's trigger. Returns how many confirmed tracks have no identity yet; slot, serial and identity (m,) of each
     point's track; and covariance (m, 3, 3) of each point.
     """

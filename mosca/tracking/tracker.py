@@ -2,11 +2,12 @@
 
 Each track is a Kalman filter (``mosca.tracking.motion_models``: constant velocity or Singer's acceleration). Points
 and predictions within the gates (``mosca.tracking.gating``) are paired by the assignment of greatest likelihood
-(``mosca.tracking.assignment``). A new track is tentative until its points weigh enough: a point of n cameras weighs
-n - 1, since two cameras can agree by chance (images of odd size count for less than one); its samples are returned
-when it is confirmed, the earlier ones with them. An occluded track is predicted by its own motion or, longer, by its
-rigid neighbours (``mosca.tracking.neighbour_model``); a new track that fits the distances of a lost one gets its
-identity. The samples are the measured points, not the filter's estimates: no smoothing hides errors.
+(``mosca.tracking.assignment``). A new track is tentative until its points weigh enough: a point of n cameras has the
+weight n - 1, since two cameras can agree by chance (images of odd size count for less than one). The samples of a
+track are returned when it is confirmed, the earlier ones with them. An occluded track is predicted by its own motion
+or, longer, by its rigid neighbours (``mosca.tracking.neighbour_model``). A new track that fits the distances of a
+lost one gets its identity. The samples are the measured points, not the filter's estimates: no smoothing hides
+errors.
 """
 
 from dataclasses import replace
@@ -35,13 +36,13 @@ from mosca.tracking.step import predict_tracks, update_tracks
 
 FIRST_SLOTS = 64
 LEAST_ACCELERATION, LARGEST_ACCELERATION, MANOEUVRE_ACCELERATION = 0.2, 4.0, 6.0
-"""Limits of a track's adapted acceleration, and that of a sudden manoeuvre; times the settings' acceleration."""
+"""Limits of a track's adapted acceleration, and that of a sudden manoeuvre, over the settings' acceleration."""
 RELIABLE_CAMERAS = 1.5
-"""Cameras that must count in full for a measurement from which distances are learned."""
+"""Cameras that must count in full before distances are learned from a measurement."""
 RETURN_SPEED = 4.0
 """Speed at which a lost target may have moved, in units of the settings' speed."""
 SAME_TARGET_SHARE = 0.25
-"""An unnamed track and a reacquired one this near to each other (times the largest gate) are the same target."""
+"""Distance, over the largest gate, up to which an unnamed track and a reacquired one are the same target."""
 CONVINCING = 6.0
 """Log-likelihood ratio of distances from which a new track is taken for a lost one."""
 
@@ -74,7 +75,7 @@ class Tracker:
     def update(self, points: Points, frame: int, time_ns: int, jitter_s: float = 0.0) -> Samples:
         """Assign the points of the instant last predicted to the tracks; return the samples of known identity.
 
-        ``jitter_s``: of each camera's trigger, standard deviation; it spreads moving points along their paths.
+        ``jitter_s``: standard deviation of each camera's trigger [s]; it spreads moving points along their paths.
         """
         n, used = len(points), int(self._bank.counters[SLOTS_USED])
         if used + n > len(self._bank.state):
@@ -98,7 +99,7 @@ class Tracker:
 
     @property
     def waiting(self) -> int:
-        """How many samples wait for their track's identity; those at a run's end are left out."""
+        """Number of samples that wait for their track's identity; those still waiting at a run's end are left out."""
         return sum(len(samples) for samples, _ in self._waiting)
 
     def _identified(self, slot_of: Array) -> dict[int, int]:
@@ -130,7 +131,7 @@ class Tracker:
         return named
 
     def _certain(self, now: Samples, serial: Array, named: dict[int, int]) -> Samples:
-        """Return the samples of known identity, now's and earlier ones; keep those of tentative tracks."""
+        """Return the samples of known identity, present and earlier ones; keep those of tentative tracks."""
         if not self._waiting and (len(now) == 0 or now.track.min() >= 0):
             return now
         waiting = [

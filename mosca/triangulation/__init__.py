@@ -1,1 +1,1 @@
-"""Image points of known correspondence to points in space, with covariance."""
+"""Points in space, with covariance, from image points of known correspondence."""

@@ -1,8 +1,9 @@
-"""What the shake of cameras does to points: a shift that all points of a frame set which are near each other share.
+"""Effect of camera shake on points: neighbouring points of a frame set have a shift in common.
 
-A camera's body that shakes shifts all image points of an exposure alike (Luhmann et al., Close-Range Photogrammetry,
-3rd ed., section 2.4, error propagation). A point's covariance counts that as an error of its own; the mean of many
-points, or a joint's centre that is found from all of a person's markers, has it whole, and distances hardly have it.
+The shake of a camera's body shifts all image points of an exposure alike (Luhmann et al., Close-Range Photogrammetry,
+3rd ed., section 2.4, error propagation). A point's covariance treats this shift as an error of its own. The mean of
+many points has the whole shift, as has a joint's centre found from all of a person's markers; distances hardly have
+it.
 """
 
 import numpy as np
@@ -12,20 +13,22 @@ from mosca.data.arrays import Array
 from mosca.data.rig import Rig
 
 LEAST_OWN = 0.1
-"""Share of a point's variance, at least, that is left as its own, so that a covariance stays one; 0.05 and 0.2 give
-the joints of two takes the same nees to 0.001."""
+"""Least share of a point's variance that is left as its own, so that its covariance stays positive definite; 0.05 and
+0.2 give the joints of two takes the same nees to 0.001."""
 WORST_CONDITION = 1e12
-"""Of a normal matrix: beyond it cameras stand in one place, and double precision does not tell a distance."""
+"""Condition number of a normal matrix beyond which cameras stand in one place: double precision does not resolve a
+distance."""
 
 
 def shake_covariance(rig: Rig, xyz: Array) -> tuple[Array, Array]:
     """Return the covariances (n, 3, 3) [m^2] that the shake of a rig's cameras gives to points ``xyz`` (n, 3) [m].
 
-    And in how many cameras' images each point is (n,).
+    Also returns in how many cameras' images each point lies (n,).
 
-    Of points that all cameras see whose image they are in, and that are triangulated with the cameras' own errors
-    (``shake_px``, ``residual_px``) for weights; which camera a body hides a point from is not considered: there the
-    shift is larger. 0 where no camera is known to shake, and for points in fewer than two images.
+    It is assumed that all cameras whose images contain a point see it, and that points are triangulated with weights
+    by the cameras' own errors (``shake_px``, ``residual_px``). A body that hides a point from a camera is not
+    considered: there the shift is larger. Covariances are 0 where no camera is known to shake, and for points in
+    fewer than two images.
     """
     shake2 = np.array([camera.shake_px**2 for camera in rig.cameras])
     variance = shake2 + np.array([camera.residual_px**2 for camera in rig.cameras])
@@ -49,7 +52,7 @@ def shake_covariance(rig: Rig, xyz: Array) -> tuple[Array, Array]:
 
 
 def without(covariance: Array, shared: Array) -> Array:
-    """Return covariances (n, 3, 3) less a ``shared`` part (n, 3, 3), but LEAST_OWN of them in each direction."""
+    """Return covariances (n, 3, 3) minus a ``shared`` part (n, 3, 3), at least LEAST_OWN of each direction."""
     root = np.linalg.cholesky(covariance)
     inverse = np.linalg.inv(root)
     share, axes = np.linalg.eigh(inverse @ shared @ inverse.transpose(0, 2, 1))

@@ -1,9 +1,10 @@
 """Points from rays, with their covariance.
 
 A ray seen at a pixel with covariance S has the whitened reprojection error ``A (X - O) / (d . (X - O))``, A = L^-1 G
-with L L' = S and G from ``mosca.camera.projection.Rays``. For a given depth along the ray it is linear in X, so
-that the point follows from 3 x 3 normal equations, re-weighted with the new depths; the depths' own influence is of
-second order in the error. Covariance: ``(sum A'A / s^2)^-1`` (field notes, section 4).
+with L L' = S and G from ``mosca.camera.projection.Rays``. For a given depth along the ray the error is linear in X,
+so the point follows from 3 x 3 normal equations. They are solved again with weights from the new depths; the
+influence of the depths themselves is of second order in the error. Covariance with the depths s: ``(sum A'A /
+s^2)^-1`` (field notes, section 4).
 """
 
 from typing import Any
@@ -24,18 +25,19 @@ SINGULAR = 1e-18
 """Determinant of the normal equations over the product of their diagonal at which rays are parallel in double
 precision: directions that differ by some 1e-9 rad."""
 TRUST, SHARE, DEPTH, WHOLE, RANKS = 0, 1, 2, 3, 4
-"""Columns of what goes with each ray of a hypothesis: trust, expected number of chance rays as near, depth, size [m]
-that the image of a whole target has."""
+"""Columns of the values of each ray of a hypothesis: trust, expected number of equally near chance rays, depth, size
+[m] of the image of a whole target."""
 
 
 @inlined_step
 def solve_rays(members, ranks, rays, views, steps, solved):
     """Intersect the rays ``members`` (c,), one of each camera or -1.
 
-    ``ranks`` (c, RANKS): TRUST, a factor on each ray's whitened error, 1 or less; DEPTH of the point along each ray,
-    roughly (any one number for all will do where ``steps`` is 3), afterwards the last one. Fills the first 12 of
-    ``solved``: point (3) and covariance (3 x 3). Returns the sum of squared whitened errors, or -1 where the rays do
-    not meet in front of the cameras. Elements are read one by one: a view of a row costs more than the arithmetic.
+    ``ranks`` (c, RANKS): TRUST, a factor of 1 or less on each ray's whitened error; DEPTH, the approximate depth of
+    the point along each ray (where ``steps`` is 3, any one number for all will do), replaced by the final depth.
+    Fills the first 12 of ``solved``: point (3) and covariance (3 x 3). Returns the sum of squared whitened errors, or
+    -1 where the rays do not meet in front of the cameras. Elements are read one by one: a view of a row costs more
+    than the arithmetic.
     """
     cameras = members.shape[0]
     x = y = z = inverse = 0.0

@@ -1,4 +1,4 @@
-"""Lens models of the pipeline, one file a model: each mapping once, compiled, one point at a time.
+"""Lens models of the pipeline, one file each: every mapping exists once, compiled, for one point at a time.
 
 Each file has three functions of a lens row (``row``):
 

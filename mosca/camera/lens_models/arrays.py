@@ -75,9 +75,9 @@ def radial_slope(q, s):
 
 
 def directions(lens: Lens, xy_px: Array) -> tuple[Array, Array]:
-    """Pixel (n, 2) -> unit direction (n, 3), camera frame, and d pixel / d direction there (n, 2, 3).
+    """Return the unit directions (n, 3) of pixels (n, 2), camera frame, and d pixel / d direction (n, 2, 3).
 
-    NaN where no light comes from; a Mosca lens, whose directions are closed form, has some beyond its fold too.
+    NaN where no light comes from; a Mosca lens, whose directions have a closed form, also gives some beyond its fold.
     """
     xy = np.array(xy_px, dtype=float).reshape(-1, 2)
     found, slope = np.empty((len(xy), 3)), np.empty((len(xy), 2, 3))
@@ -86,10 +86,11 @@ def directions(lens: Lens, xy_px: Array) -> tuple[Array, Array]:
 
 
 def pixels(lens: Lens, directions: Array) -> tuple[Array, Array, Array]:
-    """Direction (n, 3) of any length -> pixel (n, 2), d pixel / d direction (n, 2, 3), d pixel / d lens (n, 2, p).
+    """Return pixels (n, 2) of directions (n, 3), d pixel / d direction (n, 2, 3) and d pixel / d lens (n, 2, p).
 
-    The lens's parameters p are in the order of the dataclass's fields. NaN where the lens does not image the
-    direction: behind the camera, or beyond the radius where the model's radial mapping folds back.
+    Directions may have any length. The lens's parameters p are in the order of the dataclass's fields. NaN where the
+    lens does not image the direction: behind the camera, or beyond the radius where the model's radial mapping folds
+    back.
     """
     v = np.array(directions, dtype=float).reshape(-1, 3)
     found = np.full((len(v), 2, IMAGED), np.nan)

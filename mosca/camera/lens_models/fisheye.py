@@ -1,8 +1,8 @@
 """Equidistant fisheye with a polynomial in the angle (Kannala-Brandt).
 
 With theta the angle from the optical axis and rho(theta) = theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 +
-k4 theta^8): u = cx + fx rho cos(phi), v = cy + fy rho sin(phi). Images beyond 90 degrees from the axis too, where
-z is negative: up to the image circle, where rho stops rising or theta reaches 180 degrees.
+k4 theta^8): u = cx + fx rho cos(phi), v = cy + fy rho sin(phi). The model also images directions beyond 90 degrees
+from the axis, where z is negative, up to the image circle: there rho stops rising or theta reaches 180 degrees.
 Source: Kannala and Brandt 2006; the parameters are those of OpenCV's ``fisheye`` with zero skew.
 """
 
@@ -30,8 +30,9 @@ NEAR_AXIS = 1e-9
 def direction(q, u, v, d, g):
     """Fill the unit direction ``d`` (3,) of a pixel and d pixel / d direction ``g`` (2, 3), camera frame.
 
-    Newton's method between bounds for the angle: rho rises up to the image circle, so that bisection takes over where
-    a step leaves them (just inside the fold the slope is nearly zero). Returns whether the pixel has a direction.
+    Newton's method finds the angle between bounds. Bisection, possible since rho rises up to the image circle, takes
+    over where a step leaves them (just inside the fold the slope is nearly zero). Returns whether the pixel has a
+    direction.
     """
     fx, fy, k1, k2, k3, k4 = q[0], q[1], q[4], q[5], q[6], q[7]
     wx, wy = (u - q[2]) / fx, (v - q[3]) / fy

@@ -5,8 +5,8 @@ With ``xb = mx (x - xp)`` to the right and ``yb = -my (y - yp)`` up [mm], ``r^2 
     dx = a yb + xb (K1 r^2 + K2 r^4 + K3 r^6) + (r^2 + 2 xb^2) P1 + 2 xb yb P2
     dy = a xb + yb (K1 r^2 + K2 r^4 + K3 r^6) + 2 xb yb P1 + (r^2 + 2 yb^2) P2
 
-ideal = measured + (dx, dy), and the ideal point is c times the tangent of the ray's direction. The
-correction is a function of the measured point: pixel -> ray is closed form, projection inverts it.
+ideal = measured + (dx, dy), and the ideal point is c times the tangent of the ray's direction. The correction is a
+function of the measured point: pixel -> ray has a closed form, and projection inverts it.
 """
 
 from functools import lru_cache
@@ -114,6 +114,6 @@ def radial_slope(q, s):
 def fold_mm2(lens: MoscaLens) -> float:
     """Return the squared measured radius [mm^2] at which the ideal radius stops rising, or infinity.
 
-    The slope of r + K1 r^3 + K2 r^5 + K3 r^7 by r, a polynomial in r^2.
+    There the slope of r + K1 r^3 + K2 r^5 + K3 r^7 by r, a polynomial in r^2, is zero.
     """
     return first_positive_root((1.0, 3 * lens.K1_per_mm2, 5 * lens.K2_per_mm4, 7 * lens.K3_per_mm6))

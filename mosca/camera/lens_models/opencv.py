@@ -85,7 +85,7 @@ def direction(q, u, v, d, g):
 
 @bare_step
 def _tilted(q, wx, wy, s00, s01, s10, s11):
-    """Transform a Jacobian from before the sensor's tilt to the sensor."""
+    """Transform a Jacobian on the sensor without tilt to the tilted sensor."""
     depth = q[TILT + 6] * wx + q[TILT + 7] * wy + q[TILT + 8]
     x = (q[TILT] * wx + q[TILT + 1] * wy + q[TILT + 2]) / depth
     y = (q[TILT + 3] * wx + q[TILT + 4] * wy + q[TILT + 5]) / depth
@@ -183,7 +183,7 @@ def radial_slope(q, s):
 def fold_r2(lens: OpenCVLens) -> float:
     """Return the squared ideal radius at which the radial distortion r q(r^2) stops rising, or infinity.
 
-    With q = N / D in s = r^2 the slope by r is (N D + 2 s (N' D - N D')) / D^2; a pole (D = 0) ends it too.
+    With q = N / D in s = r^2 the slope by r is (N D + 2 s (N' D - N D')) / D^2; a pole (D = 0) also ends the mapping.
     """
     above = np.array([1.0, lens.k1, lens.k2, lens.k3])
     below = np.array([1.0, lens.k4, lens.k5, lens.k6])

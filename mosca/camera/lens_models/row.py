@@ -1,4 +1,4 @@
-"""What the compiled lens models share: a lens as a row of numbers, and the columns of what they return."""
+"""Common layout of the compiled lens models: a lens as a row of numbers, and the columns of their results."""
 
 import numpy as np
 
@@ -16,8 +16,8 @@ BY_DIRECTION, BY_LENS, IMAGED = 1, 4, 22
 """Columns of what ``image`` writes of x and of y: the pixel, its derivatives by the direction (3) and by the lens
 (18)."""
 FAST = {"contract", "reassoc", "nsz", "arcp"}
-"""What ``fast_image`` allows the compiler: arithmetic in another order, which depends on the code around; infinities
-and NaN stay what they are. Bundle adjustment, which iterates until it converges, uses it; projection does not."""
+"""Freedom that ``fast_image`` gives the compiler: arithmetic in another order, which depends on the surrounding code;
+infinities and NaN are kept. Bundle adjustment, which iterates until it converges, uses it; projection does not."""
 NEWTON_STEPS = 30
 """Newton's method doubles the digits with each step; a point that takes more has no solution."""
 

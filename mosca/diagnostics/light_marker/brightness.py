@@ -1,4 +1,4 @@
-"""How bright a lamp is in each frame of each camera: the sum over the pixels that it changes."""
+"""Brightness of a lamp in each frame of each camera: the sum over the pixels that it changes."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ from mosca.data.frames import Frame, FrameSource, mid_exposure_ns
 from mosca.errors import InputError
 
 HALF = 0.5
-"""Pixels belong to the lamp that change by more than this share of what the most changing one does."""
+"""Pixels belong to the lamp if they change by more than this share of the largest change of a pixel."""
 
 
 @dataclass(frozen=True)
@@ -21,10 +21,10 @@ class Brightness:
     exposure_ns: Array
     light: Array
     most_dn: float
-    """By how much the brightest pixel changed, ``full_dn`` the largest value a pixel has."""
+    """Change of the brightest pixel; ``full_dn``: largest value that a pixel can have."""
     full_dn: float
     clipped: bool
-    """The lamp's pixels all reach it, so that a part of the light cannot be measured."""
+    """Whether all the lamp's pixels reach ``full_dn``, so that a part of the light cannot be measured."""
 
 
 def light_of_lamp(source: FrameSource) -> Mapping[str, Brightness]:
@@ -38,7 +38,7 @@ def light_of_lamp(source: FrameSource) -> Mapping[str, Brightness]:
         change = highs[info.name].astype(np.int64) - lows[info.name]
         changing = change > HALF * change.max()
         free = changing & (highs[info.name] < 2**info.bit_depth - 1)
-        # saturated pixels do not measure a part of the light; where there are no others, none is measured
+        # saturated pixels do not measure a part of the light; where all are saturated, no part is measured
         clipped[info.name] = not free.any()
         masks[info.name] = changing if clipped[info.name] else free
     rows: dict[str, list[tuple[int, int, float]]] = {info.name: [] for info in source.cameras}

@@ -5,13 +5,13 @@ image of the lamp is lit in part, and the part gives the instant:
 
     on:   t = start of exposure + (1 - part) * exposure        off:   t = start of exposure + part * exposure
 
-Where it falls between two exposures it is known only to lie there: the dark gap, uniform, a standard deviation of its
-length over the square root of 12. So cameras whose exposure fills most of the period see edges to microseconds, and
-cameras with short exposures learn from many edges, each at another phase.
+Where the edge falls between two exposures, it may lie anywhere in this dark gap: its distribution is uniform, with
+the gap's length over the square root of 12 as standard deviation. So cameras whose exposure fills most of the period
+measure edges to microseconds. Cameras with short exposures need many edges, each at another phase.
 
-What is compared are the frames' own stamps: found is by how much a camera's stamps are ahead of the reference
-camera's for the same instant, and how fast that grows. That holds for any clocks, one common clock among them, where
-the offset is the error of the synchronisation.
+The frames' own time stamps are compared. The result is by how much a camera's stamps are ahead of the reference
+camera's for the same instant, and how fast this offset grows. It applies to any clocks. For one common clock the
+offset is the error of the synchronisation.
 """
 
 import math
@@ -25,22 +25,22 @@ from mosca.diagnostics.light_marker.brightness import Brightness, light_of_lamp
 from mosca.errors import InputError
 
 LEAST_DN = 20.0
-"""A lamp that changes the brightest pixel by less than this, in images of 8 bits, is none."""
+"""Least change of the brightest pixel by a lamp, in images of 8 bits."""
 HALF = 0.5
-"""Share of a lamp's light from which it is lit: an edge lies between two frames on either side."""
+"""Share of a lamp's light from which it counts as lit: an edge lies between two frames on either side of it."""
 FEWEST_EDGES, EDGES_FOR_DRIFT = 2, 4
 SURE_SIGMAS = 4.0
-"""Standard deviations of the light beyond which a frame is lit in part, and of two edges' times within which they are
-one: of normal errors 6 in 100,000 are larger."""
+"""Standard deviations of the light beyond which a frame is partly lit, and of the times of two edges within which
+they are one edge: 6 in 100,000 normal errors are larger."""
 LARGEST_NOISE = 0.08
-"""A lamp is lit, or dark, to so much of its light; what spreads more is none."""
+"""Largest scatter of a lamp that is lit, or dark, over its light; what scatters more is no lamp."""
 AGREE_S = 2e-4
-"""Edges nearer than this [s], besides, are one: less loses those whose stated errors are too small, more takes the
-flashes of a fast lamp for one another."""
+"""Additional time [s] within which two edges are one: less loses edges whose stated errors are too small, more
+confuses the flashes of a fast lamp."""
 AS_GOOD = 0.7
-"""Another shift that matches so large a share of the edges might be the true one."""
+"""Share of the best shift's edges: another shift that matches more might be the true one."""
 LARGEST_DRIFT = 5e-4
-"""Clocks run apart by less: two crystals of 100 ppm and a margin for one warm camera."""
+"""Largest relative drift of two clocks: two crystals of 100 ppm and a margin for one warm camera."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class Edges:
     on: Array
     """(n,) whether the lamp went on."""
     partly: int
-    """How many were seen in part."""
+    """Number of edges measured from a partly lit frame."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ class FlashOffset:
 
 @dataclass(frozen=True)
 class FlashSync:
-    """Result: ``reference``, the first camera, the others' offsets."""
+    """Result: the ``reference``, which is the first camera, and the offsets of the others."""
 
     reference: str
     offsets: tuple[FlashOffset, ...]
@@ -175,7 +175,7 @@ def align(name: str, reference: Edges, own: Edges) -> FlashOffset:
     a, b = pairs[:, 0], pairs[:, 1]
     t = reference.time_s[a]
     sigma = np.hypot(reference.sigma_s[a], own.sigma_s[b])
-    # the whole seconds between two clocks are taken off as integers: doubles keep nanoseconds of the rest
+    # the whole seconds between two clocks are subtracted as integers: doubles keep nanoseconds of the rest
     ahead = own.time_s[b] - t - shift
     middle = float(np.average(t, weights=sigma**-2))
     with_drift = len(t) >= EDGES_FOR_DRIFT
@@ -201,30 +201,30 @@ def align(name: str, reference: Edges, own: Edges) -> FlashOffset:
 
 
 def _edge(seen: Brightness, part: Array, k: int, on: bool, noise: float) -> tuple[float, float, bool] | None:
-    """Return time [ns], standard deviation [ns] and whether it was seen in part, of the edge about frame ``k``."""
-    # the frame of the two that is lit in part, if one of them is
+    """Return time and standard deviation [ns] of the edge about frame ``k``, and whether it was seen in part."""
+    # the partly lit frame of the two, if there is one
     partial = [j for j in (k - 1, k) if SURE_SIGMAS * noise < part[j] < 1 - SURE_SIGMAS * noise]
     if len(partial) > 1:
-        return None  # no single edge lights two frames in part: the lamp itself comes slowly, or flickers
+        return None  # a single edge does not light two frames partly: the lamp itself is slow, or flickers
     if partial and not seen.clipped:
         j, share = partial[0], float(part[partial[0]])
         exposure = float(seen.exposure_ns[j])
         time = float(seen.start_ns[j]) + exposure * ((1 - share) if on else share)
         return time, max(exposure * noise, 1.0), True
     begin, end = _bounds(seen, partial, k, on)
-    # what is lost in the noise of a frame that seems complete belongs to the gap
+    # a frame that seems fully lit or dark may hide a part within its noise: this belongs to the gap
     slack = SURE_SIGMAS * noise * float(seen.exposure_ns[k])
     return (begin + end) / 2, (max(end - begin, 0.0) + 2 * slack) / math.sqrt(12), False
 
 
 def _bounds(seen: Brightness, partial: list[int], k: int, on: bool) -> tuple[float, float]:
-    """Return between which instants [ns] the edge about frame ``k`` lies, where no partly lit frame gives it."""
+    """Return the instants [ns] between which the edge about frame ``k`` lies, where no partly lit frame gives it."""
     ends = seen.start_ns + seen.exposure_ns
     if partial:
         return float(seen.start_ns[partial[0]]), float(ends[partial[0]])
     if not seen.clipped:
         return float(ends[k - 1]), float(seen.start_ns[k])
-    # a part of the light already fills the pixels: a frame that is lit may be so from any instant of its own
+    # a part of the light already saturates the pixels: a lit frame may be lit from any instant of its exposure
     if on:
         return float(ends[k - 1]), float(ends[k])
     return float(seen.start_ns[k - 1]), float(seen.start_ns[k])
@@ -271,7 +271,7 @@ def _reach(reference: Edges, own: Edges) -> float:
 
 
 def _spread(values: Array) -> float:
-    """Return a standard deviation that a few half-lit frames among ``values`` do not move."""
+    """Return a standard deviation of ``values`` that is robust against a few half-lit frames."""
     if len(values) < 2:
         return 0.0
     return 1.4826 * float(np.median(np.abs(values - np.median(values))))

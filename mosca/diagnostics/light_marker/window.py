@@ -1,8 +1,8 @@
-"""How bright a lamp at a known place is in the frames of a camera that may move: the sum over a window about it.
+"""Brightness of a lamp at a known place in the frames of a camera that may move: the sum over a window about it.
 
-``brightness`` finds a lamp as what changes most in a still camera's images; before a moving camera everything
-changes, but its poses tell where in the image the lamp is. The light of a lamp that shines to all sides falls with
-the square of the distance, which is taken off.
+``brightness`` finds a lamp as what changes most in a still camera's images; in those of a moving camera everything
+changes, but its poses determine where in the image the lamp is. The light of a lamp that shines to all sides falls
+with the square of the distance, which is corrected for.
 """
 
 from collections.abc import Iterable, Iterator
@@ -18,7 +18,7 @@ from mosca.errors import InputError
 from mosca.machines.self_orientation.lamp import lamp_image
 
 MARGIN_PX = 6.0
-"""Beyond the lamp's image: its blur, and where the poses may be off."""
+"""Margin around the lamp's image for its blur and for errors of the poses."""
 FEWEST_FRAMES = 10
 
 
@@ -46,7 +46,7 @@ class LampWindow:
         self._rows.append((start, frame.exposure_ns, light, float(patch.max()) - dark, float(patch.max())))
 
     def brightness(self) -> Brightness:
-        """Return what was measured; InputError where hardly a frame shows the lamp."""
+        """Return what was measured; InputError where fewer than FEWEST_FRAMES frames show the lamp."""
         if len(self._rows) < FEWEST_FRAMES:
             raise InputError(
                 f"camera '{self._camera}': the lamp's place is seen in {len(self._rows)} frames, {FEWEST_FRAMES} at "
@@ -79,7 +79,7 @@ class LampWatch(WrappedSource):
 
 
 def most_edges(windows: Iterable[LampWindow]) -> Brightness:
-    """Return the brightness of the window with most edges; the first refusal where there are none."""
+    """Return the brightness of the window with most edges; raise the first refusal where all windows refuse."""
     found: list[tuple[int, Brightness]] = []
     refusals: list[InputError] = []
     for window in windows:
