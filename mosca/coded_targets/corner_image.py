@@ -25,7 +25,7 @@ from mosca.numba_support.decorators import kernel, step
 UNKNOWNS = 10
 CX, CY, TURN_1, TURN_2, BLUR_1, BLUR_2, MEAN, CONTRAST, SLOPE_X, SLOPE_Y = range(UNKNOWNS)
 """Unknowns of a corner: place [px], directions of its edges [rad], variances across them [px^2], mean of black and
-white and half their difference [DN], slopes of the light [share per ``PlaceOf.reach``]."""
+white and half their difference [DN], slopes of the light [share per ``REACH``]."""
 LEAST_VARIANCE = 1e-4
 """Least variance of a blur [px^2]: a hundredth of a pixel."""
 

@@ -35,7 +35,7 @@ from mosca.numba_support.linalg3 import Symmetric3, cofactors3, determinant3
 from mosca.triangulation.triangulate import TRUST
 
 FEWEST_IMAGES = 3
-"""Fewest images of a point that show which of them agree: two have one residual, along an epipolar line."""
+"""Fewest images of a point that show which of them agree: two have one residual, across the epipolar line."""
 LN_UNSEEN = float(np.log(0.01))
 """Logarithm of the prior probability that a target is mostly hidden, or merged, and its image does not show it."""
 

@@ -30,7 +30,7 @@ ball. Most images of an oblique disc are ellipses."""
 STEPS = 4
 """Steps of the refinement: the first circle has the errors of one image."""
 STEP = 1e-4
-"""Step of the derivatives by the logarithm of the radius and by the normal's rotations."""
+"""Step of the derivatives by the normal's rotations."""
 EDGE_ON = 1e-9
 """Least squared cosine between ray and normal."""
 

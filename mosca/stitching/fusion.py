@@ -20,7 +20,7 @@ def merged(zones: Mapping[str, Tracks], groups: Sequence[Group], gate_sigma: flo
 
     Samples of one target and instant are replaced by their mean, weighted by inverse covariances; its covariance is
     the inverse of the weights' sum. Measured samples take precedence over filled ones. Where two differ by more than
-    ``gate_sigma`` standard deviations only the one with less variance is kept. Camera counts add up; residuals are
+    twice ``gate_sigma`` standard deviations only the one with less variance is kept. Camera counts add up; residuals are
     the cameras' rms.
     """
     number = {key: k for k, group in enumerate(groups) for key in group}

@@ -147,7 +147,7 @@ def _shift_between(one: Tracks, two: Tracks, name: str, other: str, settings: Zo
     weights = np.linalg.inv(spreads[kept])
     covariance = np.linalg.inv(weights.sum(axis=0))
     shift = covariance @ (weights @ means[kept][:, :, None]).sum(axis=0)[:, 0]
-    # or the pairs' own scatter, where larger: calibration errors vary with position
+    # plus the pairs' own scatter: calibration errors vary with position
     k = int(kept.sum())
     away = means[kept] - shift
     covariance = covariance + away.T @ away / (k * max(k - 1, 1))

@@ -131,7 +131,7 @@ class Tracker:
         return named
 
     def _certain(self, now: Samples, serial: Array, named: dict[int, int]) -> Samples:
-        """Return the samples of known identity, present and earlier ones; keep those of tentative tracks."""
+        """Return the samples of known identity, present and earlier ones; keep those whose identity is open."""
         if not self._waiting and (len(now) == 0 or now.track.min() >= 0):
             return now
         waiting = [

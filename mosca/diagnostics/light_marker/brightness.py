@@ -21,10 +21,10 @@ class Brightness:
     exposure_ns: Array
     light: Array
     most_dn: float
-    """Change of the brightest pixel; ``full_dn``: largest value that a pixel can have."""
+    """Largest change of any pixel; ``full_dn``: largest value that a pixel can have."""
     full_dn: float
     clipped: bool
-    """Whether all the lamp's pixels reach ``full_dn``, so that a part of the light cannot be measured."""
+    """Whether the lamp's pixels reach ``full_dn``, so that a part of the light cannot be measured."""
 
 
 def light_of_lamp(source: FrameSource) -> Mapping[str, Brightness]:
