@@ -20,8 +20,8 @@ def merged(zones: Mapping[str, Tracks], groups: Sequence[Group], gate_sigma: flo
 
     Samples of one target and instant are replaced by their mean, weighted by inverse covariances; its covariance is
     the inverse of the weights' sum. Measured samples take precedence over filled ones. Where two differ by more than
-    twice ``gate_sigma`` standard deviations only the one with less variance is kept. Camera counts add up; residuals are
-    the cameras' rms.
+    twice ``gate_sigma`` standard deviations only the one with less variance is kept. Camera counts add up; residuals
+    are the cameras' rms.
     """
     number = {key: k for k, group in enumerate(groups) for key in group}
     parts = []
