@@ -70,10 +70,19 @@ class Station:
         self.sender.close()
 
 
+GIVE_UP_S = 300.0
+"""Far beyond what any of these takes: then what is read has ended, and the test fails instead of waiting for ever."""
+
+
 @contextmanager
 def receiver(exchange, stations=("A", "B"), settings=PATIENT, cameras=SIZES, rate=None):
     with Receiver(exchange.open(), stations, cameras, rate, settings, rig="# all") as here:
-        yield here
+        late = threading.Timer(GIVE_UP_S, here.stop)
+        late.start()
+        try:
+            yield here
+        finally:
+            late.cancel()
 
 
 def soon():

@@ -19,12 +19,15 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from xml.etree import ElementTree
 
 from tests.mutations.mutant import ROOT, Mutant, read_mutants
 
-COMPILING_S = 900
-"""A mutant whose tests take so much longer than all tests without any mutant hangs, and is noticed: compiling what it
-changes takes some minutes on a slow machine."""
+COMPILING_S, SLOWER = 900, 3
+"""A mutant whose tests take so much longer than so many times their time without any mutant hangs, and is noticed:
+compiling what it changes takes some minutes on a slow machine."""
+REPORT = "mutants.xml"
+"""Of the run without a mutant, in the tree."""
 
 
 @dataclass(frozen=True)
@@ -48,14 +51,21 @@ def copied_tree(target: Path) -> None:
             shutil.copy2(ROOT / name, target / name)
 
 
+def seconds_of(tests: Sequence[str], report: Path) -> float:
+    """Return how long ``tests`` took by a report of pytest in JUnit's form [s]."""
+    files = tuple({test.split("::")[0].removesuffix(".py").replace("/", ".") for test in tests})
+    cases = ElementTree.parse(report).iter("testcase")
+    return sum(float(case.get("time", 0)) for case in cases if case.get("classname", "").startswith(files))
+
+
 def noticed_by(tree: Path, tests: Sequence[str], longest_s: float | None) -> str:
     """Return what fails of ``tests`` in a tree: the first one, or where ``longest_s`` is None all; empty: nothing.
 
-    ``longest_s``: time after which they are ended [s].
+    ``longest_s``: time after which they are ended [s]. All leave a report in JUnit's form, REPORT, in the tree.
     """
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--tier", "full", *tests]
     run = subprocess.Popen(
-        command if longest_s is None else [*command, "-x"],
+        [*command, "--junitxml", REPORT] if longest_s is None else [*command, "-x"],
         cwd=tree, env={**os.environ, "PYTHONPATH": str(tree), "COLUMNS": "200"}, text=True,
         stdout=subprocess.PIPE, stderr=subprocess.STDOUT, start_new_session=True,
     )  # fmt: skip
@@ -108,22 +118,21 @@ def main() -> int:
     with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
         tree = Path(folder)
         copied_tree(tree)
-        begin = time.perf_counter()
         wrong = noticed_by(tree, sorted({test for one in wanted for test in one.tests}), None)
-        longest_s = time.perf_counter() - begin + COMPILING_S
         if wrong:
             print(f"without any mutant these fail: {wrong}", file=sys.stderr)
             return 2
         for mutant in wanted:
             begin, path = time.perf_counter(), tree / mutant.file
+            longest_s = COMPILING_S + SLOWER * seconds_of(mutant.tests, tree / REPORT)
             sound = path.read_text()
             path.write_text(mutant.applied(sound))
             outcomes.append(Outcome(mutant, noticed_by(tree, mutant.tests, longest_s), time.perf_counter() - begin))
             path.write_text(sound)
             last = outcomes[-1]
             print(f"{mutant.name}: {last.by or 'NOT NOTICED'} ({last.seconds:.0f} s)", flush=True)
-    if given.table is not None:
-        given.table.write_text(table(outcomes))
+            if given.table is not None:
+                given.table.write_text(table(outcomes))
     left = [one.mutant.name for one in outcomes if not one.by]
     print(f"{len(outcomes) - len(left)} of {len(outcomes)} noticed" + (f"; not: {', '.join(left)}" if left else ""))
     return 1 if left else 0
