@@ -22,7 +22,7 @@ def seconds(tracks: Tracks) -> Array:
 
 
 def frames_expected(tracks: Tracks, time_s: tuple[float, float] | None) -> int:
-    """Return the number of frames of a stretch, also those without samples; at most 1 where the rate is unknown."""
+    """Return the number of frames of a stretch, also those without samples; 0 where the rate is not known."""
     period_s = tracks.frame_period_s
     if period_s is None:
         return min(len(tracks), 1)

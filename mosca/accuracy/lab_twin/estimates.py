@@ -40,10 +40,9 @@ Told = ParameterEstimate | NotTold
 
 
 def root(variance: float, sigma: float) -> tuple[float, float]:
-    """Return a standard deviation and its uncertainty, from a variance and the variance's standard deviation.
+    """Return a standard deviation and its own standard deviation, from a variance and that of the variance.
 
-    Where a variance is not above its own uncertainty, its root (at least 0) is returned; the uncertainty is then the
-    root of the sum of both.
+    A variance that is not above its own uncertainty gives 0, with the root of what it may be.
     """
     if variance <= sigma:
         return math.sqrt(max(variance, 0.0)), math.sqrt(max(variance, 0.0) + sigma)
