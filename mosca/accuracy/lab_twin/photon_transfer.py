@@ -186,7 +186,7 @@ def _dark_pattern(camera: str, dark: PixelStatistics, level: Dark, gain: float, 
 
 
 def _dark_shot(pattern: Told) -> float:
-    """Return the mean shot noise [e-^2] of a dark signal's pattern: that of the positive half of a normal pattern."""
+    """Return the mean shot noise [e-^2] of a dark signal's pattern: the positive half of a normal distribution."""
     return pattern.value / math.sqrt(2.0 * math.pi) if isinstance(pattern, ParameterEstimate) else 0.0
 
 

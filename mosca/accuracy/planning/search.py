@@ -26,7 +26,7 @@ NARROWING = (Softness(0.03, 0.04, 0.06), Softness(0.012, 0.015, 0.03))
 STEPS = (0.15, 0.3, 0.25, 0.25, 0.3)
 """First standard deviations: share of all mounts, share of the height, pan, tilt [rad], share of the options."""
 PENALTY = 100.0
-"""Cost per square metre of squared missing distance, and of exceeding the money by 100 %."""
+"""Cost of a missing distance of a metre, which is squared, and of exceeding the money by 100 %."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,7 +24,7 @@ Test = Callable[[Solution], tuple[Array, float, int]]
 
 
 def without_undetermined(layout: NormalsLayout, weight: Array) -> Array:
-    """Return the weights (n,), 0 for image points of points and placements that have too few image points."""
+    """Return the weights (n,), 0 for image points of points and placements that too few of these determine."""
     dim, member = layout.blocks.size, layout.blocks.members
     block, used = layout.block_of, weight > 0
     enough = 2 * np.bincount(block[used], minlength=len(dim)) + np.diff(layout.known.first_distance)

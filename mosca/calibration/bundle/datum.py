@@ -21,8 +21,8 @@ NOTHING_FIXES = 1e-9
 SINGULAR = 1e-11
 """The same for any direction: below it two unknowns cannot be separated."""
 PLAUSIBLE_SHARE = 0.1
-"""Plausible a-priori range. A lens parameter moves no image point by more than this share of half the image's
-diagonal. A rotation is at most this many rad, a position change at most this share of the distance to the points."""
+"""Plausible a-priori range: a lens parameter moves no image point by more than this share of half the image's
+diagonal; a rotation is at most this many rad, a position change at most this share of the distance to the points."""
 LEAST_OPEN_SHARE = 0.1
 """Least ratio of the variance along the weak directions to the plausible one for a lens parameter to get a prior."""
 
@@ -98,7 +98,7 @@ def check_datum(problem: Problem, loose: int) -> None:
 def weak_directions(
     problem: Problem, layout: NormalsLayout, state: ParameterValues, matrix: Array, variance: float, priors: Priors
 ) -> tuple[tuple[str, ...], Priors]:
-    """Return the names of weakly determined unknowns, and a prior for the worst parameter of each weak lens.
+    """Return the names of weakly determined unknowns, and a prior for the worst parameter of each lens with any.
 
     The reduced normal ``matrix`` (u, u) is scaled by each unknown's plausible a-priori standard deviation. An
     eigenvalue below 1 marks a direction that the data, with a ``variance`` of unit weight, determine less well than

@@ -28,7 +28,8 @@ LEAST_REDUNDANCY = 40
 SIGNIFICANT = 1e-3
 """Level of the test whether bars shift image points."""
 ROUNDS, SETTLED = 40, 0.1
-"""Largest number of adjustments; change of image points in standard deviations, and of these, at which they end."""
+"""Largest number of adjustments; change of image points, in standard deviations, and of these, relative, that ends
+them."""
 
 
 @dataclass(frozen=True, eq=False)
