@@ -1,1 +1,1 @@
-"""Accuracy of a rig: predicted for a plan, tested by certified artefacts, and what its cameras themselves err by."""
+"""Accuracy of a rig: prediction for a plan, test by certified artefacts, and the errors of its cameras."""

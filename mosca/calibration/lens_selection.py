@@ -1,9 +1,10 @@
-"""Which lens model the images ask for: the one that predicts views best that took no part in its estimation.
+"""Selection of the lens model: the one that best predicts views that took no part in its estimation.
 
-Cross-validation (Stone 1974): the views, in the order of time, are parted in FOLDS; cameras and lenses are adjusted
-to all parts but one. In that one the target's poses, or a wand's points, are found by all cameras but one, and
-predict what that camera sees: each camera in turn. Parts are whole stretches of time, since neighbouring views are
-nearly the same. The first model stays unless another misses significantly less, in a paired t-test over the views.
+Cross-validation (Stone 1974): the views, in the order of time, are divided into FOLDS parts. Cameras and lenses are
+adjusted to all parts but one. In that part the target's poses, or a wand's points, are estimated from all cameras but
+one and predict the image points of that camera; this is done for each camera. Parts are whole stretches of time,
+since neighbouring views are nearly the same. The first model stays unless another one has significantly smaller
+errors in a paired t-test over the views.
 """
 
 from collections.abc import Callable, Sequence
@@ -33,14 +34,14 @@ from mosca.data.rig import LENS_MODELS, Camera, Lens, principal_distances_px
 from mosca.errors import CalibrationError
 
 FOLDS = 3
-"""More of them cost more; each model is adjusted to two thirds of the views."""
+"""Number of parts; more parts take more time. Each model is adjusted to two thirds of the views."""
 FEWEST_VIEWS = 4
 SIGNIFICANT = 0.01
 """Level at which another model must be better than the first one."""
 GROSS_SIGMAS = 6.0
-"""Errors beyond so many standard deviations count as that: blunders, in each model alike."""
+"""Larger errors count as this many standard deviations: they are blunders in every model."""
 QUICK = BundleSettings(loss="cauchy", loss_scale=3.0, tolerance=0.1, most_steps=20, precision=False)
-"""Of each fold and model: robust beyond 3 standard deviations, converged to a tenth of one."""
+"""Settings for each fold and model: robust beyond 3 standard deviations, converged to a tenth of one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,9 +61,9 @@ def calibrated_with_best(
 ) -> Calibration:
     """Return the calibration whose lens model predicts held-out views best, with a note of the figures.
 
-    ``calibrated``: calibrates with a lens model, by name; ``choice.model`` is the first. ``rods``: of a wand, the
-    known distances between the points of its calibration; None: the target is rigid. Raises what ``calibrated``
-    raises with the first model where no model succeeds.
+    ``calibrated``: calibrates with a lens model, by name; ``choice.model`` is the first. ``rods``: known distances
+    between the points of a wand's calibration, None for a rigid target. Where no model succeeds, the error of the
+    first model is raised.
     """
     models = [choice.model, *(m for m in LENS_MODELS if m != choice.model and (rods is None or m != "fisheye"))]
     first = _first_possible(calibrated, models)
@@ -110,13 +111,13 @@ def preferred(found: Sequence[HeldOut]) -> HeldOut:
 def held_out(
     calibration: Calibration, models: Sequence[str], choice: LensChoice, rods: Distances | None
 ) -> tuple[HeldOut, ...]:
-    """Return each model's errors in held-out views, from a calibration with any; nothing where views are too few.
+    """Return each model's errors in held-out views, from a calibration with any model; empty with too few views.
 
     ``rods``: known distances between the points of a wand's calibration, None for a rigid target.
     """
     see = calibration.sightings
     view = see.frame if rods is not None else calibration.placement
-    # the target's pose in the reference view is the world: it is never left out
+    # the target's pose in the reference view defines the world: this view is never left out
     views = np.unique(view[view >= 0])
     if len(views) < FEWEST_VIEWS:
         return ()
@@ -136,7 +137,7 @@ def held_out(
                 test = placed & (part == fold)
                 missed[test] = _missed_px(calibration, fitted.cameras, test, sigma, rods)[test]
         except CalibrationError:
-            # a camera that saw the target in one part only: nothing is known without that
+            # a camera saw the target in one part only, and is undetermined without that part
             return ()
         known = np.isfinite(missed)
         missed = np.minimum(missed[known], GROSS_SIGMAS * sigma[known])
@@ -148,9 +149,10 @@ def held_out(
 def _missed_px(
     calibration: Calibration, cameras: tuple[Camera, ...], test: Array, sigma: Array, rods: Distances | None
 ) -> Array:
-    """Return how far (n,) [px] the image points ``test`` (n,) bool are from where the other cameras predict them.
+    """Return the distances (n,) [px] of the image points ``test`` (n,) bool from the other cameras' predictions.
 
-    NaN for others, and where other cameras do not see the target; inf where a camera does not image the prediction.
+    NaN for all other image points, and where other cameras do not see the target; inf where a camera does not image
+    the prediction.
     """
     see, out = calibration.sightings, np.full(len(calibration.sightings), np.nan)
     held = tuple(CameraUnknowns(camera, held=True) for camera in cameras)
@@ -179,7 +181,7 @@ def _missed_px(
 def _problem(
     calibration: Calibration, cameras: tuple[CameraUnknowns, ...], rows: Array, sigma: Array, rods: Distances | None
 ) -> Problem:
-    """Return the adjustment of the image points ``rows`` (n,) bool of a calibration, all poses and points free."""
+    """Return the problem for the image points ``rows`` (n,) bool of a calibration, with all poses and points free."""
     see = calibration.sightings
     number = [calibration.rig.names.index(name) if name in calibration.rig.names else -1 for name in see.cameras]
     seen = (np.array(number)[see.camera[rows]], see.mark[rows], see.xy_px[rows])
@@ -204,7 +206,7 @@ def _problem(
 
 
 def _with_model(camera: Camera, choice: LensChoice, model: str) -> Camera:
-    """Return a camera whose lens is of a model, as near to its own as that can be."""
+    """Return the camera with a lens of the given model, as similar as possible to its own."""
     if camera.lens.model == model:
         return camera
     pixels = image_grid(camera.width, camera.height)

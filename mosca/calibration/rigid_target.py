@@ -49,11 +49,11 @@ FREE: dict[str, tuple[str, ...]] = {
 }  # fmt: skip
 """Lens parameters that are estimated: the Mosca paper's (section 2.2), mx held."""
 LEAST_SIGMA_PX = 0.003
-"""No centre is better known than this: what shape and light of a mark leave after all corrections."""
+"""Least standard deviation of a centre: errors by the mark's shape and light that remain after all corrections."""
 SEED = 2002
 ECCENTRICITY_ROUNDS = 2
 EXACTLY = 1e-6
-"""Share of its standard deviation by which no unknown moves any more."""
+"""Tolerance of an exact solution: share of its standard deviation by which an unknown may still move."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +62,7 @@ class RigidTarget:
     standard deviation or one for each of the target's axes.
 
     Flat round marks have ``normals`` (m, 3) and ``radii_m`` (m,), for their images' eccentricity; None for corners.
-    ``kind``: how the target is called.
+    ``kind``: name of the kind of target.
     """
 
     kind: str
@@ -77,17 +77,17 @@ class RigidSettings:
     """Settings of a calibration from a rigid target."""
 
     lens: LensChoice = field(default_factory=LensChoice)
-    """Model to estimate."""
+    """Lens model to estimate."""
     free: tuple[str, ...] | None = None
-    """Its parameters; None for all of the model's."""
+    """Lens parameters to estimate; None for all of the model's."""
     exterior_only: bool = False
     """Hold the lenses of the known rig."""
     reference: int | None = None
-    """Frame set in which the target is the world; None: the first stationary interval."""
+    """Frame set in which the target defines the world; None: the first stationary interval."""
     blunder_significance: float | None = 0.01
     """Chance that a good image point is rejected."""
     steady: bool = True
-    """Take shakes of whole images for noise of the cameras' bodies; False where they are the target's motion
+    """Treat shakes of whole images as noise of the cameras' bodies; False where they are the target's motion
     between the exposures of cameras that are not synchronised."""
 
 
@@ -139,8 +139,8 @@ def _adjusted(
         xy = sightings.xy_px - _eccentricity(result, sightings, placement, target)
         problem = replace(problem, observations=replace(problem.observations, xy_px=xy))
         result = solve(problem, rough, result)
-    # shakes can be separated from blunders only where these are out; and what a descent that
-    # ended early has left of the images' residuals would be taken for shake
+    # shakes can be estimated only after blunders are rejected; and image residuals left by a descent that
+    # ended early would be taken for shake
     result = solve(problem, replace(bundle, tolerance=EXACTLY), result)
     shake = body_shake(problem, result, sightings.frame) if settings.steady else 0.0
     steady = steadied(problem, result, sightings.frame, shake)
@@ -154,7 +154,7 @@ def _adjusted(
     result = solve(problem, bundle, result)
     assert result.precision is not None
     covariance = shaken_covariance(problem, result, sightings.frame, shake)
-    # a mark in one stationary interval and camera: what is wrong with it is wrong in each exposure
+    # a mark in one stationary interval and camera has the same systematic error in each exposure
     seen_as = np.column_stack([sightings.camera, placement, sightings.mark])
     cell = np.unique(seen_as, axis=0, return_inverse=True)[1].reshape(-1)
     lasting = systematic_errors(result, sightings.camera, cell, sigma)
@@ -189,7 +189,7 @@ def _allowed(camera: Camera, free: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def _eccentricity(result: Adjustment, sightings: Sightings, placement: Array, target: RigidTarget) -> Array:
-    """Return how far (n, 2) [px] the marks' images have their centroids from their centres' images."""
+    """Return the offsets (n, 2) [px] of the centroids of the marks' images from the images of their centres."""
     assert target.normals is not None
     assert target.radii_m is not None
     at, normal = result.points[sightings.mark], np.asarray(target.normals)[sightings.mark]
@@ -204,7 +204,7 @@ def _eccentricity(result: Adjustment, sightings: Sightings, placement: Array, ta
     for k, camera in enumerate(result.cameras):
         mine = sightings.camera == k
         out[mine] = eccentricity_px(camera, at[mine], normal[mine], radius[mine])
-    # a mark that the trial geometry shows from behind is a blunder; it must not lose its position, too
+    # a mark that the trial geometry shows from behind is a blunder, but it must not lose its position
     return np.nan_to_num(out)
 
 
@@ -258,7 +258,7 @@ def _poses(camera: Camera, seen: TargetView, target: RigidTarget) -> tuple[Targe
 
 
 def _doubt(fits: tuple[TargetPoseFit, ...], seen: TargetView) -> float:
-    """Return how little a pose is to be trusted: few marks, or a mirrored pose that fits nearly as well."""
+    """Return the unreliability of a pose: high with few marks, or if a mirrored pose fits nearly as well."""
     ambiguous = 0.0 if len(fits) < 2 else min(1.0, (fits[0].rms_rad / max(fits[1].rms_rad, 1e-300)) ** 2)
     return 1 / len(seen.mark) + ambiguous**4
 

@@ -41,9 +41,9 @@ from mosca.errors import CalibrationError, InputError
 from mosca.synchronisation import assemble
 
 BALL_SIZE_ERROR = 0.25
-"""How far a ball's image may differ in size from what it is: retro-reflecting foil goes dark towards the rim."""
+"""Largest relative error of the size of a ball's image: retro-reflecting foil goes dark towards the rim."""
 SEED = 2005
-"""Of the samples that find starting values; what is found does not depend on them where it is determined."""
+"""Seed of the samples that find starting values; a result that the data determine does not depend on it."""
 
 Target_co = TypeVar("Target_co", bound=CalibrationTarget, covariant=True)
 
@@ -53,28 +53,28 @@ class EstimateSettings:
     """Settings of a calibration from frames."""
 
     lens: LensChoice = field(default_factory=LensChoice)
-    """Model to estimate; with ``choose_lens`` the first that is tried."""
+    """Lens model to estimate; with ``choose_lens`` the first that is tried."""
     choose_lens: bool = False
     """Take another model where it predicts held-out views better."""
     free: tuple[str, ...] | None = None
-    """Its parameters; None: all, or for a wand those that the data determine."""
+    """Lens parameters to estimate; None: all, or for a wand those that the data determine."""
     exterior_only: bool = False
     """Keep the lenses of the known rig."""
     every: int = 1
     """Read every n-th frame set."""
     reference: int | None = None
-    """Frame set in which a rigid target is the world."""
+    """Frame set in which a rigid target defines the world."""
     detection: DetectionSettings = field(default_factory=DetectionSettings)
     """Settings of the detection of wands' and L-frames' balls."""
     volume: tuple[Sequence[float], Sequence[float]] | None = None
-    """(low, high) [m, world]: where will be measured."""
+    """(low, high) [m, world] of the measuring volume."""
     leave_out_unseen: bool = False
-    """Calibrate the others where cameras saw too little of the target."""
+    """Leave out cameras that saw too little of the target, and calibrate the others."""
 
 
 @dataclass(frozen=True)
 class Shown(Generic[Target_co]):
-    """A target and what opens the frames that show it, given the rig that is known by then (None: none)."""
+    """A target, and the function that opens the frames showing it, given the rig known by then (None: none)."""
 
     target: Target_co
     opened: Callable[[Rig | None], FrameSource]
@@ -95,8 +95,8 @@ def calibrate_session(
     quality.
 
     ``axes``, ``lengths``: frames of L-frame and bar, if any; ``known``: an earlier rig of these cameras to compare
-    with, whose lenses are kept with ``settings.exterior_only``; ``sightings``: what was seen of the target, where it
-    is known already and no frames are to be opened; ``made_from``: description of the input for the report. Returns
+    with, whose lenses are kept with ``settings.exterior_only``; ``sightings``: sightings of the target, if they are
+    known already, so that no frames are opened; ``made_from``: description of the input for the report. Returns
     the checked calibration and the evidence for the report. Raises InputError or CalibrationError where the frames do
     not suffice.
     """
@@ -122,10 +122,11 @@ def calibrate_session(
 
 
 def with_residuals(calibration: Calibration) -> Rig:
-    """Return the rig whose cameras state the residual error of their lens models, and how far they shake.
+    """Return the rig whose cameras state the residual error of their lens models, and their shake.
 
-    Where a target was stationary: the systematic error. Else the scatter beyond the detections' own:
-    ``sigma_px`` of an image coordinate holds detection noise besides; what shakes whole images is kept apart of it.
+    For a stationary target the residual error is the systematic error. Otherwise it is the scatter beyond the
+    detections' own, since ``sigma_px`` of an image coordinate also contains detection noise. The shake of whole
+    images is not part of it.
     """
     sightings, cameras = calibration.sightings, []
     shake_px = float(np.nan_to_num(calibration.body_px))
@@ -169,7 +170,7 @@ def calibrate_frames(
 def calibrate_sightings(
     sightings: Sightings, target: CalibrationTarget, settings: EstimateSettings, known: Rig | None = None
 ) -> Calibration:
-    """Calibrate from what was seen of ``target``; see ``calibrate_frames``."""
+    """Calibrate from sightings of ``target``; see ``calibrate_frames``."""
     _check(target, settings)
     left_out: list[Finding] = []
     while True:
@@ -257,7 +258,7 @@ def checked(
 ) -> Calibration:
     """Return the calibration with the findings of the quality checks.
 
-    ``known``: an earlier calibration of the same cameras to compare with; ``lengths``: held-out ones.
+    ``known``: an earlier calibration of the same cameras to compare with; ``lengths``: held-out lengths.
     """
     settings = settings or EstimateSettings()
     limits = QualityLimits(size_error=BALL_SIZE_ERROR) if isinstance(target, Wand) else QualityLimits()
@@ -284,17 +285,17 @@ def on_axes(calibration: Calibration, source: FrameSource, frame: LFrame, settin
 def held_out_lengths(
     calibration: Calibration | Rig, source: FrameSource, bar: ScaleBar, settings: EstimateSettings
 ) -> LengthErrors:
-    """Return how a certified bar, which the source's frames show, comes out with a calibrated rig."""
+    """Return the length errors of a certified bar in the source's frames, measured with a calibrated rig."""
     sightings = read_sightings(source, reader_of(bar, settings.detection), settings.every)
     rig = calibration if isinstance(calibration, Rig) else calibration.rig
     lenses = [rig.camera(name).lens for name in sightings.cameras]
-    # which end of a bar of balls is which must be the same in all cameras
+    # the ends of a bar of balls must be numbered alike in all cameras
     sightings = ordered(sightings, len(bar.ends), lenses, np.random.default_rng(SEED))
     return length_errors(calibration, sightings, bar.length_m, bar.sigma_m)
 
 
 def is_rigid(target: CalibrationTarget) -> TypeGuard[TestField | Board]:
-    """Return whether a target joins all its marks by itself: their positions on it are known a priori."""
+    """Return whether the positions of all marks on the target are known a priori, so that the target joins them."""
     return isinstance(target, TestField | Board)
 
 

@@ -1,1 +1,1 @@
-"""What is wrong with a take: evidence from frames, stamps, tracks and rig file, and the cause that fits it best."""
+"""Faults of a take: evidence from frames, stamps, tracks and rig file, and the cause that fits the evidence best."""

@@ -1,4 +1,4 @@
-"""The causes that the clinic knows: what each means and what to do about it."""
+"""Causes of faults that the clinic looks for: what each means and what to do about it."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 
 @dataclass(frozen=True)
 class Cause:
-    """``title``: the cause in a line; ``next_step``: what to do."""
+    """A cause: ``title`` describes it in a line, ``next_step`` is what to do."""
 
     title: str
     next_step: str
@@ -99,9 +99,9 @@ CAUSES: dict[str, Cause] = {
 class Diagnosis:
     """One candidate cause with its evidence.
 
-    ``p_value``: chance of evidence as strong without the fault; ``explained``: share of the misfit of the rays beyond
-    noise that the cause explains, None where it is no cause of misfit; ``score``: smaller is likelier (deviance with
-    its penalty, for causes of misfit); ``evidence``: a line each; ``camera``: whose.
+    ``p_value``: chance of evidence as strong without the fault; ``explained``: share of the rays' misfit beyond
+    noise that the cause explains, None for a cause that does not make rays miss; ``score``: smaller is likelier (for
+    causes of misfit, deviance with its penalty); ``evidence``: a line each; ``camera``: the camera at fault.
     """
 
     code: str
@@ -119,7 +119,7 @@ class Diagnosis:
 
 
 def merged(found: Iterable[Diagnosis]) -> list[Diagnosis]:
-    """Return one diagnosis a code: the first one's, with the evidence of all and the smallest p-value."""
+    """Return one diagnosis for each code: the first one, with the evidence of all and the smallest p-value."""
     one_each: dict[str, Diagnosis] = {}
     for one in found:
         first = one_each.get(one.code)

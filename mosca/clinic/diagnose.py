@@ -1,8 +1,8 @@
-"""From a take to its likeliest cause: evidence gathered once, each cause tested, those found put in order.
+"""From a take to its likeliest cause: gather the evidence once, test each cause, order the causes found.
 
-A whole take raises a false alarm with chance ``FALSE_ALARMS`` at most: each of the tests has its share (Bonferroni).
-Order: what files contradict; then what explains most of the rays' misfit, by its deviance; where nothing explains
-half of it, what images and stamps show comes first; then what tracks show. A cause of a later kind is often a
+A whole take raises a false alarm with chance ``FALSE_ALARMS`` at most: each test has its share (Bonferroni). The
+order is: contradictions between files; causes of the rays' misfit, by their deviance; faults that images and stamps
+show, which come first where no cause explains half of the misfit; faults that tracks show. A later cause is often a
 consequence of an earlier one: a moved camera loses markers and swaps labels.
 """
 
@@ -32,7 +32,7 @@ from mosca.synchronisation import assemble
 FALSE_ALARMS = 1e-3
 """Chance of an alarm in a take without a fault."""
 ALPHA = FALSE_ALARMS / len(CAUSES)
-"""Chance of each cause's false alarm."""
+"""Chance of a false alarm for each cause."""
 NO_MARKERS = (
     f"in no camera {100 * MARKERS:.0f} % of what is detected meets other cameras' rays: these are other things than "
     "markers (a board: mosca calibrate), or the rig is not theirs"
@@ -57,8 +57,8 @@ class KnownLengths:
 
 @dataclass(frozen=True)
 class ClinicReport:
-    """Causes found, likeliest first; ``looked_at``: what the evidence rests on, a line each; ``not_judged``: why a
-    fault might have gone unseen, a line each.
+    """Causes found, likeliest first; ``looked_at``: data that the evidence uses, a line each; ``not_judged``: reasons
+    why a fault might have gone unseen, a line each.
     """
 
     causes: tuple[Diagnosis, ...]
@@ -67,7 +67,7 @@ class ClinicReport:
 
 
 def diagnose_sizes(rig: Rig, cameras: Sequence[CameraInfo]) -> list[Diagnosis]:
-    """Return the cameras whose images are of another size than the rig file says."""
+    """Return the cameras whose images differ in size from the rig file."""
     infos = {info.name: info for info in cameras}
     wrong = [
         f"camera '{c.name}': images are {infos[c.name].width} x {infos[c.name].height} px, the rig file says "
@@ -79,7 +79,7 @@ def diagnose_sizes(rig: Rig, cameras: Sequence[CameraInfo]) -> list[Diagnosis]:
 
 
 def diagnose_frames(source: FrameSource, rig: Rig, known: KnownLengths | None = None) -> ClinicReport:
-    """Return what is wrong with the frames of ``source`` or with the rig that they are measured with."""
+    """Return the faults found in the frames of ``source``, or in the rig with which they are measured."""
     if wrong := diagnose_sizes(rig, source.cameras):
         return ClinicReport(tuple(wrong), ("sizes of the images and of the rig file",))
     missing = [name for name in rig.names if name not in [info.name for info in source.cameras]]
@@ -92,7 +92,7 @@ def diagnose_frames(source: FrameSource, rig: Rig, known: KnownLengths | None = 
         look, assemble(WitnessedSource(source, stamps), source.cameras), 0, 1, None, 64
     ):
         images.attend(frame_set, detections)
-        # without its images: a take of minutes must fit into memory
+        # keep the frame set without its images: a take of minutes must fit into memory
         bare = {name: replace(f, image=None, status="dropped") for name, f in frame_set.frames.items()}
         seen.append((replace(frame_set, frames=bare), detections, seconds))
     rate_hz = source.cameras[0].frame_rate_hz
@@ -134,7 +134,7 @@ def diagnose_frames(source: FrameSource, rig: Rig, known: KnownLengths | None = 
 
 
 def _not_judged(observed: PointImages, rig: Rig) -> tuple[str, ...]:
-    """Return why rays that meet badly, for no known cause, hide what may be wrong with the rig."""
+    """Return why a fault of the rig may be hidden where rays meet badly for no known cause."""
     worst = int(np.argmin(observed.connected))
     if observed.matched_px <= LADDER_PX[0] or observed.connected[worst] >= CONNECTED:
         return ()
@@ -146,7 +146,7 @@ def _not_judged(observed: PointImages, rig: Rig) -> tuple[str, ...]:
 
 
 def diagnose_tracks(tracks: Tracks | None, bodies: BodyPoses | None) -> ClinicReport:
-    """Return what labels, stamps and poses of bodies show, of a run or of what a client recorded of a stream."""
+    """Return the faults that labels, stamps and body poses show, of a run or of a client's recording of a stream."""
     found, told, unseen = [], [], []
     if tracks is not None:
         if not np.isfinite(tracks.xyz).all(axis=1).any():
@@ -175,7 +175,7 @@ def joined(one: ClinicReport, other: ClinicReport) -> ClinicReport:
 
 
 def in_order(found: Sequence[Diagnosis]) -> list[Diagnosis]:
-    """Return causes, likeliest first, each once."""
+    """Return the causes, likeliest first, each code once."""
     best: dict[str, Diagnosis] = {}
     for one in sorted(found, key=lambda one: (KIND[one.code], one.score, one.p_value)):
         best.setdefault(one.code, one)

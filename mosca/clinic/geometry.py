@@ -1,4 +1,4 @@
-"""Causes of rays that do not meet: each a linear model of how it displaces images (``mosca.clinic.misfit``)."""
+"""Causes of rays that do not meet: each is a linear model of image displacements (``mosca.clinic.misfit``)."""
 
 from collections.abc import Iterator
 from itertools import combinations
@@ -13,33 +13,33 @@ from mosca.data.rig import Rig, principal_point_px
 from mosca.diagnostics.camera_health import HealthSettings
 
 UNIT_WEIGHT = QualityLimits().unit_weight
-"""Factor on the stated noise up to which residuals are no fault."""
+"""Residuals up to this factor times the stated noise are no fault."""
 MOVED_PX = QualityLimits().moved_px
 """Displacement of images below which no geometry is blamed."""
 LATE_S = HealthSettings().late_s
 """Delay below which no clock is blamed."""
 WHOLE = 0.15
-"""Share of a period by which a delay may differ from whole periods and still be one of pairing."""
+"""A delay that differs from whole periods by less than this share of a period is attributed to wrong pairing."""
 EXPLAINED = 0.5
 """Share of the misfit that a cause must explain."""
 STEPS = 12
-"""Instants at which a change is looked for."""
+"""Number of instants at which a sudden change is tested."""
 MOST_CAMERAS = 8
-"""Cameras up to which groups of them are looked at."""
+"""Largest number of cameras for which groups of cameras are tested."""
 
 Model = tuple[str, int | None, str, Array, int]
-"""Code, camera, kind, design (n, c, 2, p), and how many alike there are of which the best is taken."""
+"""Code, camera, kind, design (n, c, 2, p), and the number of models alike, of which the best is taken."""
 
 
 def geometry_causes(residuals: Residuals, rig: Rig, period_s: float, alpha: float) -> list[Diagnosis]:
-    """Return the causes that explain the misfit of the rays, likeliest first; nothing where there is no misfit.
+    """Return the causes that explain the misfit of the rays, likeliest first; none where there is no misfit.
 
-    ``period_s`` of the frames; ``alpha``: chance of a false alarm of each.
+    ``period_s``: frame period [s]; ``alpha``: chance of a false alarm of each cause.
     """
     if len(residuals.rest) == 0 or residuals.unit_weight <= UNIT_WEIGHT:
         return []
     if residuals.unit_weight > UNIT_WEIGHT * residuals.better_half:
-        return []  # a fault of the rig shows in all markers; this misfit is of a few
+        return []  # a fault of the rig shows in all markers; only a few have this misfit
     excess = residuals.squares() - residuals.freedom
     best: dict[str, Diagnosis] = {}
     for code, camera, kind, design, searched in models(residuals, rig):
@@ -98,7 +98,7 @@ def models(residuals: Residuals, rig: Rig) -> Iterator[Model]:
 
 
 def _each(design: Array) -> Array:
-    """Return a design (n, c, 2, p) with parameters of its own for each camera (n, c, 2, c p)."""
+    """Return a design (n, c, 2, c p) that gives each camera its own parameters, from a design (n, c, 2, p)."""
     n, c, two, p = design.shape
     wide = np.zeros((n, c, two, c, p))
     for k in range(c):
@@ -107,7 +107,7 @@ def _each(design: Array) -> Array:
 
 
 def _from_middle(residuals: Residuals, rig: Rig) -> Array:
-    """Return places (n, c, 2) from the principal point in half widths, 0 where unseen."""
+    """Return image coordinates (n, c, 2) from the principal point in half widths, 0 where unseen."""
     middle = np.array([principal_point_px(camera.lens) for camera in rig.cameras])
     half = np.array([0.5 * camera.width for camera in rig.cameras])
     away = (residuals.xy - middle) / half[:, None]
@@ -132,13 +132,13 @@ def _zoom(residuals: Residuals, rig: Rig) -> Array:
 
 
 def _rows(residuals: Residuals, rig: Rig) -> Array:
-    """Return displacements by a readout of one second from the first to the last row (n, c, 2) [px]."""
+    """Return displacements (n, c, 2) [px] by a readout that takes one second from the first to the last row."""
     heights = np.array([camera.height for camera in rig.cameras])
     return np.asarray(residuals.flow * (residuals.xy[..., 1] / heights - 0.5)[..., None])
 
 
 def _group(residuals: Residuals, group: tuple[int, ...]) -> Array:
-    """Return displacements in a group of cameras by a turn and a shift of the world as they have it."""
+    """Return displacements in a group of cameras by a rotation and a shift of the world for these cameras."""
     xyz = residuals.observations.xyz
     x, y, z = (xyz - xyz.mean(axis=0)).T
     zero = np.zeros_like(x)
@@ -154,7 +154,7 @@ def _diagnosis(
     code: str, camera: int | None, kind: str, found: Fit, residuals: Residuals, rig: Rig, period_s: float,
     explained: float,
 ) -> Diagnosis | None:  # fmt: skip
-    """Return a model's diagnosis in words; None where its effect is below what counts."""
+    """Return a model's diagnosis in words; None where its effect is below the limits."""
     name = None if camera is None else rig.names[camera]
     figures = {"unit_weight": residuals.unit_weight, "moved_px": found.moved_px}
     if code in ("sync-lost", "rolling-shutter"):

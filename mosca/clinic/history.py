@@ -1,4 +1,4 @@
-"""What was known before: warnings of the calibration that a take rests on, and cameras' health in its record."""
+"""Earlier evidence: warnings of the calibration that a take uses, and the cameras' health in the take's record."""
 
 from collections.abc import Sequence
 
@@ -14,13 +14,13 @@ CAUSE_OF = {
     "scale-error": "wrong-scale", "rig-moved": "camera-moved", "interior-ran-away": "wrong-lens",
     "lens-model": "wrong-lens",
 }  # fmt: skip
-"""Finding of a calibration -> the cause that it warns of; others warn of none."""
+"""Finding of a calibration -> the cause that it warns of; findings that are not listed warn of none."""
 NO_CHANCE = 1.0
-"""Stated of a warning, which is no test of the take: it ranks behind every test."""
+"""P-value given to a warning, which is no test of the take: it ranks behind every test."""
 
 
 def calibration_causes(findings: Sequence[Finding]) -> list[Diagnosis]:
-    """Return the causes that a calibration's warnings and refusals name, one each."""
+    """Return the causes that a calibration's warnings and refusals point to, each once."""
     return merged(
         Diagnosis(CAUSE_OF[one.code], NO_CHANCE, (said(one),), camera=one.camera)
         for one in findings
@@ -34,7 +34,7 @@ def said(one: Finding) -> str:
 
 
 def health_causes(cameras: Sequence[CameraHealth], period_s: float, alpha: float) -> list[Diagnosis]:
-    """Return cameras that a run found to expose late: whole periods, or any time. ``alpha``: of all together."""
+    """Return cameras that exposed late in a run, by whole periods or any time; ``alpha``: of all cameras together."""
     settings, found = HealthSettings(), []
     for one in cameras:
         if not abs(one.late_s) > settings.late_s:  # NaN: not known
@@ -53,7 +53,7 @@ def health_causes(cameras: Sequence[CameraHealth], period_s: float, alpha: float
 
 
 def poorly_connected(cameras: Sequence[CameraHealth]) -> list[str]:
-    """Return what a run could not judge: cameras whose detections hardly meet those of others."""
+    """Return the cameras that a run could not judge: their detections hardly meet those of others."""
     return [
         f"camera '{one.name}': in the run {100 * one.connected:.0f} % of its detections met those of other cameras; "
         "give its recording and --rig, so that the cause can be looked for"

@@ -1,4 +1,4 @@
-"""Causes that images show: saturation, blur that grows, merged markers, reflections."""
+"""Causes that images show: saturation, growing blur, merged markers, reflections."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -19,9 +19,9 @@ from mosca.data.rig import Rig
 from mosca.data.settings import MatchSettings
 
 MARKERS = 0.5
-"""Share of a camera's detections in points from which they are taken for markers."""
+"""A camera's detections are taken for markers if at least this share of them belongs to points."""
 PLATEAU = 0.5
-"""Share of a marker's pixels that may be white: beyond it fewer pixels tell of its place than do not."""
+"""Share of a marker's pixels that may be white: beyond it most pixels carry no information on the marker's place."""
 MERGED_SHARE = 0.1
 """Share of images that may be merged with a neighbour's."""
 BLUR_GROWTH = 0.2
@@ -30,14 +30,14 @@ lens (0.6 px, Nyquist sampled)."""
 FREE_SHARE = 0.15
 """Share of a camera's detections that may belong to no point."""
 GLINT_PX, GLINT_FRAMES = 0.5, 0.8
-"""A spot at one place to this, in so many of the frames, is no moving marker."""
+"""A spot that stays within this distance [px] of one place, in this share of the frames, is no moving marker."""
 MIRROR_M, MIRROR_VOTES = 0.01, 3
-"""A mirror image lies so near to its marker mirrored in a plane; so many make a plane."""
+"""Largest distance of a mirror image from its marker mirrored in a plane [m]; number of these that make a plane."""
 
 
 @dataclass
 class ImageSums:
-    """What is kept of a camera's images: time, share of white pixels and edge width of its markers."""
+    """Figures of a camera's images: time, share of white pixels and edge width of its markers."""
 
     time_s: list[float] = field(default_factory=list)
     edge_px: list[float] = field(default_factory=list)
@@ -47,7 +47,7 @@ class ImageSums:
 
 
 class ImageWitness:
-    """Looks at the markers in the images of each frame set; ``attend`` is called with set and detections."""
+    """Collects figures of the markers in the images; ``attend`` takes each frame set with its detections."""
 
     def __init__(self, cameras: Sequence[CameraInfo]) -> None:
         self.sums = {info.name: ImageSums() for info in cameras}
@@ -77,8 +77,8 @@ class ImageWitness:
 def marker_image(image: Array, xy: Array, diameter_px: float, white: int) -> tuple[float, float]:
     """Return the share of white pixels of a disc in an image (H, W), and the width of its edge [px].
 
-    The edge's width is the height of the disc over its steepest rise along row and column through its centre: a
-    Gaussian's standard deviation times sqrt(2 pi). NaN where the disc is not whole in the image.
+    The width of the edge is the disc's height over its steepest rise along the row and the column through its centre.
+    For a Gaussian blur it is the standard deviation times sqrt(2 pi). NaN where the disc is not whole in the image.
     """
     reach = int(np.ceil(0.5 * diameter_px)) + 4
     x, y = round(float(xy[0])), round(float(xy[1]))
@@ -99,16 +99,16 @@ def marker_image(image: Array, xy: Array, diameter_px: float, white: int) -> tup
 def image_causes(
     witness: ImageWitness, connected: Mapping[str, float], rate_hz: float, alpha: float
 ) -> list[Diagnosis]:
-    """Return what images of markers show to be wrong; ``alpha``: chance of a false alarm of each cause.
+    """Return the faults that images of markers show; ``alpha``: chance of a false alarm of each cause.
 
-    ``connected``: share of each camera's detections that belong to points. Where it is below ``MARKERS``, what is
-    detected may be no markers (a board, a room), and nothing is said of that camera.
+    ``connected``: share of each camera's detections that belong to points. Where it is below ``MARKERS``, the
+    detections may be no markers (a board, a room), and the camera is not judged.
     """
     found = []
     for name, one in witness.sums.items():
         if one.detections == 0 or connected.get(name, 0.0) < MARKERS:
             continue
-        n = max(int(one.detections / max(0.1 * rate_hz, 1.0)), 1)  # a marker's images within 0.1 s are one
+        n = max(int(one.detections / max(0.1 * rate_hz, 1.0)), 1)  # images of a marker within 0.1 s count as one
         if len(one.white) and (share := float(np.mean(np.array(one.white) > PLATEAU))) > 0.5:
             chance = float(binom.sf(np.floor(share * n) - 1, n, 0.5))
             text = (
@@ -133,7 +133,7 @@ def _focus(name: str, one: ImageSums) -> Diagnosis | None:
         return None
     t, edge = np.array(one.time_s), np.array(one.edge_px)
     t = (t - t[0]) / max(t[-1] - t[0], 1e-9)
-    # blocks, since neighbouring images are of the same markers at almost the same place
+    # medians of blocks, since neighbouring images show the same markers at almost the same place
     parts = np.array_split(np.arange(len(t)), min(12, len(t) // 2))
     x, y = np.array([t[p].mean() for p in parts]), np.array([np.median(edge[p]) for p in parts])
     slope, start = np.polyfit(x, y, 1)
@@ -150,7 +150,7 @@ def _focus(name: str, one: ImageSums) -> Diagnosis | None:
 
 
 def reflection_causes(seen: Sequence[Seen], rig: Rig, observed: PointImages, alpha: float) -> list[Diagnosis]:
-    """Return reflections: detections of no point that repeat at one place, or mirror points in one plane."""
+    """Return reflections: detections outside points that stay at one place, or mirror points in one plane."""
     free: dict[int, dict[str, list[int]]] = {}
     for row, frame in enumerate(observed.frame):
         of = free.setdefault(int(frame), {})
@@ -213,7 +213,7 @@ def _glints(places: list[Array]) -> list[tuple[float, float]]:
 def _mirrors(
     left: list[tuple[int, dict[str, Detections]]], rig: Rig, observed: PointImages
 ) -> tuple[int, list[tuple[Array, float]]]:
-    """Return how many points of free detections mirror markers in the best plane, and that plane."""
+    """Return the number of points of free detections that mirror markers in the best plane, and that plane."""
     settings = MatchSettings(camera_sigma_px=0.3, minimum_cameras=2, judge_sizes=False)
     sets = []
     for pulse, rest in left[:: max(1, len(left) // 30)]:

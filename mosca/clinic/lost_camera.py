@@ -1,4 +1,4 @@
-"""A camera whose rays meet no others': its pose found anew from the curves that markers draw, without any labels."""
+"""Pose of a camera whose rays meet no others: estimated from the curves that markers draw, without labels."""
 
 import cv2
 import numpy as np
@@ -11,25 +11,25 @@ from mosca.data.detections import Seen
 from mosca.data.rig import Camera, Pose, Rig
 
 LOST_SHARE = 0.5
-"""Share of a camera's detections in points below which it is taken for lost."""
+"""A camera is lost if less than this share of its detections belongs to points."""
 LEAST_FRAMES = 30
-"""Frames of a curve from which a pose is found."""
+"""Fewest frames of a curve from which a pose is estimated."""
 FITS_PX = 2.0
-"""Median distance of a found camera's images from the points' projections [px]."""
+"""Largest median distance of a camera's images from the points' projections at the estimated pose [px]."""
 LARGE_DEG = 10.0
-"""Turn from which a pose is no small move of the mount."""
+"""Rotation beyond which the pose is no small move of the mount."""
 SAME_PLACE = 0.1
 """A mirrored pose keeps the target's middle at the same place before the camera, to this share of the distance."""
 
 
 def lost_cameras(seen: list[Seen], rig: Rig, observed: PointImages) -> list[Diagnosis]:
-    """Return a diagnosis of each camera that is lost, where its true pose can be found."""
+    """Return a diagnosis of each lost camera whose true pose can be estimated."""
     found = []
     for k, camera in enumerate(rig.cameras):
         others = np.delete(observed.connected, k)
         if observed.connected[k] >= LOST_SHARE or len(others) < 2 or np.median(others) < LOST_SHARE:
             continue
-        # reflections too leave detections without points, but each point has its image where it is expected
+        # with reflections, too, detections belong to no point, but each point has its image where it is expected
         if _misfit(camera, camera.world_from_camera, seen, observed) * _focal_px(camera) < FITS_PX:
             continue
         pose, median_px = _found_pose(seen, camera, observed)
@@ -46,7 +46,7 @@ def _diagnosis(camera: Camera, pose: Pose, median_px: float, observed: PointImag
     middle = observed.xyz.mean(axis=0)
     there, here = pose.inverse().transform(middle[None])[0], believed.inverse().transform(middle[None])[0]
     away = float(np.linalg.norm(there - here) / np.linalg.norm(there))
-    # a turn by two mirrors has its axis across the line of sight
+    # the rotation made by two reflections has its axis across the line of sight
     axis = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
     across = abs(float(axis @ there)) / max(float(np.linalg.norm(axis) * np.linalg.norm(there)), 1e-12)
     code = "mirrored-pose" if angle > LARGE_DEG and away < SAME_PLACE and across < 0.2 else "camera-moved"
@@ -65,7 +65,7 @@ def _diagnosis(camera: Camera, pose: Pose, median_px: float, observed: PointImag
 
 
 def _found_pose(seen: list[Seen], camera: Camera, observed: PointImages) -> tuple[Pose | None, float]:
-    """Return the pose at which a camera's curves are those of the points, and the median misfit [px]."""
+    """Return the pose at which a camera's curves fit those of the points, and the median misfit [px]."""
     curves = _curves([(s.pulse, d[camera.name].xy_px) for s, d, _ in seen if camera.name in d])
     names, counts = np.unique(observed.track, return_counts=True)
     tracks = {}
@@ -105,7 +105,7 @@ def _pose_of(camera: Camera, points: Array, xy: Array) -> Pose | None:
 
 
 def _misfit(camera: Camera, pose: Pose, seen: list[Seen], observed: PointImages) -> float:
-    """Return the median distance of the points' directions from the nearest detections', as tangents."""
+    """Return the median distance of the points' directions from those of the nearest detections, as tangents."""
     misses: list[float] = []
     for frame_set, detections, _ in seen[:: max(1, len(seen) // 20)]:
         points = observed.xyz[observed.frame == frame_set.pulse]
@@ -120,7 +120,7 @@ def _misfit(camera: Camera, pose: Pose, seen: list[Seen], observed: PointImages)
 
 
 def _curves(images: list[tuple[int, Array]]) -> list[dict[int, Array]]:
-    """Return the curves of a camera's detections: frame -> place, from mutually nearest ones in successive frames."""
+    """Return curves (frame -> place) of a camera's detections that are mutually nearest in successive frames."""
     curves: list[dict[int, Array]] = []
     open_: list[tuple[dict[int, Array], int]] = []
     for frame, xy in images:

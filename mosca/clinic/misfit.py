@@ -1,10 +1,10 @@
-"""Which fault explains that rays do not meet: linear models of image displacements, compared by their likelihood.
+"""Faults that explain why rays do not meet: linear models of image displacements, compared by their likelihood.
 
-The residuals r of a point's images, whitened, lose what moving the point explains: P = I - J (J'J)^-1 J'. A fault
-displaces images by A t with few parameters t; of t = (sum A'PA)^-1 sum A'Pr remain the squares
-Q = sum (r - At)' P (r - At). Models are compared by n log(max(Q / n, 1)) + p log n (Schwarz 1978, Ann. Stat. 6, 461),
-n the number of independent residuals: below the stated noise no model gains. How significant t is follows from its
-covariance with neighbouring frames' residuals dependent (``long_run_covariance``).
+The projector P = I - J (J'J)^-1 J' removes from the whitened residuals r of a point's images the part that a move of
+the point explains. A fault displaces images by A t with few parameters t = (sum A'PA)^-1 sum A'Pr, which leave the
+sum of squares Q = sum (r - At)' P (r - At). Models are compared by n log(max(Q / n, 1)) + p log n (Schwarz 1978, Ann.
+Stat. 6, 461), with n independent residuals and p parameters: below the stated noise no model gains. The significance
+of t follows from its covariance, in which residuals of neighbouring frames are dependent (``long_run_covariance``).
 """
 
 from dataclasses import dataclass
@@ -20,16 +20,16 @@ from mosca.data.settings import MatchSettings, TrackSettings
 from mosca.diagnostics.long_run_covariance import long_run_covariance
 
 MOST = 3000
-"""Points that are used, evenly over the take."""
+"""Largest number of points used, evenly over the take."""
 CORRELATED_S = TrackSettings().memory_s
-"""Residuals nearer in time are one (the tracker's memory of an acceleration)."""
+"""Residuals nearer to each other in time count as one (the tracker's memory of an acceleration)."""
 IMAGE_PX = MatchSettings().camera_sigma_px
 """Random error of an image point besides detection noise."""
 
 
 @dataclass(frozen=True, eq=False)
 class Residuals:
-    """Whitened residuals of n points in c cameras, and what designs are made of."""
+    """Residuals of n points in c cameras, their weights, and the derivatives from which designs are made."""
 
     observations: PointImages
     rest: Array
@@ -37,19 +37,19 @@ class Residuals:
     weight: Array
     """(n, c) 1 / sigma [1/px], 0 where unseen."""
     by_point: Array
-    """(n, c, 2, 3)"""
+    """(n, c, 2, 3) derivatives of the projections by the point [px/m]."""
     by_pose: Array
-    """(n, c, 2, 6)"""
+    """(n, c, 2, 6) derivatives of the projections by the camera's pose."""
     flow: Array
-    """(n, c, 2) speed of the image [px/s]."""
+    """(n, c, 2) velocity of the image [px/s]."""
     xy: Array
     """(n, c, 2) projections [px]."""
     projector: Array
-    """(n, 2c, 2c)"""
+    """(n, 2c, 2c) P of each point."""
     freedom: int
-    """Residuals less the points' coordinates."""
+    """Number of residuals minus number of point coordinates."""
     independent: float
-    """The same, of those that are independent."""
+    """The same, of the independent residuals."""
 
     def squares(self) -> float:
         """Return Q without any model."""
@@ -66,9 +66,9 @@ class Residuals:
 
     @property
     def better_half(self) -> float:
-        """The same of the tracks that fit best and have half of the points.
+        """Unit weight of the best-fitting tracks that together have half of the points.
 
-        A misfit far beyond it is of a few markers (hidden, merged, wrongly paired).
+        A misfit far larger than this comes from a few markers (hidden, merged, wrongly paired).
         """
         squares = self._squares()
         freedom = 2.0 * (self.weight > 0).sum(axis=1) - 3.0
@@ -81,7 +81,7 @@ class Residuals:
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A model's parameters, their covariance, what remains, and how far it moves images."""
+    """A model's parameters, their covariance, the remaining sum of squares, and how far the model moves images."""
 
     values: Array
     covariance: Array
@@ -93,7 +93,7 @@ class Fit:
 
 
 def residuals_of(observations: PointImages, rig: Rig, rate_hz: float) -> Residuals:
-    """Return the residuals of points that move and are seen by two cameras and more."""
+    """Return the residuals of points that have a velocity and are seen by two or more cameras."""
     rows = np.flatnonzero(np.isfinite(observations.velocity).all(axis=1))
     some = observations.select(rows[:: max(1, -(-len(rows) // MOST))])
     n, c = len(some), len(rig.cameras)
@@ -129,7 +129,7 @@ def score_of(squares: float, residuals: Residuals, parameters: int) -> float:
 
 
 def fit(residuals: Residuals, design: Array, searched: int = 1) -> Fit:
-    """Return the fit of ``design`` (n, c, 2, p) [px per unit]; ``searched``: of how many it is the best."""
+    """Return the fit of ``design`` (n, c, 2, p) [px per unit]; ``searched``: number of designs it is the best of."""
     n, p = len(design), design.shape[-1]
     weight = residuals.weight[..., None]
     a = (design * weight[..., None]).reshape(n, -1, p)

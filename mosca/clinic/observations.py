@@ -1,4 +1,4 @@
-"""Images of points in all cameras, matched generously enough that a faulty rig still has points."""
+"""Images of points in all cameras, matched with tolerances so wide that a faulty rig still has points."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -19,15 +19,15 @@ from mosca.data.tracks import Points, Samples
 from mosca.tracking.tracker import Tracker
 
 LADDER_PX = (0.3, 1.0, 4.0)
-"""Errors of image points [px, an axis] with which rays are matched, smallest first, until all cameras connect."""
+"""Errors of image points [px, an axis] that matching tries, smallest first, until all cameras are connected."""
 CONNECTED = 0.95
-"""Share of each camera's detections in points at which no larger error is tried."""
+"""A camera is connected if this share of its detections belongs to points; then no larger error is tried."""
 ADOPT_SHARE = 0.35
 """A free detection belongs to a point if it lies nearer than this share of the distance to other detections."""
 ADOPT_PX = 40.0
-"""And never farther than this."""
+"""Largest distance of such a free detection from the point's projection [px]."""
 SMOOTH = 2
-"""Samples to each side through which a parabola gives a speed."""
+"""Samples to each side that the parabola for a sample's velocity is fitted to."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,25 +35,25 @@ class PointImages:
     """n points at instants, with their images in c cameras."""
 
     frame: Array
-    """(n,)"""
+    """(n,) number of the frame set."""
     time_s: Array
-    """(n,) since the first frame set."""
+    """(n,) time since the first frame set [s]."""
     track: Array
-    """(n,)"""
+    """(n,) number of the track."""
     xyz: Array
     """(n, 3) world [m]."""
     velocity: Array
     """(n, 3) [m/s]; NaN where a track is too short."""
     xy_px: Array
-    """(n, c, 2) freed of their target's eccentricity, NaN where a camera has no image."""
+    """(n, c, 2) image points corrected for their target's eccentricity, NaN where a camera has no image."""
     sigma_px: Array
-    """(n, c) of the detection, an axis."""
+    """(n, c) standard deviation of the detection, an axis."""
     index: Array
-    """(n, c) of the detection in its image, -1 for none."""
+    """(n, c) index of the detection in its image, -1 for none."""
     connected: Array
     """(c,) share of each camera's detections that belong to points."""
     matched_px: float
-    """Error that the matching allowed for."""
+    """Error of image points with which rays were matched, an axis."""
 
     def __len__(self) -> int:
         return len(self.frame)
@@ -73,9 +73,9 @@ class _Row(NamedTuple):
 
 
 def observe(seen: Sequence[Seen], rig: Rig, ladder_px: Sequence[float] = LADDER_PX) -> PointImages:
-    """Return the points of all frame sets, matched with the smallest error at which all cameras connect.
+    """Return the points of all frame sets, matched with the smallest error at which all cameras are connected.
 
-    Where none connects all of them, with the one that connects most.
+    Where no error connects all cameras, the one that connects most is used.
     """
     best: PointImages | None = None
     for sigma in ladder_px:
@@ -132,7 +132,7 @@ def _observed(seen: Sequence[Seen], rig: Rig, sigma_px: float) -> PointImages:
 
 
 def _freed(table: RayTable, rig: Rig) -> list[Array]:
-    """Return each camera's images (n, 2) [px] of the directions that matching took for those of targets' centres."""
+    """Return, for each camera, the images (n, 2) [px] of the directions that matching used for target centres."""
     return [
         lens_pixels(camera.lens, table.direction[begin:end] @ camera.world_from_camera.rotation)
         for camera, begin, end in zip(rig.cameras, table.start[:-1], table.start[1:], strict=True)
@@ -140,7 +140,7 @@ def _freed(table: RayTable, rig: Rig) -> list[Array]:
 
 
 def _rows(samples: Samples, points_of: dict[int, Points], index_of: dict[int, Array], begin_ns: int) -> list[_Row]:
-    """Return measured samples with the detections of the points that they come from."""
+    """Return the measured samples with the detections of their points."""
     rows = []
     for i in np.flatnonzero(samples.status == 0):
         frame = int(samples.frame[i])
@@ -155,7 +155,7 @@ def _rows(samples: Samples, points_of: dict[int, Points], index_of: dict[int, Ar
 
 
 def _adopted(projected: Array, xy: Array, index: Array) -> Array:
-    """Return each point's detection in a camera, with free ones for points that matching gave none."""
+    """Return each point's detection in a camera; points without one from matching get a free detection nearby."""
     index = index.copy()
     if not len(xy):
         return index
@@ -170,7 +170,7 @@ def _adopted(projected: Array, xy: Array, index: Array) -> Array:
 
 
 def _velocities(time_s: Array, track: Array, xyz: Array) -> Array:
-    """Return the speed (n, 3) of each sample from a parabola through its neighbours; NaN where there are too few."""
+    """Return the velocity (n, 3) [m/s] of each sample by a parabola through its neighbours; NaN with too few."""
     speed = np.full((len(track), 3), np.nan)
     for name in np.unique(track):
         rows = np.flatnonzero(track == name)

@@ -15,11 +15,11 @@ from mosca.data.tracks import Tracks
 from mosca.diagnostics.camera_health import HealthSettings
 
 CERTAIN_S = HealthSettings().late_s
-"""Scatter of stamps below which they are taken for those of exposures."""
+"""Stamps that scatter by less than this are taken for stamps of the exposures."""
 ROUNDED_NS = (1_000_000, 10_000_000)
-"""To which files round stamps."""
+"""Steps to which files round stamps."""
 FACTOR = 3.0
-"""Factor by which stamps may scatter more than the motion says that exposures do."""
+"""Largest ratio of the stamps' scatter to the exposures' scatter, which is estimated from the motion."""
 
 
 @dataclass
@@ -54,7 +54,7 @@ class WitnessedSource(WrappedSource):
 def stamp_causes(
     witness: StampWitness, residuals: Residuals | None, period_s: float, alpha: float
 ) -> list[Diagnosis]:
-    """Return what stamps and numbers show to be wrong."""
+    """Return the faults that stamps and frame numbers show."""
     found = []
     for k, (name, times) in enumerate(witness.times_ns.items()):
         number, t = np.array(witness.numbers[name], float), 1e-9 * (np.array(times, float) - times[0])
@@ -69,9 +69,9 @@ def stamp_causes(
 
 
 def track_stamp_causes(tracks: Tracks, alpha: float) -> list[Diagnosis]:
-    """Return what stamps and numbers of the frames of tracks show, as a client records them from a stream.
+    """Return the faults that stamps and frame numbers of tracks show, as a client records them from a stream.
 
-    Stamps that a file rounds are as certain as that.
+    The stamps of a file are no more certain than the step to which the file rounds them.
     """
     tracks = tracks.select(tracks.status == "measured")
     frame, first = np.unique(tracks.frame, return_index=True)
@@ -88,7 +88,7 @@ def track_stamp_causes(tracks: Tracks, alpha: float) -> list[Diagnosis]:
 
 
 def _gaps(number: Array, t: Array, period_s: float, whose: str) -> Diagnosis | None:
-    """Return that stamps ``t`` (n,) [s] leave out frames which their numbers (n,) do not."""
+    """Return a diagnosis where stamps ``t`` (n,) [s] have gaps that the frame numbers (n,) do not show."""
     steps, counted = np.diff(t) / period_s, np.diff(number)
     gaps = np.flatnonzero((np.round(steps - counted) >= 1) & (steps > 1.5) & (np.abs(steps - np.round(steps)) < 0.25))
     regular = float(np.median(np.abs(steps - np.round(steps))))
@@ -105,7 +105,7 @@ def _scattered(
     number: Array, t: Array, motion: tuple[float, int] | None, alpha: float, whose: str, what: str,
     certain_s: float = 0.0,
 ) -> Diagnosis | None:  # fmt: skip
-    """Return that stamps scatter more than exposures: ``motion`` has the scatter of these [s], and of how many."""
+    """Return a diagnosis where stamps scatter more than exposures; ``motion``: scatter of these [s], their number."""
     certain_s = max(CERTAIN_S, certain_s)
     rest = t - np.polyval(np.polyfit(number, t, 1), number)
     scatter = float(np.std(rest))
@@ -123,10 +123,10 @@ def _scattered(
 
 
 def _sampling_scatter(tracks: Tracks, period_s: float) -> tuple[float, int] | None:
-    """Return how far (rms [s]) places scatter along their paths about even frames, and in how many frames.
+    """Return the rms scatter [s] of positions along their paths about even frames, and the number of frames.
 
-    Each place against the parabola through the five about it, all tracks of a frame together; None where too little
-    moves. The parabola takes up half of a lone place's share.
+    Each position is compared with the parabola through the five positions about it, all tracks of a frame together.
+    None where too little moves. The parabola takes up half of the deviation of a single position.
     """
     pushes: dict[int, float] = {}
     sizes: dict[int, float] = {}
@@ -155,9 +155,9 @@ def _sampling_scatter(tracks: Tracks, period_s: float) -> tuple[float, int] | No
 
 
 def row_causes(witness: StampWitness, residuals: Residuals, rig: Rig, limit_px: float) -> list[Diagnosis]:
-    """Return cameras that state a readout row by row in which their images move by more than ``limit_px`` rms.
+    """Return cameras whose images move by more than ``limit_px`` rms during the row-by-row readout they state.
 
-    All cameras' images may move alike, so that no residual shows it: the points are at other instants than stamped.
+    The images of all cameras may move alike. Then no residual shows it, but the points have wrong instants.
     """
     told, worst = [], 0.0
     for k, camera in enumerate(rig.cameras):
@@ -177,8 +177,8 @@ def row_causes(witness: StampWitness, residuals: Residuals, rig: Rig, limit_px: 
 
 
 def exposure_scatter(residuals: Residuals, camera: int) -> tuple[float, int] | None:
-    """Return how far (rms [s]) a camera's exposures scatter against the others', by the motion of its images, and
-    the number of frames that this rests on; None where too little moves.
+    """Return the rms scatter [s] of a camera's exposures against the others', from the motion of its images, and the
+    number of frames used; None where too little moves.
     """
     w = residuals.weight[:, camera] ** 2
     push = np.einsum("ni,ni->n", residuals.flow[:, camera], residuals.rest[:, camera]) * w
@@ -191,5 +191,5 @@ def exposure_scatter(residuals: Residuals, camera: int) -> tuple[float, int] | N
     if some.sum() < 20:
         return None
     late: Array = pushes[some] / sizes[some]
-    # a point follows its images and takes up a share of a camera's delay: at most half with three cameras
+    # the point's position takes up a share of a camera's delay: at most half with three cameras
     return 2.0 * float(1.4826 * np.median(np.abs(late - np.median(late)))), int(some.sum())

@@ -1,4 +1,4 @@
-"""Causes that tracks show: wrong scale, lengths that change with place, labels or bodies that change places."""
+"""Causes that tracks show: wrong scale, lengths that change with place, labels or bodies that are exchanged."""
 
 from collections.abc import Mapping, Sequence
 
@@ -12,21 +12,21 @@ from mosca.data.tracks import Tracks
 from mosca.diagnostics.long_run_covariance import long_run_covariance
 
 NEAR = 0.35
-"""Share by which a measured length may differ from the stated one and still be taken for it."""
+"""A measured length is taken for the stated one if it differs from it by less than this share."""
 TAPE_M = 1e-3
 """Standard deviation of a length that a person states [m]: reading a tape, EU class II, at both ends."""
 WEAK = 0.01
-"""Change of a length over the volume, share, from which a calibration is weak."""
+"""Relative change of a length over the volume from which a calibration is weak."""
 RIGID = 0.05
 """A length that scatters by less than this share is one of a rigid body."""
 JUMP_SIGMAS = 6.0
-"""Jump of a label beside its prediction, in standard deviations of all labels' predictions."""
+"""Jump of a label away from its prediction, in standard deviations of all labels' predictions."""
 BACK = 0.25
-"""Exchanged labels continue with at most this share of the jump."""
+"""Exchanged labels deviate from each other's path by at most this share of the jump."""
 
 
 def length_causes(observed: PointImages, known_m: Sequence[float], sigma_m: float, alpha: float) -> list[Diagnosis]:
-    """Return what stated lengths [m] of rigid pairs show: one wrong factor, or ones that change with place."""
+    """Return the faults that stated lengths [m] of rigid pairs show: a wrong scale, or one that varies by place."""
     found: list[Diagnosis] = []
     for stated in known_m:
         pair = rigid_pair(observed, stated)
@@ -53,8 +53,8 @@ def length_causes(observed: PointImages, known_m: Sequence[float], sigma_m: floa
 
 
 def rigid_pair(observed: PointImages, stated_m: float) -> tuple[Array, Array] | None:
-    """Return vectors and middles (n, 3) of the two tracks whose distance is nearest to a stated one, of those that
-    stay apart alike; None where there are none.
+    """Return vectors and middles (n, 3) [m] of the two tracks whose distance is nearest to the stated one, among
+    pairs whose distance is constant; None where there are none.
     """
     names, counts = np.unique(observed.track, return_counts=True)
     names = names[counts >= max(20, 0.3 * counts.max(initial=0))]
@@ -79,7 +79,7 @@ def rigid_pair(observed: PointImages, stated_m: float) -> tuple[Array, Array] | 
 
 
 def _changing(vector: Array, place: Array, length: Array, alpha: float) -> Diagnosis | None:
-    """Return that a length changes with its place or direction, by regression on both with dependent residuals."""
+    """Return a diagnosis where a length changes with place or direction: regression with dependent residuals."""
     unit = vector / length[:, None]
     away = (place - place.mean(axis=0)) / max(float(place.std()), 1e-9)
     design = np.column_stack(
@@ -103,9 +103,9 @@ def _changing(vector: Array, place: Array, length: Array, alpha: float) -> Diagn
 
 
 def label_causes(tracks: Tracks, alpha: float) -> list[Diagnosis]:
-    """Return labels that change places; as bodies where three and more of one body do at once.
+    """Return exchanges of labels; they count as exchanges of bodies where three or more labels of one body take part.
 
-    A label's body is what stands before its last ':' or '_'.
+    A label's body is the part before its last ':' or '_'.
     """
     labelled = tracks.select((tracks.label != "") & (tracks.status == "measured"))
     return swap_causes(places_of(labelled.label, labelled.frame, labelled.xyz), alpha)
@@ -120,7 +120,7 @@ def places_of(names: Array, frames: Array, xyz: Array) -> dict[str, dict[int, Ar
 
 
 def swap_causes(places: Mapping[str, Mapping[int, Array]], alpha: float, bodies: bool = False) -> list[Diagnosis]:
-    """Return exchanges of two names' places; ``bodies``: the names are of bodies."""
+    """Return exchanges of the places of two names; ``bodies``: whether the names are those of bodies."""
     jumps = {name: _jumps(of) for name, of in places.items()}
     sizes = np.array([size for one in jumps.values() for size, _, _ in one.values()])
     if len(sizes) < 20:
@@ -160,7 +160,7 @@ def _body(name: str) -> str:
 
 
 def _jumps(of: Mapping[int, Array]) -> dict[int, tuple[float, Array, Array]]:
-    """Return frame -> distance of a place from the line through the two before it, that place, and its own."""
+    """Return frame -> distance of a position from the line through the two before it, prediction, position."""
     return {
         frame: (
             float(np.linalg.norm(at - (2 * of[frame - 1] - of[frame - 2]))),

@@ -1,7 +1,7 @@
-"""Rejects rigid bodies whose markers are ambiguous: nearly symmetric under a rotation, or like another body's.
+"""Rejection of rigid bodies whose markers are ambiguous: nearly symmetric under a rotation, or like another body's.
 
 The difference of two arrangements of markers is the largest distance that remains between paired markers after the
-best proper rotation and translation (Kabsch 1976); mirror images differ, since no rigid motion maps one to the other.
+best proper rotation and translation (Kabsch 1976). Mirror images differ, since no rigid motion maps one to the other.
 """
 
 from collections.abc import Iterator, Sequence
@@ -38,8 +38,8 @@ def check_bodies(bodies: Sequence[RigidBody], alike_m: float = ALIKE_M) -> None:
 def arrangements(some: Array, onto: Array, tolerance_m: float, skip_identity: bool) -> Iterator[tuple[int, ...]]:
     """Yield every way to lay points ``some`` (k, 3) on distinct ones of ``onto`` (m, 3), as indices (k) into it.
 
-    All distances must agree to twice ``tolerance_m``, which every arrangement nearer than it fulfils.
-    ``skip_identity``: leave out (0, 1, ..., k - 1).
+    All distances must agree to twice ``tolerance_m``. Every arrangement that differs by less than ``tolerance_m``
+    fulfils this. ``skip_identity``: leave out (0, 1, ..., k - 1).
     """
     one = np.linalg.norm(some[:, None] - some, axis=2)
     two = np.linalg.norm(onto[:, None] - onto, axis=2)
@@ -67,10 +67,10 @@ def difference_m(some: Array, onto: Array) -> float:
 
 
 def nearest(one: RigidBody, other: RigidBody, tolerance_m: float) -> tuple[float, tuple[int, ...]] | None:
-    """Return by how much [m] ``one`` differs from the arrangement in ``other`` most like it, and which that is.
+    """Return the difference [m] between ``one`` and the most similar arrangement in ``other``, and that arrangement.
 
-    Indices into the other's markers, one for each of one's. The same body: other than itself as it is. None where
-    nothing comes within ``tolerance_m``.
+    The arrangement is given as indices into the markers of ``other``, one for each marker of ``one``. Where both are
+    the same body, the identity is left out. None where no arrangement differs by less than ``tolerance_m``.
     """
     best: tuple[float, tuple[int, ...]] | None = None
     same = one is other
@@ -79,7 +79,7 @@ def nearest(one: RigidBody, other: RigidBody, tolerance_m: float) -> tuple[float
         if away < tolerance_m and (best is None or away < best[0]):
             best = away, order
         if count > MOST_ARRANGEMENTS:
-            break  # so many that the body is refused anyway
+            break  # with so many arrangements the body is refused anyway
     return best
 
 
@@ -139,7 +139,7 @@ def _advice(body: RigidBody, other: RigidBody, alike_m: float) -> str:
 
 
 def _unlike(body: RigidBody, other: RigidBody, beyond_m: float) -> float:
-    """Return by how much [m] ``body`` differs from itself rotated and from ``other``, ``beyond_m`` at most."""
+    """Return the smaller difference [m] of ``body`` from itself rotated and from ``other``, at most ``beyond_m``."""
     small, large = (body, other) if len(body.markers) <= len(other.markers) else (other, body)
     found = [nearest(a, b, beyond_m) for a, b in {(body, body), (small, large)}]
     return min((f[0] for f in found if f is not None), default=beyond_m)

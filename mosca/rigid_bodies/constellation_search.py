@@ -1,7 +1,7 @@
 """Search for a known constellation among points, compiled.
 
-Each triple of markers is searched for among the points by its three distances; the pose of a triple is verified by
-all markers (hypothesise and verify; Fischler and Bolles 1981, exhaustive instead of random).
+Each triple of markers is searched for among the points by its three distances. Each triple found gives a pose, which
+is verified by all markers (hypothesise and verify; Fischler and Bolles 1981, exhaustive instead of random).
 """
 
 import math
@@ -14,7 +14,7 @@ from mosca.numba_support.decorators import kernel, step
 from mosca.rigid_bodies.pose_kernels import fit_pose
 
 MOST_HYPOTHESES = 20000
-"""Triples of points that are verified at most."""
+"""Largest number of triples of points that are verified."""
 WIDE_GATE2 = 9.0
 """Squared factor of the gates for the pose of a triple."""
 FLAT = 1e-3
@@ -29,20 +29,20 @@ class Candidates(NamedTuple):
     covariance: Array
     """(n, 3, 3)"""
     free: Array
-    """(n,) those that may be used."""
+    """(n,) bool, whether a point may be used."""
 
 
 class SearchRules(NamedTuple):
-    """What counts as found."""
+    """Rules for accepting a pose."""
 
     sigma2: float
     """Variance of a marker's position per axis [m^2]."""
     slack2: float
-    """Added to it in gates."""
+    """Variance that is added to ``sigma2`` in gates [m^2]."""
     sigmas: float
     """Size of the gates in standard deviations."""
     apart: float
-    """Two poses are the same when no marker lies farther apart [m]."""
+    """Two poses are the same when no marker's positions in them lie farther apart than this [m]."""
 
 
 class BodyTransform(NamedTuple):
@@ -53,7 +53,7 @@ class BodyTransform(NamedTuple):
 
 
 class _Best(NamedTuple):
-    """The two best poses of m markers that are not the same."""
+    """The two best distinct poses of m markers."""
 
     rows: Array
     """(2, m) point of each marker, -1 for none."""
@@ -67,8 +67,8 @@ class _Best(NamedTuple):
 def claim(place, pose, points, gate2, rows):
     """Assign each marker the free point nearest to its predicted position; fills rows (m,), -1 for none.
 
-    ``gate2`` (n,): squared gate of each point [m^2]. A point nearest to two markers goes to the nearer. Markers
-    that have a row keep it. Returns how many have one.
+    ``gate2`` (n,): squared gate of each point [m^2]. A point nearest to two markers goes to the nearer marker.
+    Markers that already have a row keep it. Returns the number of markers with a row.
     """
     xyz, m, n = points.xyz, place.shape[0], points.xyz.shape[0]
     reach, p = np.empty(m), np.empty(3)
@@ -121,7 +121,7 @@ def find(place, triples, points, rules, rows, score):
     for i in range(m):
         for j in range(i):
             span = max(span, _apart(place[i], place[j]))
-    # all markers lie within a span of each other: only such points are combined
+    # no two markers are farther apart than the span: only points as near to each other are combined
     near, count = np.empty((f, f), dtype=np.int64), np.zeros(f, dtype=np.int64)
     for a in range(f):
         for b in range(f):
@@ -160,7 +160,7 @@ def find(place, triples, points, rules, rows, score):
                     if _triad(corner, three, pose):
                         _verify(place, points, gate2, rules, pose, best)
         if score[0, 0] == m and score[1, 0] < m:
-            return  # nothing can explain more
+            return  # no other pose can explain more points
 
 
 @step
@@ -168,7 +168,7 @@ def _verify(place, points, gate2, rules, pose, best):
     """Claim points for all markers, fit them, and rank the pose among the two best."""
     m = place.shape[0]
     mine = np.full(m, -1)
-    # the error of a triple's pose grows with the distance from it: a wide gate first, then a fit
+    # the error of a triple's pose grows with the distance from the triple: a wide gate first, then a fit
     if claim(place, pose, points, WIDE_GATE2 * gate2, mine) < 3:
         return
     spread, chi2, total = np.empty((6, 6)), np.empty(m), -1.0
@@ -204,7 +204,7 @@ def _verify(place, points, gate2, rules, pose, best):
 
 @step
 def _rank(here, mine, count, total, apart, best):
-    """Keep the two best poses that are not the same, the better one first."""
+    """Keep the two best distinct poses, the better one first."""
     score = best.score
     for s in range(2):
         if score[s, 0] > 0 and _farthest(here, best.positions[s]) < apart:
@@ -256,7 +256,7 @@ def _apart(p, q):
 
 @step
 def _triad(corner, three, pose):
-    """Pose that maps a triangle onto another by first edge and plane; False for degenerate triangles."""
+    """Write the pose that maps a triangle onto another by first edge and plane; False for degenerate triangles."""
     rotation, translation = pose.rotation, pose.translation
     one, two = np.empty((3, 3)), np.empty((3, 3))
     if not (_axes(corner, one) and _axes(three, two)):

@@ -1,7 +1,7 @@
-"""A rigid body's definition learned from tracks: the shape that all frames of a stretch agree on best.
+"""A rigid body's definition learned from tracks: the shape that fits all frames of a stretch best.
 
-Generalised Procrustes analysis (Gower 1975) with the samples' covariances, alternating between the body's pose in
-every frame and each marker's position as the weighted mean of its samples in the body's frame.
+Generalised Procrustes analysis (Gower 1975) with the samples' covariances. It alternates between the body's pose in
+every frame and each marker's position, the weighted mean of its samples in the body's frame.
 """
 
 from collections.abc import Sequence
@@ -18,7 +18,7 @@ from mosca.rigid_bodies.pose_kernels import fit_pose
 
 ROUNDS = 50
 SETTLED_M = 1e-7
-"""Largest move of a model's marker [m] in a round of its estimation below which it has converged."""
+"""The estimation has converged when no marker of the model moves by more than this [m] in a round."""
 NOT_RIGID_M = 0.003
 """A marker whose rms distance from its mean position is more [m] is not fixed to the others."""
 
@@ -26,12 +26,12 @@ NOT_RIGID_M = 0.003
 def learn_body(
     tracks: Tracks, ids: Sequence[int], name: str, markers: Sequence[str] | None = None, alike_m: float = ALIKE_M
 ) -> RigidBody:
-    """Return the rigid body that the tracks ``ids`` are the markers of, from all frames that show three or more.
+    """Return the rigid body whose markers are the tracks ``ids``, from all frames that show three or more of them.
 
-    ``markers``: their names; by default ``name/1``, ``name/2``, ... The body's origin is the markers' centroid, its
-    axes are the world's in the first frame that shows them all; ``sigma_m`` is the standard error of a marker's
-    position from the samples' scatter. Raises InputError where no frame shows them all, the markers move against each
-    other or lie in a line, or the body is ambiguous under rotation.
+    ``markers``: their names; by default ``name/1``, ``name/2``, ... The body's origin is the markers' centroid. Its
+    axes are the world's in the first frame that shows all markers. ``sigma_m`` is the standard error of a
+    marker's position from the samples' scatter. Raises InputError where no frame shows all markers, the markers move
+    against each other or lie in a line, or the body is ambiguous under rotation.
     """
     names = tuple(markers) if markers is not None else tuple(f"{name}/{k + 1}" for k in range(len(ids)))
     if len(names) != len(ids) or len(ids) < FEWEST_MARKERS:
@@ -57,7 +57,7 @@ def learn_body(
             "others: leave it out or learn from a stretch where it is fixed"
         )
     seen = np.isfinite(residuals).all(axis=2).sum(axis=0)
-    # degrees of freedom: a pose takes 6 of the 3 m values of a frame; those of the shape are neglected
+    # degrees of freedom: a pose takes 6 of the 3 m values of a frame; those that the shape takes are neglected
     share = max(1.0 - 2.0 / len(ids), 1.0 / 3.0)
     sigma = float(np.sqrt(np.mean(rms**2 / 3.0 / share / seen)))
     try:
@@ -83,7 +83,7 @@ def _grid(tracks: Tracks, ids: Sequence[int]) -> tuple[Array, Array]:
 
 
 def _loosest(xyz: Array) -> int:
-    """Return which marker's distances from the others change most: one that is loose spoils every marker's fit."""
+    """Return the marker whose distances from the others change most: one loose marker spoils the fit of all."""
     distances = np.linalg.norm(xyz[:, :, None] - xyz[:, None], axis=3)
     changes = np.sqrt(np.nanmean((distances - np.nanmean(distances, axis=0)) ** 2, axis=0))
     return int(np.argmax(np.median(changes, axis=1)))

@@ -1,8 +1,8 @@
-"""One body and the points of one instant: its pose from points that are known, or the search for it among all.
+"""Pose of one body at one instant: from points that are known to be its markers, or by a search among all points.
 
-A pose is withheld rather than guessed. Fewer than three markers, or three in a line, do not determine it. Where the
-visible markers could be others of the body (similar distances), the poses are compared by their likelihood: a second
-one within ``flip_chi2`` of the first makes it ambiguous, and only the previous pose can decide.
+A pose is withheld rather than guessed. Fewer than three markers, or three in a line, do not determine it. The visible
+markers may also fit other markers of the body (similar distances). Then the poses are compared by their likelihood: a
+second pose within ``flip_chi2`` of the first makes the first ambiguous, and only the previous pose can decide.
 """
 
 from collections.abc import Mapping
@@ -22,8 +22,8 @@ from mosca.rigid_bodies.constellation_search import BodyTransform, Candidates, S
 from mosca.rigid_bodies.pose_kernels import fit_pose
 
 HIDDEN_SHARE = 0.3
-"""Share of its gate from which the worst point is also tested against the pose of the others: with few markers a fit
-absorbs up to two thirds of an outlier's error."""
+"""Share of its gate from which the worst point is also tested against the pose from the other points. With few
+markers a fit absorbs up to two thirds of an outlier's error."""
 UNKNOWN_M = 0.001
 """Standard deviation of a point per axis [m] where its covariance is unknown."""
 
@@ -63,13 +63,13 @@ class InstantPoints:
     covariance: Array
     """(n, 3, 3) [m^2]"""
     variance: Array
-    """(n,) its trace."""
+    """(n,) trace of ``covariance`` [m^2]."""
     track: Array
-    """(n,) -1 for none."""
+    """(n,) track of each point, -1 for none."""
     row_of: Mapping[int, int]
     """Track -> row, empty where the points have no identity."""
     named: Mapping[str, int]
-    """Label -> row of those that have a label of their own."""
+    """Label -> row of the points whose label no other point has."""
 
     def __len__(self) -> int:
         return len(self.xyz)
@@ -88,7 +88,7 @@ class BodyPoseFit:
     rows: Array
     """(m,) point of each marker, -1 for none."""
     chi2: Array
-    """(m,) of each marker, 0 for none."""
+    """(m,) chi-square of each marker, 0 for none."""
 
     @property
     def count(self) -> int:
@@ -103,7 +103,7 @@ class BodyPoseFit:
 
 
 class Constellation:
-    """A body made ready for fitting and finding."""
+    """A body prepared for fitting and search."""
 
     def __init__(self, body: RigidBody, settings: BodySettings) -> None:
         self.body, self.settings = body, settings
@@ -114,7 +114,7 @@ class Constellation:
         self.span_m = float(body.distances().max())
 
     def fit(self, seen: InstantPoints, rows: Array) -> BodyPoseFit | None:
-        """Return the pose of the markers at points ``rows`` (m,), -1 for none; None where they leave it open."""
+        """Return the pose of the markers at points ``rows`` (m,), -1 for none; None where it is undetermined."""
         used = np.flatnonzero(rows >= 0)
         if len(used) < 3:
             return None
@@ -127,9 +127,9 @@ class Constellation:
         return BodyPoseFit(*out[:3], rows.copy(), chi2)
 
     def sound_fit(self, seen: InstantPoints, rows: Array) -> BodyPoseFit | None:
-        """Return the pose of those of the points that agree: one that does not is left out, the worst first.
+        """Return the pose from the points that agree; others are left out one by one, the worst first.
 
-        None where three that agree do not remain.
+        None where fewer than three points that agree remain.
         """
         fit = self.fit(seen, rows)
         while fit is not None and not self._agree(fit, seen):
@@ -144,7 +144,7 @@ class Constellation:
         return self.fit(seen, fewer)
 
     def _agree(self, fit: BodyPoseFit, seen: InstantPoints) -> bool:
-        """Return whether every point lies within its gate, the worst one also by the pose of the others alone."""
+        """Return whether every point lies within its gate, the worst point also for the pose from the others."""
         used = np.flatnonzero(fit.rows >= 0)
         there = self._place[used] @ fit.rotation.T + fit.translation
         away = np.linalg.norm(seen.xyz[fit.rows[used]] - there, axis=1)
@@ -169,7 +169,7 @@ class Constellation:
     def claim(
         self, seen: InstantPoints, free: Array, rotation: Array, translation: Array, rows: Array, reach_m: float
     ) -> Array:
-        """Return ``rows`` (m,) with a free point for each marker that had none, from within ``reach_m`` and gates."""
+        """Return ``rows`` (m,) with free points for markers without one, within gates widened by ``reach_m``."""
         gates = (self._gates(seen) + reach_m) ** 2
         mine = rows.copy()
         points = Candidates(seen.xyz, seen.covariance, free)
@@ -177,9 +177,9 @@ class Constellation:
         return mine
 
     def find(self, seen: InstantPoints, free: Array) -> tuple[BodyPoseFit | None, int]:
-        """Search for the body among the points ``free`` (n,); returns its pose and how many markers were found.
+        """Search for the body among the points ``free`` (n,); return its pose and the number of markers found.
 
-        No pose, but a count, where another one explains the points as well.
+        Where another pose explains the points as well, the pose is None and the count is returned all the same.
         """
         settings, m = self.settings, len(self._place)
         rows, score = np.full((2, m), -1), np.zeros((2, 2))
@@ -196,7 +196,7 @@ class Constellation:
         return fit, fit.count
 
     def others(self, fit: BodyPoseFit, seen: InstantPoints) -> list[BodyPoseFit]:
-        """Return other readings of the same points that are about as likely as ``fit``."""
+        """Return the poses of other assignments of the same points that are about as likely as ``fit``."""
         used = fit.rows >= 0
         key = used.tobytes()
         if key not in self._others:
@@ -229,7 +229,7 @@ def rotation_sigma(fit: BodyPoseFit) -> float:
 def instant_points(
     xyz: Array, covariance: Array, track: Array | None = None, marker: Array | None = None
 ) -> InstantPoints:
-    """Return points of one instant; an unknown covariance (NaN) becomes that of UNKNOWN_M."""
+    """Return the points of one instant; an unknown covariance (NaN) is replaced by that of UNKNOWN_M."""
     xyz = np.ascontiguousarray(xyz, dtype=float).reshape(-1, 3)
     covariance = np.ascontiguousarray(covariance, dtype=float).reshape(-1, 3, 3)
     variance = covariance[:, 0, 0] + covariance[:, 1, 1] + covariance[:, 2, 2]
@@ -250,7 +250,7 @@ def predicted(rotation: Array, translation: Array, rates: Array, step_s: float) 
 
 
 def vector_of(rotation: Array) -> Array:
-    """Return the rotation vector (3,) [rad] of a rotation (3, 3), of angles below pi."""
+    """Return the rotation vector (3,) [rad] of a rotation (3, 3) by an angle below pi."""
     across = np.array(
         [rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]]
     )

@@ -1,8 +1,8 @@
 """Pose of a known constellation, compiled: least squares with the points' full covariances.
 
-Start: Horn (1987), closed form by unit quaternions, with one weight a point; then Gauss-Newton on (translation,
-rotation vector in world axes), R <- exp([r]) R. Small matrices are solved in place: a call of LAPACK for a 6 x 6 or
-4 x 4 matrix costs more than the loops, and NumPy's in compiled code allocates.
+The first pose is Horn's closed form by unit quaternions (1987), with one weight a point. Gauss-Newton refines it in
+(translation, rotation vector in world axes), R <- exp([r]) R. Small matrices are solved in place: a LAPACK call for a
+6 x 6 or 4 x 4 matrix costs more than the loops, and NumPy's calls in compiled code allocate memory.
 """
 
 import math
@@ -17,7 +17,7 @@ STEPS = 6
 SETTLED = 1e-11
 """Largest change of translation [m] or rotation [rad] at convergence."""
 SINGULAR = 1e-10
-"""Share of its diagonal element below which a pivot of the normal matrix has vanished."""
+"""A pivot of the normal matrix below this share of its diagonal element counts as zero."""
 JACOBI_SWEEPS = 12
 ANNIHILATED = 1e-30
 """Sum of squared elements off the diagonal at which Jacobi's rotations have converged."""
@@ -27,8 +27,8 @@ ANNIHILATED = 1e-30
 def fit_pose(place, xyz, covariance, sigma2, rotation, translation, spread, chi2):
     """Fit x_world = R place + t to points; fills R (3, 3), t (3,), covariance (6, 6) and chi2 (k,) of each point.
 
-    ``place`` (k, 3) in the body's frame, ``xyz`` (k, 3) with ``covariance`` (k, 3, 3), ``sigma2`` [m^2] variance of
-    a marker position per axis. Returns the sum of chi2, or -1 where the points do not determine the pose.
+    ``place`` (k, 3): markers in the body's frame; ``xyz`` (k, 3): points with ``covariance`` (k, 3, 3); ``sigma2``
+    [m^2]: variance of a marker position per axis. Returns the sum of chi2, or -1 where the pose is undetermined.
     """
     k = place.shape[0]
     if k < 3:

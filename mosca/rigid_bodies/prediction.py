@@ -1,13 +1,14 @@
 """Pose of a rigid body at any instant: between its exposures, and ahead of the newest one.
 
-Position and rotation have a Kalman filter each, with Singer's motion and the likeliest variance of the acceleration
-(``mosca.smoothing.augmented_filter``); the angular acceleration is learned in the same way. The rotation is that of
-a multiplicative filter (Markley 2003): its state is a rotation vector about the world's axes from the newest
-rotation, set to zero after each measurement. A motion of constant velocity and constant angular velocity is predicted
-exactly. An instant between two exposures is smoothed with the measurements around it (``mosca.smoothing.rts``).
+Position and rotation have a Kalman filter each, with Singer's motion model and the likeliest variance of the
+acceleration (``mosca.smoothing.augmented_filter``); the angular acceleration is learned in the same way. The rotation
+has a multiplicative filter (Markley 2003): its state is the rotation vector, about the world's axes, from the newest
+rotation, and is set to zero after each measurement. A motion of constant velocity and constant angular velocity is
+predicted exactly. An instant between two exposures is smoothed with the measurements around it
+(``mosca.smoothing.rts``).
 
-The covariances are those that the poses state, times the likeliest of a few factors: taken as too small they would
-look like accelerations. Those between position and rotation are left out.
+The covariances stated by the poses are multiplied by the likeliest of a few factors: errors larger than stated would
+look like accelerations. Covariances between position and rotation are left out.
 """
 
 from collections import deque
@@ -27,16 +28,16 @@ from mosca.smoothing.fixed_lag import PRIOR_COST, motion_prior
 from mosca.smoothing.rts import LADDER, axis_moves, smooth_one
 
 KEPT = 64
-"""Newest poses that are kept: instants before them are not known."""
+"""Number of newest poses that are kept; there is no pose for instants before them."""
 AROUND = 6
-"""Poses before and after an instant between two that it is smoothed with."""
+"""Number of poses before, and after, an instant between two exposures that are used to smooth it."""
 
 STARTING = 3
-"""Poses since a body was found that determine position, velocity and acceleration; with fewer it is ``starting``."""
+"""Poses since a body was found that determine position, velocity and acceleration; before that: ``starting``."""
 
 SCALES = (1.0, 2.0, 4.0, 8.0)
-"""Factors on the stated standard deviations that are tried: what all markers share (a camera that shakes) is not in
-a pose's covariance."""
+"""Factors on the stated standard deviations that are tried: an error that all markers share (a camera that shakes) is
+not in a pose's covariance."""
 
 PoseStatus = Literal["interpolated", "extrapolated", "starting", "stale"]
 
@@ -62,16 +63,16 @@ class PredictionSettings:
 
 
 class PredictedPose(NamedTuple):
-    """A pose at an instant, and what it rests on."""
+    """A pose at an instant, and its basis."""
 
     rotation: Array
     """(3, 3) of world_from_body."""
     position: Array
     """(3,) [m]"""
     covariance: Array
-    """(6, 6) of position [m], then rotation vector about the world's axes [rad]; as of ``BodyPoses``."""
+    """(6, 6) of position [m], then rotation vector about the world's axes [rad]; as in ``BodyPoses``."""
     status: PoseStatus
-    """``stale``: the newest exposure lies farther back than the horizon; the pose is held where that ended.
+    """``stale``: the newest exposure is older than the horizon; the pose is that at the end of the horizon.
     ``starting``: predicted from fewer than three poses, which do not determine how the body moves."""
     newest_ns: int
     """Middle of the newest exposure known so far."""
@@ -85,9 +86,9 @@ class _Measured(NamedTuple):
 
 
 class _SingerFilter:
-    """A filter of a vector (3,) with Singer's motion; the variance of its acceleration is learned or given.
+    """A filter of a vector (3,) with Singer's motion model; the variance of its acceleration is learned or given.
 
-    ``scale``: factor on the stated standard deviations of what is measured.
+    ``scale``: factor on the stated standard deviations of the measurements.
     """
 
     def __init__(
@@ -101,7 +102,7 @@ class _SingerFilter:
 
     @property
     def variance(self) -> float:
-        """Variance of the acceleration, an axis: the given or the likeliest."""
+        """Variance of the acceleration, an axis: the given one, or the likeliest."""
         return self._prior.fixed if self._prior.fixed >= 0 else float(LADDER[self._filters.cost[0].argmin()]) ** 2
 
     @property
@@ -110,7 +111,7 @@ class _SingerFilter:
         return float(self._filters.cost[0].min())
 
     def update(self, step_s: float, value: Array, covariance: Array, first: bool) -> None:
-        """Take a measurement (3,) with its covariance (3, 3), ``step_s`` [s] after the one before."""
+        """Take a measurement (3,) with its covariance (3, 3), ``step_s`` [s] after the previous one."""
         move, noise = axis_moves(np.array([step_s]), self._memory_s)
         remembered = np.array([np.exp(-step_s / self._learn_s)])
         self._filters.kept[0] = 0
@@ -131,9 +132,9 @@ class _SingerFilter:
 
 
 class _LearnedFilter:
-    """Filters of one vector (3,) that differ in how far they trust what is measured; the likeliest is used.
+    """Filters of one vector (3,) with different factors on the measurements' errors; the likeliest is used.
 
-    With an acceleration that is given there is one, which takes the covariances as stated.
+    Where the acceleration is given, there is a single filter, which takes the covariances as stated.
     """
 
     def __init__(self, speed: float, acceleration: float | None, memory_s: float, learn_s: float) -> None:
@@ -142,16 +143,16 @@ class _LearnedFilter:
 
     @property
     def best(self) -> _SingerFilter:
-        """The likeliest."""
+        """The likeliest filter."""
         return min(self._filters, key=lambda one: one.cost)
 
     def update(self, step_s: float, value: Array, covariance: Array, first: bool) -> None:
-        """As of each filter."""
+        """Update each filter, as ``_SingerFilter.update``."""
         for one in self._filters:
             one.update(step_s, value, covariance, first)
 
     def subtract(self, value: Array) -> None:
-        """As of each filter."""
+        """Move the origin in each filter, as ``_SingerFilter.subtract``."""
         for one in self._filters:
             one.subtract(value)
 
@@ -178,9 +179,9 @@ class BodyPredictor:
         return self._moves.best.scale, self._turns.best.scale
 
     def update(self, poses: BodyPoses) -> None:
-        """Take the body's poses; those withheld, and those not later than the newest, are left out.
+        """Take the body's poses; withheld poses, and poses not later than the newest one, are left out.
 
-        After a gap of more than two horizons the motion before it is forgotten.
+        After a gap of more than two horizons the motion before the gap is forgotten.
         """
         for row in np.flatnonzero(poses.status == "measured"):
             time_ns = int(poses.time_ns[row])
@@ -194,7 +195,7 @@ class BodyPredictor:
             self._take(_Measured(time_ns, rotation, poses.position[row], poses.covariance[row]), step_s)
 
     def at(self, time_ns: int) -> PredictedPose | None:
-        """Return the pose at ``time_ns``; None before the first pose and before those that are kept."""
+        """Return the pose at ``time_ns``; None before the first pose, and before the oldest pose that is kept."""
         if not self._kept or time_ns < self._kept[0].time_ns:
             return None
         newest_ns = self._kept[-1].time_ns

@@ -1,10 +1,10 @@
-"""Errors of a body's position that no number of its markers averages out: those that a camera's images share.
+"""Errors of a body's position that are common to a camera's images and do not average out over the markers.
 
-A camera that shakes shifts all images of a body together, anew in each frame; a lens that the calibration does not
-quite describe shifts them together as well, and keeps doing so while the body stays in that part of the image. A
-pose's covariance takes the errors of images as independent. Here an image's error is the detection's own, plus a
-shift of its camera; the pose is the least-squares fit that weights images by their whole variance, and its error the
-sum of what each part moves it (error propagation; Luhmann et al., Close-Range Photogrammetry, 3rd ed., section 2.4).
+A camera that shakes shifts all images of a body together, anew in each frame. The misfit of a lens model shifts them
+together as well, and the shift lasts while the body stays in that part of the image. A pose's covariance takes the
+errors of images as independent. Here an image's error is the detection's own error plus a shift of its camera. The
+pose is the least-squares fit that weights images by their whole variance. Its error is the sum of the errors that
+each part causes (error propagation; Luhmann et al., Close-Range Photogrammetry, 3rd ed., section 2.4).
 """
 
 from typing import NamedTuple
@@ -20,28 +20,28 @@ class PositionErrors(NamedTuple):
     """Covariances (3, 3) [m^2] of the position of a body's point, world axes."""
 
     passing: Array
-    """Of what is new in each frame: noise of the images and shake of the cameras."""
+    """From errors that are new in each frame: noise of the images and shake of the cameras."""
     lasting: Array
-    """Of what stays while the body moves little: the lenses' misfit."""
+    """From errors that stay while the body moves little: the misfit of the lens models."""
     independent: Array
-    """Of both, were the errors of all images independent."""
+    """From both, if the errors of all images were independent."""
 
 
 def position_errors(
     rig: Rig, markers: Array, point: Array, covariance_px2: Array, sigma_px: Array
 ) -> PositionErrors | None:
-    """Return how well images of ``markers`` tell where a body's ``point`` is; None where they leave it open.
+    """Return the covariances of a body's ``point`` from images of ``markers``; None where it is undetermined.
 
     Parameters
     ----------
     rig
-        c calibrated cameras; ``residual_px`` of each is its lens's misfit.
+        c calibrated cameras; ``residual_px`` of each is the misfit of its lens model.
     markers, point
         (m, 3) and (3,) [m, world].
     covariance_px2
-        (m, c, 2, 2) of the detection noise of a marker's image [px^2], NaN where there is none.
+        (m, c, 2, 2) of the detection noise of a marker's image [px^2], NaN where there is no image.
     sigma_px
-        (c,) error of each camera's images besides, an axis, its lens's misfit in it [px].
+        (c,) further error of each camera's images, an axis, including the misfit of its lens model [px].
     """
     arms = cross_matrices(markers - point)
     lens = np.minimum([camera.residual_px for camera in rig.cameras], sigma_px)

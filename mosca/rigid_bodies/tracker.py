@@ -1,10 +1,10 @@
 """Rigid bodies from marker constellations: 6-DOF poses with covariance, followed, lost and found again.
 
-``BodyTracker`` follows bodies from instant to instant (live). A marker is first the track that it was before, else
-the point nearest to where the body's motion predicts it; a point that disagrees with the others is left out. Poses
-that the points leave ambiguous are withheld (``mosca.rigid_bodies.pose``); a body that is lost is searched for among
-all points that are free. ``body_poses`` does the same over whole tracks (offline), forwards and then backwards for
-what is missing before a body is first found.
+``BodyTracker`` follows bodies from instant to instant (live). A marker is assigned the track that it had before, else
+the point nearest to the position that the body's motion predicts. A point that disagrees with the others is left out.
+Ambiguous poses are withheld (``mosca.rigid_bodies.pose``). A lost body is searched for among all free points.
+``body_poses`` does the same over whole tracks (offline): forwards, and then backwards for poses that are missing
+before a body is first found.
 """
 
 from collections.abc import Iterator, Sequence
@@ -31,14 +31,14 @@ from mosca.rigid_bodies.pose import (
 
 DEFAULTS = BodySettings()
 FRESH = 0.5
-"""Share of the newest step in the body's velocity."""
+"""Weight of the newest step in the body's velocity."""
 FLIPPED_RAD = 0.5
-"""A pose farther than this from its prediction cannot be disambiguated by it."""
+"""A pose whose rotation is farther than this from its prediction [rad] cannot be disambiguated by the prediction."""
 
 
 @dataclass(eq=False)
 class _State:
-    """What is known of a body: its last pose, how it moves, and which tracks its markers were (m,), -1 for none."""
+    """State of a body: its last pose, its motion, and the last tracks of its markers (m,), -1 for none."""
 
     track: Array
     rotation: Array
@@ -50,7 +50,7 @@ class _State:
 
 @dataclass(frozen=True, eq=False)
 class _Answer:
-    """Of one body at one instant: its pose, or how many markers were seen of one that is withheld."""
+    """Result for one body at one instant: its pose, or, where that is withheld, the number of markers seen."""
 
     fit: BodyPoseFit | None
     count: int
@@ -71,10 +71,10 @@ class BodyTracker:
         ]
 
     def update(self, points: Points | Samples | Tracks, frame: int, time_ns: int) -> BodyPoses:
-        """Return the poses of all bodies of which markers are seen at one instant.
+        """Return the poses of all bodies with visible markers at one instant.
 
-        ``points``: triangulated points, or the tracker's samples, of which those of another frame and those that are
-        not measured are left out. Labels of markers, where present, are used unless they contradict the geometry.
+        ``points``: triangulated points, or the tracker's samples. Samples of other frames and samples that are not
+        measured are left out. Labels of markers, where present, are used unless they contradict the geometry.
         """
         seen = _of_instant(points, frame)
         answers = self.attend(seen, time_ns * 1e-9)
@@ -100,7 +100,7 @@ class BodyTracker:
     def _followed(
         self, one: Constellation, state: _State, seen: InstantPoints, free: Array, time_s: float
     ) -> _Answer:
-        """Return the pose of a body whose markers are known by label, by track or by its motion."""
+        """Return the pose of a body whose markers are identified by label, by track or by the body's motion."""
         rows = _named(one.body, seen)
         named = int((rows >= 0).sum()) >= 3
         step = time_s - state.time_s
@@ -129,7 +129,7 @@ class BodyTracker:
         return _Answer(fit, fit.count)
 
     def _completed(self, one: Constellation, seen: InstantPoints, free: Array, fit: BodyPoseFit) -> BodyPoseFit:
-        """Return the pose refitted with the free points at the predicted positions of its other markers."""
+        """Return the pose refitted with free points at the predicted positions of the markers without a point."""
         reach = one.span_m * rotation_sigma(fit)
         rows = one.claim(seen, free, fit.rotation, fit.translation, fit.rows, reach)
         more = one.sound_fit(seen, rows) if (rows != fit.rows).any() else None
@@ -142,7 +142,7 @@ class BodyTracker:
         return start + strength * step_s**2 / 2
 
     def _found(self, lost: list[int], seen: InstantPoints, free: Array) -> Iterator[tuple[int, _Answer]]:
-        """Search for lost bodies among the free points; the one that explains most points claims them first."""
+        """Search for lost bodies among the free points; the body that explains most points claims them first."""
         while lost and free.sum() >= 3:
             fits = {}
             for k in lost:
@@ -177,7 +177,7 @@ def body_poses(tracks: Tracks, bodies: Sequence[RigidBody], settings: BodySettin
 
 
 def labelled_by_bodies(tracks: Tracks, bodies: Sequence[RigidBody], settings: BodySettings = DEFAULTS) -> Tracks:
-    """Return ``tracks`` with the markers' names as labels where a body's pose rests on them; others stay."""
+    """Return ``tracks`` with the markers' names as labels of samples that a pose uses; other labels stay."""
     return _over_tracks(tracks, bodies, settings)[1]
 
 
@@ -203,7 +203,7 @@ def _over_tracks(tracks: Tracks, bodies: Sequence[RigidBody], settings: BodySett
 
 
 def _merged(ahead: list[_Answer], back: list[_Answer]) -> list[_Answer]:
-    """Return the forward answers, and the backward ones where the forward ones are withheld and the points free."""
+    """Return the forward answers; backward ones replace those withheld, where their points are free."""
     merged = list(ahead)
     for k, two in enumerate(back):
         if ahead[k].fit is not None or two.fit is None:
@@ -224,12 +224,12 @@ def _of_instant(points: Points | Samples | Tracks, frame: int) -> InstantPoints:
 
 
 def _named(body: RigidBody, seen: InstantPoints) -> Array:
-    """Return which point (m,) carries the name of each marker, -1 for none."""
+    """Return the point (m,) whose label is the name of each marker, -1 for none."""
     return np.array([seen.named.get(name, -1) for name in body.markers])
 
 
 def _by_track(track: Array, seen: InstantPoints, rows: Array) -> Array:
-    """Return ``rows`` (m,) with the points of the tracks (m,) that the markers were before, where they had none."""
+    """Return ``rows`` (m,) with markers that have no point at the points of their previous tracks ``track`` (m,)."""
     if not seen.row_of:
         return rows
     rows, labelled = rows.copy(), set(seen.named.values())

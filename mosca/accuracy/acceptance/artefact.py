@@ -1,7 +1,7 @@
-"""Keys of an acceptance file: the artefacts with their certificates, how they were shown, and the limits.
+"""Keys of an acceptance file: the artefacts with their certificates, where and when they were shown, and the limits.
 
-Standard uncertainties are those of the artefact's certificate with a coverage factor of 1: a certificate's expanded
-uncertainty U (k = 2) is halved.
+Standard uncertainties are those of the artefact's certificate with a coverage factor of 1: enter half of a
+certificate's expanded uncertainty U (k = 2).
 """
 
 from pathlib import Path
@@ -101,7 +101,7 @@ class ArtefactBody(Table):
         return self
 
     def rigid_body(self) -> RigidBody:
-        """Return it as the pipeline has rigid bodies; ValueError for markers in a line."""
+        """Return the body as a ``RigidBody`` of the pipeline; ValueError for markers in a line."""
         return RigidBody(self.name, self.markers, np.array(self.positions_m), self.sigma_m)
 
 
@@ -206,7 +206,7 @@ class AcceptanceFile(Table):
         return self
 
     def bar_of(self, line: MeasuringLine) -> BallBar:
-        """Return the bar that lay on a line."""
+        """Return the bar that was measured on a line."""
         return next(one for one in self.bar if one.name == line.bar)
 
     def body_of(self, name: str) -> RigidBody:

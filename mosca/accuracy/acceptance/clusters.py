@@ -1,9 +1,9 @@
 """Errors of the pose of two rigid clusters on one bar, in the manner of ASTM E3064.
 
-Not "per" it: the standard's text was not at hand. What is done here follows accounts of it by others (its abstract;
-Bostelman et al. 2016, Coordinate Metrology Society Conference; NIST's announcement): a bar with a cluster of markers
-at each end, 300 mm apart, is carried along two paths in three orientations, and the measured distance and angle
-between the two are held against its certificate.
+Not "per" ASTM E3064: the standard's text was not at hand. The test follows accounts of it by others (its abstract;
+Bostelman et al. 2016, Coordinate Metrology Society Conference; NIST's announcement). A bar with a cluster of markers
+at each end, 300 mm apart, is carried along two paths in three orientations. The measured distance and angle between
+the two clusters are compared with the bar's certificate.
 """
 
 from dataclasses import dataclass
@@ -23,9 +23,9 @@ from mosca.rigid_bodies.tracker import body_poses
 
 FEWEST_PATHS, FEWEST_ORIENTATIONS = 2, 3
 APART_M, APART_WITHIN = 0.3, 0.05
-"""Distance of the clusters' middles, and the share by which it may differ (our reading)."""
+"""Distance of the clusters' middles [m], and the share by which it may differ (our reading)."""
 PERCENTILE, FEWEST_FOR_PERCENTILE = 0.997, 334
-"""Of fewer samples the 99.7th percentile is the largest one itself."""
+"""Percentile, and fewest samples for it: with fewer samples the 99.7th percentile is the largest value itself."""
 
 
 @dataclass(frozen=True)
@@ -33,14 +33,14 @@ class ClusterFigure:
     """One statistic of one group of stretches; ``value`` None where there are too few samples."""
 
     group: str
-    """"dynamic" or "static", or of one stretch "PATH, ORIENTATION, MOTION"."""
+    """"dynamic" or "static"; for a single stretch "PATH, ORIENTATION, MOTION"."""
     quantity: str
     """"distance" [m], "angle" [deg], "frames" [1]."""
     statistic: str
     """"rms", "p997", "max", "missing"."""
     value: float | None
     sigma: float | None
-    """Standard uncertainty, in its unit."""
+    """Standard uncertainty of ``value``, in the unit of ``quantity``."""
     samples: int
     limit: float | None
     decided: Decided | None
@@ -48,7 +48,7 @@ class ClusterFigure:
 
 @dataclass(frozen=True)
 class ClusterResult:
-    """All statistics; those of each stretch carry no limit."""
+    """All statistics; the statistics of single stretches have no limits."""
 
     figures: tuple[ClusterFigure, ...]
     stretches: tuple[ClusterFigure, ...]
@@ -57,24 +57,24 @@ class ClusterResult:
 
     @property
     def complete(self) -> bool:
-        """Whether every figure that is limited could be computed."""
+        """Whether every figure with a limit could be computed."""
         return all(one.value is not None for one in self.figures if one.limit is not None)
 
     @property
     def samples(self) -> int:
-        """Number of frames with both clusters, of all stretches."""
+        """Number of frames with both clusters, in all stretches together."""
         return sum(one.samples for one in self.stretches if one.quantity == "distance" and one.statistic == "max")
 
     @property
     def share(self) -> float:
-        """The largest figure as a share of its limit; NaN where none has one."""
+        """Largest ratio of a figure to its limit; NaN where no figure has a limit."""
         shares = [one.value / one.limit for one in self.figures if one.limit is not None and one.value is not None]
         return max(shares, default=float("nan"))
 
 
 @dataclass(frozen=True, eq=False)
 class _Errors:
-    """Of the frames with both clusters: when (n,) [s], errors (n,) [m, deg], stated standard deviations (n,)."""
+    """Times (n,) [s], errors (n,) [m, deg] and stated standard deviations (n,) of the frames with both clusters."""
 
     time_s: Array
     distance_m: Array
@@ -132,7 +132,7 @@ def _errors(tracks: Tracks, bodies: tuple[RigidBody, RigidBody]) -> _Errors:
         angle[k] = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
         sigma_d[k], sigma_a[k] = _sigmas(left, right, k, between, arms)
     if not np.isfinite(tracks.covariance).all():
-        # poses of points without covariances state a default: the scatter says more
+        # without point covariances the poses' covariances are a default: the scatter is the better estimate
         sigma_d = np.full(n, distance.std() if n else np.nan)
         sigma_a = np.full(n, angle.std() if n else np.nan)
     start = tracks.time_ns.min() if len(tracks) else 0
@@ -140,7 +140,7 @@ def _errors(tracks: Tracks, bodies: tuple[RigidBody, RigidBody]) -> _Errors:
 
 
 def _sigmas(left: BodyPoses, right: BodyPoses, k: int, between: Array, arms: list[Array]) -> tuple[float, float]:
-    """Return the stated standard deviation of the distance [m] and of the angle, its largest about any axis [deg]."""
+    """Return the stated standard deviations of distance [m] and angle [deg] (the largest about any axis)."""
     unit = between / np.linalg.norm(between)
     variance, turning = 0.0, np.zeros((3, 3))
     for pose, arm in ((left, arms[0]), (right, arms[1])):
@@ -181,8 +181,8 @@ def _figures(
 def _statistic(name: str, errors: Array, sigmas: Array, certificate: float) -> tuple[float | None, float | None]:
     """Return a statistic of ``errors`` (n,) and its standard uncertainty; None where there are too few samples.
 
-    The certificate's uncertainty is common to all samples. A percentile or a largest error is one sample's and has
-    its stated uncertainty beside; an rms has that of a mean of squares that are correlated in time.
+    The certificate's uncertainty is common to all samples. A percentile or a largest error is the error of one sample
+    and also has its stated uncertainty. An rms also has that of a mean of squares that are correlated in time.
     """
     n = len(errors)
     if n == 0 or (name == "p997" and n < FEWEST_FOR_PERCENTILE):

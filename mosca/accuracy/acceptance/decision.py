@@ -2,7 +2,7 @@
 
 JCGM 106:2012, *The role of measurement uncertainty in conformity assessment*: the conformance probability of a
 normally distributed quantity, and guarded acceptance and rejection with a guard band as wide as the expanded
-uncertainty U = 2 u (there section 8.3). Between the two nothing is decided.
+uncertainty U = 2 u (its section 8.3). Between acceptance and rejection the result is undecided.
 """
 
 from collections.abc import Iterable
@@ -18,17 +18,17 @@ COVERAGE = 2.0
 
 @dataclass(frozen=True)
 class Decided:
-    """What is known of an error beside its limit."""
+    """Decision on an error and its limit."""
 
     decision: Decision
     probability: float
-    """That the error keeps its limit."""
+    """Probability that the error is within its limit."""
     expanded: float
     """Expanded uncertainty U = 2 u of the error, in its unit."""
 
 
 def decided(error: float, limit: float, sigma: float) -> Decided:
-    """Return whether ``|error| <= limit``, where ``sigma`` is the standard uncertainty of the error; one unit."""
+    """Return whether ``|error| <= limit``; ``sigma``: standard uncertainty of the error, all in one unit."""
     if sigma > 0:
         probability = float(norm.cdf((limit - error) / sigma) - norm.cdf((-limit - error) / sigma))
     else:
@@ -43,7 +43,7 @@ def decided(error: float, limit: float, sigma: float) -> Decided:
 
 
 def overall(decisions: Iterable[Decision]) -> Decision:
-    """Return "not conforming" where one is, "conforming" where all are and there is one, else "undecided"."""
+    """Return "not conforming" if any decision is, "conforming" if all are and there is any, else "undecided"."""
     found = set(decisions)
     if "not conforming" in found:
         return "not conforming"

@@ -16,7 +16,7 @@ from mosca.rigid_bodies.tracker import labelled_by_bodies
 
 @dataclass(frozen=True)
 class AcceptanceResult:
-    """Parts that were not asked for are None; ``notes``: what could not be told, a line each."""
+    """Parts of an acceptance test, None if not asked for; ``notes``: what could not be judged, a line each."""
 
     decision: Decision
     lengths: LengthResult | None
@@ -28,10 +28,10 @@ class AcceptanceResult:
 def accept_tracks(
     tracks: Tracks, given: AcceptanceFile, arrivals: ResultArrivals | None, source: str
 ) -> AcceptanceResult:
-    """Return the acceptance test of ``tracks``; ``source``: what messages call them.
+    """Return the acceptance test of ``tracks``; ``source``: name of the tracks in messages.
 
-    Tracks without the labels of the artefact's markers are labelled by its [[body]] tables. InputError where there is
-    nothing to test: no tracks, or no label that the file names.
+    Tracks without the labels of the artefact's markers get them from the file's [[body]] tables. InputError where
+    there is nothing to test: no tracks, or no label that the file names.
     """
     measured = tracks.select(tracks.status == "measured")
     if not len(measured):

@@ -1,6 +1,6 @@
-"""Latency: when a result was available, less the mid-exposure that it is of; in the manner of ASTM E3124.
+"""Latency: time at which a result was available minus mid-exposure of its frame, in the manner of ASTM E3124.
 
-Not "per" it: the standard's text was not at hand; the definition is from its abstract.
+Not "per" ASTM E3124: the standard's text was not at hand; the definition is from its abstract.
 """
 
 from dataclasses import dataclass
@@ -19,17 +19,17 @@ COLUMNS = ("frame", "available_ns")
 
 @dataclass(frozen=True, eq=False)
 class ResultArrivals:
-    """When results were available: columns, by the clock of the tracks' ``time_ns``."""
+    """Columns of the times at which results were available, by the clock of the tracks' ``time_ns``."""
 
     frame: Array
-    """(n,) pulse number; none twice."""
+    """(n,) pulse number, each at most once."""
     available_ns: Array
-    """(n,)"""
+    """(n,) time [ns]."""
 
 
 @dataclass(frozen=True)
 class LatencyResult:
-    """Of all frames with tracks and an arrival."""
+    """Latency over all frames with tracks and an arrival."""
 
     samples: int
     mean_s: float
@@ -51,7 +51,7 @@ def read_arrivals(path: Path) -> ResultArrivals:
 
 
 def latency_result(tracks: Tracks, arrivals: ResultArrivals, limit_s: float | None, source: str) -> LatencyResult:
-    """Return the latency of the frames of ``tracks`` in ``arrivals``; InputError for none, or one below 0."""
+    """Return the latency of the frames of ``tracks`` in ``arrivals``; InputError for no frame or negative latency."""
     frame, first = np.unique(tracks.frame, return_index=True)
     _, a, b = np.intersect1d(frame, arrivals.frame, return_indices=True)
     if not len(a):
@@ -63,7 +63,7 @@ def latency_result(tracks: Tracks, arrivals: ResultArrivals, limit_s: float | No
         )
     n = len(late_s)
     p99 = float(late_s[int(np.ceil(0.99 * n)) - 1])
-    # ranks of a quantile scatter binomially
+    # the rank of a quantile has a binomial distribution
     reach = np.sqrt(n * 0.99 * 0.01)
     low, high = (late_s[int(np.clip(np.ceil(0.99 * n + way * reach) - 1, 0, n - 1))] for way in (-1, 1))
     sigma = float(high - low) / 2

@@ -1,9 +1,9 @@
 """Length measurement errors on measuring lines, in the manner of VDI/VDE 2634 part 1.
 
-Not "per" it: the guideline's text was not at hand. What is done here follows accounts of it by others: at least seven
-measuring lines with at least five test lengths each, ends in the corners of the volume, the longest at least two
-thirds of its space diagonal; the length measurement error is measured minus calibrated, and each one must keep
-E = A + K L <= B.
+Not "per" VDI/VDE 2634-1: the guideline's text was not at hand. The test follows accounts of it by others. It has at
+least seven measuring lines with at least five test lengths each. The lines end in the corners of the volume, and the
+longest test length is at least two thirds of the volume's space diagonal. The length measurement error is the
+measured minus the calibrated length; each error must be within E = A + K L <= B.
 """
 
 from dataclasses import dataclass
@@ -18,15 +18,15 @@ from mosca.data.tracks import Tracks
 
 FEWEST_LINES, FEWEST_LENGTHS, DIAGONAL_SHARE = 7, 5, 2 / 3
 CORNER_SHARE = 0.25
-"""An end is in a corner where it is within this share of each edge from it (our reading of "corner")."""
+"""An end is in a corner if it is within this share of each edge from the corner (our reading of "corner")."""
 SAME_LINE = 0.05
-"""Two lines whose ends are nearer to each other than this share of the space diagonal are one."""
+"""Two lines whose ends are nearer to each other than this share of the space diagonal count as one."""
 FEWEST_SAMPLES = 3
 
 
 @dataclass(frozen=True)
 class LengthError:
-    """One test length on one line; ``None`` where it was not measured."""
+    """One test length on one line; fields are None where it was not measured."""
 
     line: str
     markers: tuple[str, str]
@@ -34,16 +34,16 @@ class LengthError:
     permitted_m: float
     samples: int
     measured_m: float | None
-    """Mean over the samples."""
+    """Mean measured length over the samples."""
     error_m: float | None
     sigma_m: float | None
-    """Standard uncertainty of the error: the certificate's and that of the mean."""
+    """Standard uncertainty of the error, from the certificate's and that of the mean."""
     decided: Decided | None
 
 
 @dataclass(frozen=True)
 class Premise:
-    """What must be so for the test to be one in this manner."""
+    """A condition of the test, and whether it is met."""
 
     text: str
     met: bool
@@ -80,7 +80,7 @@ class LengthResult:
 
     @property
     def share(self) -> float:
-        """The largest error as a share of what is permitted; NaN where none was measured."""
+        """Largest ratio of an error to its permitted value; NaN where no length was measured."""
         shares = [abs(one.error_m) / one.permitted_m for one in self.errors if one.error_m is not None]
         return max(shares, default=float("nan"))
 
@@ -88,7 +88,7 @@ class LengthResult:
 def length_result(tracks: Tracks, given: AcceptanceFile) -> LengthResult:
     """Return the errors of all test lengths on all lines of ``given`` in labelled ``tracks``.
 
-    Where a length was not measured, or a premise fails, the result is not conforming or undecided, never conforming.
+    Where a length was not measured or a premise fails, the result is "not conforming" or "undecided".
     """
     errors, ends, apart = [], {}, []
     for line in given.line:
@@ -123,7 +123,7 @@ def _error(tracks: Tracks, line: MeasuringLine, length: CertifiedLength, given: 
 
 
 def _distances(tracks: Tracks, markers: tuple[str, str]) -> tuple[Array, Array]:
-    """Return the distance of two markers (n,) [m] in the frames with both, and its stated variance (n,) [m^2]."""
+    """Return the distance (n,) [m] of two markers in the frames with both, and its stated variance (n,) [m^2]."""
     rows = [np.flatnonzero(tracks.label == name) for name in markers]
     _, a, b = np.intersect1d(tracks.frame[rows[0]], tracks.frame[rows[1]], return_indices=True)
     first, second = rows[0][a], rows[1][b]
@@ -135,7 +135,7 @@ def _distances(tracks: Tracks, markers: tuple[str, str]) -> tuple[Array, Array]:
 
 
 def _ends(tracks: Tracks, given: AcceptanceFile, line: MeasuringLine) -> Array | None:
-    """Return the mean places (2, 3) of the ends of a line's longest test length; None where they were not seen."""
+    """Return the mean positions (2, 3) [m] of the ends of a line's longest test length; None where not seen."""
     longest = max(given.bar_of(line).length, key=lambda one: one.length_m)
     places = [tracks.xyz[tracks.label == name] for name in longest.markers]
     return None if not all(map(len, places)) else np.array([one.mean(axis=0) for one in places])
@@ -157,7 +157,7 @@ def _spread(apart: list[Array], given: AcceptanceFile) -> PointSpread | None:
     every = np.concatenate(apart)
     rms, largest = float(np.sqrt(np.mean(every**2))), float(every.max())
     n = min(map(len, apart))
-    # the mean from which it is counted is uncertain itself
+    # the mean from which distances are measured is itself uncertain
     sigma = rms / np.sqrt(n)
     limit = None if given.probing is None else decided(largest, given.probing.spread_m, float(sigma))
     return PointSpread(len(every), rms, largest, limit)
@@ -192,7 +192,7 @@ def _premises(errors: list[LengthError], ends: dict[str, Array | None], given: A
 
 
 def _different(ends: list[Array | None], near_m: float) -> int:
-    """Return how many lines there are, of those whose ends (2, 3) are given, if near ones count once."""
+    """Return the number of different lines among those with known ends (2, 3); near ones count once."""
     kept: list[Array] = []
     for one in ends:
         if one is None:

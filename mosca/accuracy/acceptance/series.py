@@ -1,4 +1,4 @@
-"""Stretches of tracks, and the standard uncertainty of the mean of a series."""
+"""Stretches of tracks, and the standard uncertainty of a series' mean."""
 
 import numpy as np
 
@@ -8,7 +8,7 @@ from mosca.diagnostics.long_run_covariance import long_run_covariance
 
 
 def stretch(tracks: Tracks, time_s: tuple[float, float] | None) -> Tracks:
-    """Return the measured samples from ``time_s[0]`` to ``time_s[1]`` [s] after the first sample; None: all."""
+    """Return the measured samples from ``time_s[0]`` to ``time_s[1]`` [s] after the first sample; all for None."""
     rows = tracks.status == "measured"
     if time_s is not None:
         since_s = seconds(tracks)
@@ -22,22 +22,22 @@ def seconds(tracks: Tracks) -> Array:
 
 
 def frames_expected(tracks: Tracks, time_s: tuple[float, float] | None) -> int:
-    """Return how many frames a stretch has: those without any sample count too; 0 where the rate is not known."""
+    """Return the number of frames of a stretch, also those without samples; 0 where the rate is not known."""
     period_s = tracks.frame_period_s
     if period_s is None:
         return min(len(tracks), 1)
     if time_s is None:
         return int(tracks.frame.max() - tracks.frame.min() + 1)
-    # a frame at the stretch's very end belongs to it, whatever the last digits of its stamp
+    # a frame at the very end of the stretch belongs to it, whatever the last digits of its stamp
     return int(np.floor(time_s[1] / period_s + 1e-3) - np.ceil(time_s[0] / period_s - 1e-3)) + 1
 
 
 def sigma_of_mean(values: Array, variance: Array) -> float:
     """Return the standard uncertainty of the mean of ``values`` (n,), each with a stated ``variance`` (n,).
 
-    The larger one of two: what the stated variances give for n independent values, and what the scatter of the values
-    with its correlation in time gives (``long_run_covariance``). Stated variances that are not known (NaN) leave the
-    scatter; one value leaves what is stated, and NaN where nothing is.
+    The larger of two estimates is returned. One follows from the stated variances of n independent values; the other
+    from the scatter of the values with its correlation in time (``long_run_covariance``). Where the stated variances
+    are unknown (NaN), the scatter alone is used; for a single value the stated variance alone, NaN if unknown.
     """
     n = len(values)
     stated = float(np.mean(variance)) / n if n else np.nan

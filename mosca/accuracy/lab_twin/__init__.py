@@ -1,5 +1,6 @@
-"""What ordinary recordings tell of one's own cameras: parameters of a virtual camera, each with its uncertainty.
+"""Parameters of a virtual camera, estimated from ordinary recordings of a user's own cameras, with uncertainties.
 
-Images, detections and tracks go in, values with standard deviations come out, or the reason why these recordings do
-not tell. Nothing here knows the twin: keys are those of a scenario's ``[[camera]]`` table.
+The input is images, detections and tracks. The output is values with standard deviations, or the reason why the
+recordings do not determine a value. Nothing here depends on the twin: keys are those of a scenario's ``[[camera]]``
+table.
 """

@@ -1,8 +1,8 @@
 """The image of an evenly bright ellipse through a Gaussian blur, each pixel the mean over its square, exactly.
 
 In the frequency domain the ellipse is ``2 J1(x) / x`` with ``x = 2 pi |E f|`` (E: the symmetric matrix of its
-semi-axes), the blur ``exp(-2 pi^2 sigma^2 |f|^2)`` and the pixel ``sinc(fx) sinc(fy)``; the image is their product's
-Fourier series over a period that leaves room around the window.
+semi-axes), the blur is ``exp(-2 pi^2 sigma^2 |f|^2)``, and the pixel is ``sinc(fx) sinc(fy)``. The image is the
+Fourier series of the product, over a period that leaves room around the window.
 """
 
 import math
@@ -15,11 +15,11 @@ from scipy.special import j0, j1
 from mosca.data.arrays import Array
 
 ROOM_PX = 12
-"""Added to a window's side for the period: more than the blur of the series' next copy reaches."""
+"""Length added to a window's side for the period: more than the reach of the blur of the next copy in the series."""
 HIGHEST = 1.3
-"""Highest frequency of the series [1/px]: at a blur of 0.4 px the Gaussian is down to 0.5 %, a disc to less."""
+"""Highest frequency of the series [1/px]: at a blur of 0.4 px the Gaussian has fallen to 0.5 %, a disc to less."""
 LEAST_BLUR_PX, MOST_BLUR_PX = 0.2, 4.0
-"""Blurs that are sought: a fit that ends at either is none."""
+"""Range of blurs in a fit: a fit that ends at either bound is rejected."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class DiscModel:
         half = math.ceil(HIGHEST * period)
         self._fx, self._fy = np.arange(0, half + 1) / period, np.arange(-half, half + 1) / period
         self._pixel = np.sinc(self._fx)[None, :] * np.sinc(self._fy)[:, None]
-        # the series is real: twice the half plane of positive fx
+        # the series is real: the half plane of positive fx counts twice
         self._twice = np.where(np.arange(half + 1) > 0, 2.0, 1.0)[None, :]
         self._square = self._fx[None, :] ** 2 + self._fy[:, None] ** 2
         self._period, self._at = period, np.arange(size)
@@ -63,7 +63,7 @@ class DiscModel:
         return self._image(x, y, self._spectrum(axes, blur_px))
 
     def with_slopes(self, fit: EllipseFit, blur_px: float) -> tuple[Array, Array, Array]:
-        """Return the image of brightness 1 with another blur, and its derivatives by x and by y."""
+        """Return the fitted ellipse's image at brightness 1 with another blur, and its derivatives by x and y."""
         spectrum = self._spectrum(fit.axes, blur_px)
         down_x = -2j * np.pi * self._fx[None, :] * spectrum
         down_y = -2j * np.pi * self._fy[:, None] * spectrum
@@ -121,7 +121,7 @@ class DiscModel:
         return p[0] * disc + p[1], np.stack(columns, axis=1)
 
     def fit(self, image: Array, sigma: Array, first: tuple[float, float, float]) -> EllipseFit | None:
-        """Fit an ellipse to a window (size, size); None where none fits.
+        """Fit an ellipse to a window (size, size); None where no ellipse fits.
 
         ``sigma`` (size, size): standard deviations of the pixels; ``first``: x, y and radius to start from [px].
         """

@@ -1,4 +1,4 @@
-"""An estimate of one parameter of one camera, and the reason where recordings do not tell it."""
+"""An estimate of one parameter of one camera, or the reason why the recordings do not determine it."""
 
 import math
 from collections.abc import Sequence
@@ -9,7 +9,7 @@ import numpy as np
 from mosca.data.arrays import Array
 
 SPREAD = 1.4826
-"""Standard deviation of a normal law over its median absolute deviation."""
+"""Standard deviation of a normal distribution over its median absolute deviation."""
 
 
 @dataclass(frozen=True)
@@ -18,22 +18,22 @@ class ParameterEstimate:
 
     camera: str
     key: str
-    """As in a scenario's ``[[camera]]``: ``errors.read_noise_e``."""
+    """Key in a scenario's ``[[camera]]``, for example ``errors.read_noise_e``."""
     value: float
     sigma: float
     """Standard deviation, in the unit of ``value``."""
     evidence: str
-    """From what it was estimated, for people."""
+    """Data from which it was estimated, in words."""
 
 
 @dataclass(frozen=True)
 class NotTold:
-    """A parameter of one camera that the recordings do not tell."""
+    """A parameter of one camera that the recordings do not determine."""
 
     camera: str
     key: str
     reason: str
-    """What lacks: "needs a dark recording"."""
+    """What is missing, for example "needs a dark recording"."""
 
 
 Told = ParameterEstimate | NotTold
@@ -53,8 +53,8 @@ def root(variance: float, sigma: float) -> tuple[float, float]:
 def weighted_mean(values: Sequence[float] | Array, sigmas: Sequence[float] | Array) -> tuple[float, float]:
     """Return the weighted mean of measurements and its standard deviation.
 
-    Widened by the ratio of Birge (Physical Review 40 (1932) 207) where the measurements scatter by more than their
-    own standard deviations say.
+    The standard deviation is multiplied by the ratio of Birge (Physical Review 40 (1932) 207) where the measurements
+    scatter by more than their own standard deviations.
     """
     value, weight = np.asarray(values, dtype=float), np.asarray(sigmas, dtype=float) ** -2.0
     mean = float(weight @ value / weight.sum())

@@ -1,8 +1,8 @@
 """Frames that did not arrive: how many, and whether they are lost one by one or in bursts.
 
-A lost frame is one whose number is missing between the first and the last number that any camera sent. Lost one by
-one, a loss follows a loss as often as it follows a frame that came; in bursts of b frames a run of losses ends after
-b on average. Which of the two it is follows from the number of losses that follow a loss (binomial test).
+A frame is lost if its number is missing between the first and the last number that any camera sent. If frames are
+lost one by one, a loss follows a loss as often as it follows a frame that arrived. In bursts of b frames, a run of
+losses ends after b frames on average. A binomial test on the number of losses that follow a loss decides.
 """
 
 import math
@@ -16,17 +16,17 @@ from mosca.data.arrays import Array
 from mosca.data.distributions import binom
 
 BY_CHANCE = 1e-3
-"""Chance at which losses one by one follow each other so often that they are taken for bursts."""
+"""Losses are taken for bursts if the chance that losses one by one follow each other so often is below this."""
 
 
 @dataclass(frozen=True, eq=False)
 class FrameArrivals:
-    """What became of one camera's frames in one recording."""
+    """Lost and damaged frames of one camera in one recording."""
 
     lost: Array
-    """(n,) bool, of each frame number of the recording."""
+    """(n,) bool, for each frame number of the recording."""
     corrupt: int
-    """Frames that came damaged."""
+    """Number of frames that arrived damaged."""
 
 
 def loss_estimates(camera: str, recordings: Sequence[FrameArrivals]) -> list[Told]:
@@ -56,7 +56,7 @@ def loss_estimates(camera: str, recordings: Sequence[FrameArrivals]) -> list[Tol
 
 
 def arrived(numbers: Mapping[str, set[int]], damaged: Mapping[str, set[int]]) -> dict[str, FrameArrivals]:
-    """Return what became of each camera's frames, from the numbers of those that came whole, and damaged."""
+    """Return each camera's lost and damaged frames, from the numbers of frames that arrived whole, and damaged."""
     every = set().union(*numbers.values(), *damaged.values())
     if not every:
         return {}
@@ -68,7 +68,7 @@ def arrived(numbers: Mapping[str, set[int]], damaged: Mapping[str, set[int]]) ->
 
 
 def _share(camera: str, key: str, count: int, n: int, evidence: str) -> ParameterEstimate:
-    """Return a share; its standard deviation is that of Jeffreys' posterior, which is above 0 for a count of 0."""
+    """Return a share with the standard deviation of Jeffreys' posterior, which is above 0 also for a count of 0."""
     n = max(n, 1)
     a, b = count + 0.5, n - count + 0.5
     sigma = math.sqrt(a * b / ((a + b) ** 2 * (a + b + 1.0)))

@@ -1,10 +1,10 @@
-"""Moving targets in calibrated cameras: what each image lies off its point, as a sum over each frame set.
+"""Moving targets in calibrated cameras: displacements of the images from their points, as sums over each frame set.
 
-A camera that exposes d late shows a target d farther along its image's velocity u; one that shook by s shows all by
-s; a rolling shutter of row time t shows a target v rows below the image's middle u v t farther. So the residual of an
-image is ``u d + s + u v t + noise``, less what the point's own position takes of it: the points are eliminated, as in
-a bundle adjustment (Schur complement). What is left of a frame set are sums M (4c, 4c) and z (4c,) over c cameras, in
-the order d of all cameras, s along x, s along y, t.
+A camera that exposes late by d shifts a target's image by u d, with u the velocity of the image. A shake by s shifts
+all images by s. A rolling shutter of row time t shifts a target v rows below the image's middle by u v t. So the
+residual of an image is ``u d + s + u v t + noise``, minus the part that the point's own position takes up: the points
+are eliminated, as in a bundle adjustment (Schur complement). Each frame set leaves sums M (4c, 4c) and z (4c,) over c
+cameras, in the order d of all cameras, s along x, s along y, t.
 """
 
 from collections.abc import Iterable
@@ -20,15 +20,15 @@ from mosca.data.rig import Camera, Rig
 from mosca.pipeline import Step
 
 FARTHEST_M = 0.1
-"""That a target moves from one frame set to the next."""
+"""Largest distance that a target moves from one frame set to the next."""
 ASTRAY_M = 0.02
-"""How far from a straight line the third of three consecutive places may lie."""
+"""Largest distance of the third of three consecutive positions from the straight line through the others."""
 STEP_M = 1e-4
-"""Of the numerical derivative of an image."""
+"""Step of the numerical derivative of an image."""
 ODD = 4.0
-"""Residual over the usual one from which it is another target's, or of two targets that hide each other."""
+"""Ratio of a residual to the usual one from which it belongs to another target, or to two that hide each other."""
 ROUNDS = 5
-"""Of leaving out such residuals."""
+"""Rounds in which such residuals are left out."""
 SCALES = (1e-4, 1e-2, 1e-2, 1e-6)
 """Units of d [s], s [px] and t [s/row], so that all sums are of one size."""
 
@@ -41,7 +41,7 @@ class MovingTargets:
     set_of: Array
     """(n,) number of the frame set, ascending from 0."""
     residual_px: Array
-    """(n, c, 2) image less projected point; 0 where the camera does not see it."""
+    """(n, c, 2) image minus projected point; 0 where the camera does not see it."""
     weight: Array
     """(n, c, 2, 2) W with ``W^T W`` the inverse covariance of the image; 0 where the camera does not see it."""
     slope: Array
@@ -49,28 +49,28 @@ class MovingTargets:
     speed: Array
     """(n, c, 2) velocity of the image [px/s]."""
     turned: Array
-    """(n, c, 2, 2) motion of the image, in columns, where the body turns so that the image's middle moves by 1 px
-    along x, and along y."""
+    """(n, c, 2, 2) motion of the image, in columns, when the camera's body rotates so that the middle of its image
+    moves by 1 px along x, and along y."""
     xy_px: Array
     """(n, c, 2) the images."""
     rows: Array
-    """(n, c) below the image's middle."""
+    """(n, c) rows below the image's middle."""
     stated_s: Array
-    """(c,) by how much later than its frame set each camera says that it exposed, on average."""
+    """(c,) mean delay of each camera's exposures against their frame sets, as the camera states it."""
     stated_row_s: Array
-    """(c,) from row to row, as each camera says."""
+    """(c,) time from row to row, as each camera states it."""
 
 
 @dataclass(frozen=True, eq=False)
 class TimingSums:
-    """Sums of f frame sets, in units of SCALES, over the variance of the residuals."""
+    """Sums of f frame sets, in units of SCALES, divided by the variance of the residuals."""
 
     normal: Array
-    """(f, 4c, 4c)."""
+    """(f, 4c, 4c) M."""
     right: Array
-    """(f, 4c)."""
+    """(f, 4c) z."""
     variance: float
-    """Of the whitened residuals within frame sets: 1 where detection's covariances are right."""
+    """Variance of the whitened residuals within frame sets: 1 where the detections' covariances are right."""
 
 
 def observe(steps: Iterable[Step], rig: Rig) -> MovingTargets | None:
@@ -86,7 +86,7 @@ def observe(steps: Iterable[Step], rig: Rig) -> MovingTargets | None:
         for k, one in enumerate(found):
             seen = places.rays[:, k] >= 0
             if one is not None and seen.any():
-                seen[seen] = one.flags[places.rays[seen, k]] == 0  # whole targets, each alone
+                seen[seen] = one.flags[places.rays[seen, k]] == 0  # only whole, single targets
                 xy[seen, k] = one.xy_px[places.rays[seen, k]]
                 covariance[seen, k] = one.covariance_px2[places.rays[seen, k]]
         for k, name in enumerate(rig.names):
@@ -106,7 +106,7 @@ def observe(steps: Iterable[Step], rig: Rig) -> MovingTargets | None:
 
 
 def _moving(before, here, after) -> tuple[Array, Array, Array, Array] | None:  # type: ignore[no-untyped-def]
-    """Return place, velocity, images and covariances of the points of three consecutive frame sets."""
+    """Return position, velocity, images and covariances of the points that three consecutive frame sets share."""
     if after[0] - before[0] != 2 or not all(len(one[2]) for one in (before, here, after)):
         return None
     xyz = here[2]
@@ -141,7 +141,7 @@ def _images(rig: Rig, set_of: Array, columns: list[Array], stated_s: Array, row_
 
 
 def _turns(camera: Camera, xyz: Array) -> Array:
-    """Return how points (n, 3) move (n, 3, 2) past a camera whose body turns by 1 px at its image's middle."""
+    """Return the motions (n, 3, 2) of points (n, 3) as the camera's body rotates by 1 px at its image's middle."""
     rotation, place = camera.world_from_camera.rotation, camera.world_from_camera.translation
     near = place + (np.array([0.0, 0.0, 1.0]) + STEP_M * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]])) @ (
         rotation.T
@@ -151,14 +151,14 @@ def _turns(camera: Camera, xyz: Array) -> Array:
     own = (xyz - place) @ rotation
     x, y, z = own.T
     zero = np.zeros_like(x)
-    # the image moves right where points turn about the camera's y axis, down where about its x axis
+    # the image moves right where points rotate about the camera's y axis, and down where about its x axis
     moved = np.stack([np.stack([z, zero, -x], axis=-1), np.stack([zero, z, -y], axis=-1)], axis=-1)
     result: Array = np.einsum("ij,njk->nik", rotation, moved) / px_per_radian
     return result
 
 
 def frame_sums(seen: MovingTargets) -> TimingSums:
-    """Return the sums of each frame set; points whose residuals are another target's are left out."""
+    """Return the sums of each frame set; points with residuals from another target are left out."""
     n, c = seen.rows.shape
     whole = np.einsum("ncij,ncj->nci", seen.weight, seen.residual_px).reshape(n, 2 * c)
     places = np.einsum("ncij,ncjk->ncik", seen.weight, seen.slope).reshape(n, 2 * c, 3)

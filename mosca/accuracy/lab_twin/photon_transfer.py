@@ -1,13 +1,13 @@
 """Photon transfer: dark noise, system gain, saturation capacity, DSNU and PRNU of a sensor from dark and lit images.
 
-After EMVA 1288 (release 4.0, linear), sections 6 to 8. The temporal variance of a pixel grows with its mean by the
-gain K: ``var = var_dark + K (mean - mean_dark)``; fixed patterns are the spatial variance of the mean images, less
-what temporal noise leaves in them, after the slow part has been taken away. Rounding adds 1/12 to each variance
-(Sheppard), as long as the noise is no smaller than ``LEAST_NOISE_DN``; below it the dark noise follows from how often
-a grey value beside the commonest comes, under the law that it is normal.
+After EMVA 1288 (release 4.0, linear), sections 6 to 8. The temporal variance of a pixel grows linearly with its mean;
+the slope is the gain K: ``var = var_dark + K (mean - mean_dark)``. Fixed patterns are the spatial variance of the
+mean images after the slow part is removed, minus the part that temporal noise leaves in them. Rounding adds 1/12 to
+each variance (Sheppard) if the noise is at least ``LEAST_NOISE_DN``. Below that, the dark noise is estimated from the
+frequencies of the grey values next to the commonest one, assuming normal noise.
 
-Standard deviations are those of the mean over ``TILES`` parts of the image each way: what differs from part to part
-is then in them.
+Standard deviations are those of the mean over ``TILES`` parts of the image each way, so that they include the
+differences between parts.
 """
 
 import math
@@ -24,42 +24,42 @@ from mosca.data.arrays import Array
 from mosca.data.distributions import norm
 
 TILES = 6
-"""Parts of an image each way whose scatter gives the standard deviations."""
+"""Parts of an image each way; the scatter of the parts gives the standard deviations."""
 LEAST_NOISE_DN = 0.5
-"""Noise from which the variance of rounded grey values is its own plus 1/12 to 3 %, as in ``diagnostics.sensor``."""
+"""Noise from which rounded grey values have the noise's variance plus 1/12, to 3 %, as in ``diagnostics.sensor``."""
 ROUNDING_DN2 = 1.0 / 12.0
 """Variance that rounding adds (Sheppard)."""
 FEWEST_IMAGES = 4
-"""Of a recording: variances of fewer have too few degrees of freedom."""
+"""Fewest images of a recording: variances of fewer images have too few degrees of freedom."""
 BOX_PX = 7
-"""Side of the box mean that is taken away from a mean image before its spatial variance (EMVA 1288, 8.1)."""
+"""Side of the box mean that is subtracted from a mean image before its spatial variance (EMVA 1288, 8.1)."""
 HOT_SIGMAS = 8.0
 """Standard deviations above its neighbours from which a pixel is hot: of 10 million normal ones none is by chance."""
 DEAD_SHARE = 0.2
 """Share of the usual response below which a pixel is dead."""
 LEAST_RISE = 4.0
-"""Times that a lit recording's variance must be the dark one's rounding and noise to tell the gain."""
+"""Least ratio of a lit recording's variance to that of the dark one's rounding and noise to estimate the gain."""
 SATURATED_SHARE = 1e-3
 """Share of pixels at the largest grey value from which a lit recording is not used for the gain."""
 
 
 @dataclass(frozen=True)
 class Dark:
-    """What dark images tell of a camera."""
+    """Dark level and temporal dark noise of a camera."""
 
     level_dn: float
     variance_dn2: float
-    """Temporal, less rounding."""
+    """Temporal variance minus that of rounding."""
     sigma_dn2: float
-    """Standard deviation of that."""
+    """Standard deviation of ``variance_dn2``."""
     measurable: bool
-    """Whether noise is above rounding; else it rests on the normal law."""
+    """Whether the noise is above rounding; otherwise the variance assumes a normal distribution."""
 
 
 def sensor_estimates(camera: str, dark: PixelStatistics | None, lit: Sequence[PixelStatistics]) -> list[Told]:
-    """Return what dark and lit images tell of a sensor, or what they lack.
+    """Return the parameters of a sensor from dark and lit images, or what is missing to estimate them.
 
-    ``lit``: recordings of an even surface or an open sky, one a level of light.
+    ``lit``: recordings of an even surface or an open sky, one for each level of light.
     """
     if dark is not None and dark.images < FEWEST_IMAGES:
         dark = None
@@ -101,10 +101,10 @@ def dark_level(dark: PixelStatistics) -> Dark:
 
 
 def normal_from_rounded(histogram: Array) -> tuple[float, float, float]:
-    """Return mean, standard deviation and its standard deviation of a normal law, from counts of rounded values.
+    """Return mean, standard deviation and its uncertainty of a normal distribution, from counts of rounded values.
 
-    Maximum likelihood; ``histogram`` (n,): how often 0, 1, 2, ... came. Where one value alone came, the noise is
-    what would not have shown: 0 with the largest that leaves the others out.
+    Maximum likelihood; ``histogram`` (n,): how often 0, 1, 2, ... occurred. Where only one value occurred, the
+    standard deviation is 0; its uncertainty is the largest noise at which no other value would occur.
     """
     values = np.flatnonzero(histogram)
     mode = int(np.argmax(histogram))
@@ -154,7 +154,7 @@ def system_gain(dark: PixelStatistics, level: Dark, lit: Sequence[PixelStatistic
 def _with_gain(
     camera: str, dark: PixelStatistics, level: Dark, lit: Sequence[PixelStatistics], gain: tuple[float, float]
 ) -> list[Told]:
-    """Return all that is stated in electrons, and the response's fixed pattern."""
+    """Return all parameters that are stated in electrons, and the fixed pattern of the response."""
     k, own = gain
     share = own / k
     top = 2.0**dark.bits - 1.0
@@ -186,7 +186,7 @@ def _dark_pattern(camera: str, dark: PixelStatistics, level: Dark, gain: float, 
 
 
 def _dark_shot(pattern: Told) -> float:
-    """Return the mean shot noise [e-^2] of a dark signal's pattern: that of the positive half of a normal law."""
+    """Return the mean shot noise [e-^2] of a dark signal's pattern: the positive half of a normal distribution."""
     return pattern.value / math.sqrt(2.0 * math.pi) if isinstance(pattern, ParameterEstimate) else 0.0
 
 
@@ -212,21 +212,21 @@ def _light_pattern(
 
 
 def _spatial(image: Array, good: Array, left: float) -> tuple[float, float]:
-    """Return the variance of an image's fine structure less ``left``, and its standard deviation.
+    """Return the variance of an image's fine structure minus ``left``, and its standard deviation.
 
-    The box mean takes 1/49 of white noise with it (EMVA 1288, 8.1).
+    Subtraction of the box mean removes 1/49 of white noise as well (EMVA 1288, 8.1).
     """
     fine = image - uniform_filter(np.where(good, image, np.median(image)), BOX_PX, mode="nearest")
     edge = BOX_PX // 2
     inside = fine[edge:-edge, edge:-edge][good[edge:-edge, edge:-edge]]
-    # pixels whose neighbours in the box are strange are no fine structure
+    # pixels with strange neighbours in the box are no fine structure
     inside = inside[np.abs(inside) < HOT_SIGMAS * SPREAD * np.median(np.abs(inside)) + 1e-12]
     variance = float(np.mean(inside**2)) / (1.0 - BOX_PX**-2)
     return variance - left, variance * math.sqrt(2.0 / inside.size)
 
 
 def _hot(dark: PixelStatistics) -> Array:
-    """Return which pixels (H, W) are brighter in the dark than noise and fixed pattern make them."""
+    """Return which pixels (H, W) are brighter in the dark than noise and fixed pattern explain."""
     mean = dark.mean
     middle = np.median(mean)
     spread = max(SPREAD * float(np.median(np.abs(mean - middle))), math.sqrt(ROUNDING_DN2 / dark.images))
@@ -234,7 +234,7 @@ def _hot(dark: PixelStatistics) -> Array:
 
 
 def _counted(camera: str, key: str, count: int, n: int, evidence: str) -> ParameterEstimate:
-    """Return a share with the standard deviation of a Poisson number, that of one where there was none."""
+    """Return a share with the standard deviation of a Poisson count; for a count of 0, with that of a count of 1."""
     return ParameterEstimate(camera, key, count / n, math.sqrt(max(count, 1)) / n, f"{count} {evidence}")
 
 
@@ -243,7 +243,7 @@ def _saturated(one: PixelStatistics) -> bool:
 
 
 def _saturation(camera: str, lit: Sequence[PixelStatistics]) -> Told:
-    """Return the grey value at which the camera saturates: that of which images pile up."""
+    """Return the grey value at which the camera saturates: the value at which pixels pile up."""
     for one in lit:
         seen = np.flatnonzero(one.histogram)
         if len(seen) and one.histogram[seen[-1]] > SATURATED_SHARE * one.histogram.sum():

@@ -1,4 +1,4 @@
-"""Sums over the images of a camera that looks at one and the same thing: each pixel's mean and temporal variance."""
+"""Sums over the images of a camera with an unchanged view: each pixel's mean and temporal variance."""
 
 import numpy as np
 
@@ -14,7 +14,7 @@ class PixelStatistics:
         self._sum, self._square = np.zeros((height, width)), np.zeros((height, width))
         self._frame_means: list[float] = []
         self.histogram = np.zeros(2**bits, np.int64)
-        """Number of pixels of each grey value, all images together."""
+        """Number of pixels with each grey value, all images together."""
 
     def add(self, image: Array) -> None:
         """Add an image (H, W) of whole grey values."""
@@ -32,7 +32,7 @@ class PixelStatistics:
 
     @property
     def variance(self) -> Array:
-        """Temporal variance of each pixel (H, W) [DN^2], less that of the whole image's mean: flicker of a lamp."""
+        """Temporal variance of each pixel (H, W) [DN^2], minus that of the whole image's mean (flicker of a lamp)."""
         n = self.images
         common = float(np.var(self._frame_means, ddof=1)) - float(np.mean(self._raw_variance)) / self._sum.size
         return np.asarray(self._raw_variance - max(common, 0.0) * (n > 2))

@@ -1,9 +1,9 @@
-"""How a camera's body shakes: white from frame to frame, a band of vibration, and steady drift, from a spectrum.
+"""Shake of a camera's body from a spectrum: white noise from frame to frame, a band of vibration, and steady drift.
 
-The common motion of targets at rest (n, 2) [px] loses its linear drift; what is left has the periodogram I(f) of a
-white part and, where that explains it better, of a band of vibration: ``S = w + v / width`` inside it. Both are found
-by the likelihood of Whittle (1953), ``-sum(log S + I / S)``. Vibration faster than half the frame rate shows as
-white.
+The linear drift of the common motion of targets at rest (n, 2) [px] is removed. The periodogram I(f) of the remainder
+is modelled by a white part w and, where that explains it better, a band of vibration v: ``S = w + v / width`` inside
+the band. Both are estimated by the likelihood of Whittle (1953), ``-sum(log S + I / S)``. Vibration faster than half
+the frame rate shows as white noise.
 """
 
 import math
@@ -16,17 +16,17 @@ from mosca.data.arrays import Array
 
 FEWEST_FRAMES = 40
 GAIN = 10.0
-"""Logarithm of the likelihood by which a band must explain more than white noise: its three parameters and the
-choice among some hundred bands make 8 by chance in 1 of 1000."""
+"""Gain in log-likelihood over white noise that a band must reach. By chance, its three parameters and the choice
+among some hundred bands make 8 in 1 of 1000 cases."""
 EDGES = 18
-"""Frequencies, evenly in the logarithm, among which a band's ends are sought."""
+"""Number of frequencies, evenly spaced in the logarithm, that are tried as a band's ends."""
 DRIFT_SIGMAS = 4.0
-"""From which a drift is stated."""
+"""Standard deviations from which a drift is stated."""
 
 
 @dataclass(frozen=True)
 class Spectrum:
-    """What a common motion consists of; variances an axis [px^2]."""
+    """Parts of a common motion; variances an axis [px^2]."""
 
     white: float
     white_sigma: float
@@ -34,7 +34,7 @@ class Spectrum:
     band_sigma: float
     band_hz: tuple[float, float]
     drift: Array
-    """(2,) [px/s], with its standard deviation."""
+    """(2,) [px/s]; ``drift_sigma``: its standard deviation."""
     drift_sigma: Array
 
 
@@ -48,9 +48,9 @@ def shake_estimates(camera: str, moved_px: Array, noise_px: float, rate_hz: floa
     moved_px
         Common motion of its targets at rest (n, 2), NaN where a frame is missing.
     noise_px
-        Rms noise of that, an axis.
+        Rms noise of ``moved_px``, an axis.
     rate_hz
-        Frames a second; None: not known.
+        Frames a second; None where unknown.
     """
     keys = ("errors.body_px", "mount.vibration_px", "mount.drift_px_per_s")
     n = int(np.isfinite(moved_px[:, 0]).sum())
@@ -74,7 +74,7 @@ def shake_estimates(camera: str, moved_px: Array, noise_px: float, rate_hz: floa
             for k, end in enumerate((low, high))
         ]
     else:
-        # all of the motion is taken for white: none is left for a band
+        # the whole motion is taken for white noise: no band remains
         told.append(ParameterEstimate(camera, keys[1], 0.0, 0.0, f"{what}; no band below {0.5 * rate_hz:g} Hz"))
     if np.any(np.abs(found.drift) > DRIFT_SIGMAS * found.drift_sigma):
         told += [
@@ -85,7 +85,7 @@ def shake_estimates(camera: str, moved_px: Array, noise_px: float, rate_hz: floa
 
 
 def spectrum(moved_px: Array, rate_hz: float) -> Spectrum:
-    """Return what a common motion (n, 2) [px] consists of; NaN where a frame is missing."""
+    """Return the parts of a common motion (n, 2) [px], which is NaN where a frame is missing."""
     n = len(moved_px)
     time = np.arange(n) / rate_hz
     there = np.isfinite(moved_px[:, 0])
@@ -93,7 +93,7 @@ def spectrum(moved_px: Array, rate_hz: float) -> Spectrum:
     fitted, *_ = np.linalg.lstsq(line, moved_px[there], rcond=None)
     rest = np.zeros((n, 2))
     rest[there] = moved_px[there] - line @ fitted
-    # a missing frame is a zero: power is spread over fewer frames, as white noise
+    # a missing frame is set to zero: the power is that of fewer frames, as for white noise
     power = (np.abs(np.fft.rfft(rest, axis=0)[1:]) ** 2).sum(axis=1) / (2.0 * there.sum())
     frequency = np.fft.rfftfreq(n, 1.0 / rate_hz)[1:]
     level = float(power.mean())
@@ -119,7 +119,7 @@ def spectrum(moved_px: Array, rate_hz: float) -> Spectrum:
 
 
 def _two_levels(power: Array, inside: Array) -> tuple[float, float, float]:
-    """Return loss, floor and height above it of a spectrum that is higher inside a band."""
+    """Return the loss, the floor, and the height above the floor of a spectrum that is higher inside a band."""
     floor, high = float(power[~inside].mean()), float(power[inside].mean())
     if high <= floor:
         return math.inf, floor, 0.0

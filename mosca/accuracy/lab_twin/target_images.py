@@ -1,9 +1,9 @@
 """Targets at rest: the blur of the lens, the targets' brightness, and how the image moves from frame to frame.
 
-The mean of many images has little noise: an ellipse is fitted to each target that stands alone in it. The frames then
-differ from that mean by small displacements, which follow linearly (Lucas and Kanade, 1981): the difference regressed
-on the model's slopes, brightness and background. What all targets of a camera do together is the camera's own shake;
-what each does alone is noise.
+The mean of many images has little noise: an ellipse is fitted to each isolated target in it. The frames differ from
+this mean by small displacements, which are estimated linearly (Lucas and Kanade, 1981): each frame is regressed on
+the model's slopes, brightness and background. Motion that all targets of a camera share is the camera's own shake;
+motion of single targets is noise.
 """
 
 import math
@@ -19,20 +19,20 @@ from mosca.data.arrays import Array
 from mosca.data.detections import SATURATED, Detections
 
 MOST_TARGETS = 24
-"""That are fitted in a camera: evenly over its image."""
+"""Largest number of targets fitted in a camera, evenly over its image."""
 FEWEST_TARGETS = 3
 ROOM_PX = 5
-"""Between a target's rim and the window's."""
+"""Distance between a target's rim and the border of its window."""
 FEWEST_OF_FIELD = 6
-"""Targets from which the blur's change over the field is told."""
+"""Fewest targets from which the change of blur over the field is estimated."""
 LEAST_FIELD = 0.5
-"""Share of the image's half diagonal that the outermost of them must reach: farther out is extrapolation."""
+"""Share of the image's half diagonal that the outermost target must reach: farther out is extrapolation."""
 UNEVEN = 0.005
-"""Share of the light to which the model of an evenly lit disc is trusted: few pixels do not outweigh all."""
+"""Assumed error of the evenly lit disc model, as a share of the light: a few pixels must not outweigh all others."""
 MOST_MISFIT = 0.08
-"""Rms of the residuals over the brightness, beyond which something else than a disc is in the window."""
+"""Rms of the residuals over the brightness beyond which the window shows something other than a disc."""
 LEAST_RADIUS_PX = 1.0
-"""Of a target from which brightness and blur can be told apart."""
+"""Radius of a target from which brightness and blur can be separated."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,22 +51,22 @@ class FittedTarget:
 
     @property
     def xy_px(self) -> tuple[float, float]:
-        """Where it is in the image."""
+        """Position in the image."""
         return self.column + self.fit.x_px, self.row + self.fit.y_px
 
     def window(self, image: Array) -> Array:
-        """Return its part of an image (H, W)."""
+        """Return the target's window of an image (H, W)."""
         part: Array = image[self.row : self.row + self.size, self.column : self.column + self.size]
         return part
 
 
 def fit_targets(sums: PixelStatistics, found: Detections) -> list[FittedTarget]:
-    """Fit the targets that stand alone in the mean of a camera's images.
+    """Return fits of the isolated targets in the mean of a camera's images.
 
     Parameters
     ----------
     sums
-        Of the camera's images of targets at rest.
+        Statistics of the camera's images of targets at rest.
     found
         Targets in the rounded mean image.
     """
@@ -96,10 +96,10 @@ def fit_targets(sums: PixelStatistics, found: Detections) -> list[FittedTarget]:
 def corner_blur(
     targets: Sequence[FittedTarget], shake_px: float, shape: tuple[int, int]
 ) -> tuple[float, float] | None:
-    """Return the blur at the corner of an image (H, W) and its standard deviation [px]; None where none is told.
+    """Return the blur at the corner of an image (H, W) and its standard deviation [px]; None if undetermined.
 
-    The blur's square is taken to grow with the square of the distance from the middle, as field curvature makes it to
-    first order; straight line by least squares.
+    The square of the blur is assumed to grow with the square of the distance from the middle, which is the effect of
+    field curvature to first order. A straight line is fitted by least squares.
     """
     half = 0.5 * math.hypot(*shape)
     far = np.array([math.hypot(t.xy_px[0] - shape[1] / 2, t.xy_px[1] - shape[0] / 2) / half for t in targets])
@@ -111,7 +111,7 @@ def corner_blur(
 
 
 def _chosen(found: Detections, shape: tuple[int, ...]) -> list[int]:
-    """Return up to MOST_TARGETS of the detections, those that lie farthest from each other first."""
+    """Return the indices of up to MOST_TARGETS detections, those farthest from each other first."""
     if len(found) <= MOST_TARGETS:
         return list(range(len(found)))
     xy = found.xy_px
@@ -124,10 +124,10 @@ def _chosen(found: Detections, shape: tuple[int, ...]) -> list[int]:
 
 
 class TargetDisplacements:
-    """TargetDisplacements of a camera's targets, frame by frame; ``add`` takes each image."""
+    """Displacements of a camera's targets, frame by frame; ``add`` takes each image."""
 
     def __init__(self, targets: Sequence[FittedTarget], shake_px: float = 0.0) -> None:
-        """``shake_px``: rms motion that blurs the mean image, an axis; the frames themselves are sharper."""
+        """Prepare the fits; ``shake_px``: rms motion, an axis, that blurs the mean image but not single frames."""
         self._targets = targets
         self._solve = []
         self._sigma = np.empty((len(targets), 2))
@@ -154,9 +154,9 @@ class TargetDisplacements:
         self.numbers.append(number)
 
     def common(self) -> tuple[Array, float]:
-        """Return the motion that all targets share (n, 2), about its mean [px], and the rms of its noise an axis.
+        """Return the motion (n, 2) that all targets share, about its mean [px], and the rms of its noise, an axis.
 
-        The noise follows from how the targets differ from each other.
+        The noise is estimated from the differences between targets.
         """
         moved = np.array(self._rows)
         moved -= moved.mean(axis=0)
@@ -165,7 +165,7 @@ class TargetDisplacements:
         shared = (moved * weight).sum(axis=1) / total
         own = moved - shared[:, None]
         t = len(self._targets)
-        # ratio of the scatter about the common motion to what the pixels' noise makes of it
+        # ratio of the scatter about the common motion to the scatter that pixel noise explains
         excess = float(np.mean((own**2 * weight).sum(axis=(1)) / (t - 1)))
         return shared, math.sqrt(excess * float(np.mean(1.0 / total)))
 

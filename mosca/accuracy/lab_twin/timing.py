@@ -1,9 +1,9 @@
 """Trigger jitter, delays between cameras and rolling shutters, from sums over frame sets of moving targets.
 
-A linear mixed model: delays and row times are the same in all frame sets, jitter of the trigger and shake of the body
-are drawn anew in each. The variances are found by maximum likelihood with Fisher's scoring (Harville, Journal of the
-American Statistical Association 72 (1977) 320), their standard deviations are those of the expected information.
-A delay that all cameras share cannot be seen: delays are against their mean.
+The model is a linear mixed model: delays and row times are the same in all frame sets; trigger jitter and body shake
+are random in each. The variances are estimated by maximum likelihood with Fisher scoring (Harville, Journal of the
+American Statistical Association 72 (1977) 320). Their standard deviations follow from the expected information. A
+delay that all cameras share cannot be observed: delays are relative to their mean.
 """
 
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ from mosca.data.arrays import Array
 KEYS = ("errors.trigger_jitter_s", "timing.delay_s", "timing.row_time_s")
 FEWEST_SETS = 30
 MOST_SIGMA_S = 1e-3
-"""Standard deviation of a delay from which targets moved too slowly to tell it."""
+"""Standard deviation of a delay from which the targets moved too slowly to estimate it."""
 ROUNDS = 60
 SURE = 4.0
 """Standard deviations from which a rolling shutter is stated."""
@@ -38,7 +38,7 @@ class MixedModel:
 
 
 def timing_estimates(seen: MovingTargets | None, names: tuple[str, ...]) -> list[Told]:
-    """Return jitter, delay and row time of each camera, or what lacks."""
+    """Return jitter, delay and row time of each camera, or what is missing to estimate them."""
     sets = 0 if seen is None else int(seen.set_of[-1]) + 1
     if seen is None or sets < FEWEST_SETS:
         why = f"needs {FEWEST_SETS} frame sets or more of moving targets that several cameras see: moving:FOLDER"
@@ -76,7 +76,7 @@ def fit_mixed_model(sums: TimingSums) -> MixedModel:
     values, vectors = np.linalg.eigh(sums.normal)
     seen = values > 1e-9 * values[:, -1:]
     roots = np.sqrt(np.where(seen, values, 0.0))
-    # rows h of H and whitened data y: y = H (fixed + random) + white noise of variance 1
+    # h: rows of H; y: whitened data, y = H (fixed + random) + white noise of variance 1
     h = roots[:, :, None] * np.swapaxes(vectors, 1, 2)
     y = np.where(seen, np.einsum("fji,fj->fi", vectors, sums.right) / np.where(seen, roots, 1.0), 0.0)
     groups = [[k] for k in range(c)] + [[c + k, 2 * c + k] for k in range(c)]
@@ -90,7 +90,7 @@ def fit_mixed_model(sums: TimingSums) -> MixedModel:
         covariance = np.linalg.pinv(np.einsum("fji,fjk->ik", h, weighted), rcond=1e-10, hermitian=True)
         fixed = covariance @ np.einsum("fji,fj->i", weighted, y)
         rest = np.einsum("fij,fj->fi", inverse, y - h @ fixed)
-        # of all frame sets together the fixed effects take few degrees of freedom: left out
+        # the fixed effects take few degrees of freedom of all frame sets together: neglected
         scaled = np.einsum("fij,gfjk->gfik", inverse, kernels)
         gradient = 0.5 * (np.einsum("fi,gfij,fj->g", rest, kernels, rest) - np.einsum("gfii->g", scaled))
         information = 0.5 * np.einsum("gfij,hfji->gh", scaled, scaled)

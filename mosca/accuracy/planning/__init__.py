@@ -1,1 +1,1 @@
-"""Where cameras are to stand: the predicted covariance of triangulated points, its gradient, and the search."""
+"""Planning of camera places: the predicted covariance of triangulated points, its gradient, and the search."""

@@ -1,19 +1,19 @@
-"""Images of markers that the body which wears them hides in part: how far their centres are off, how much they count.
+"""Images of markers that are partly hidden by the body that wears them: shifts of their centres, and their weights.
 
-A ball of radius r seated on a convex body is hidden where the sight line to its centre passes nearer than r to the
-body or through it. With the clearance d of that line (below zero inside), the body's edge cuts a straight piece off
-the disc. Of a disc of radius 1 cut at x = d / r the hidden share, and the shift of the centroid of what is left, away
-from the edge, are
+A ball of radius r seated on a convex body is partly hidden where the sight line to its centre passes through the body
+or nearer to it than r. With the clearance d of that line (below zero inside), the body's edge cuts a straight piece
+off the disc. For a disc of radius 1 cut at x = d / r, the hidden share h and the shift c of the remaining part's
+centroid away from the edge are
 
     h = (acos x - x sqrt(1 - x^2)) / pi,    c = 2 (1 - x^2)^(3/2) / (3 pi (1 - h)),    c -> h for small h
 
-(a segment of a circle, and its first moment). A circle fitted to the edge moves by as much where little is hidden:
-the edge is displaced by u(phi) = 1 - x / cos phi, of which 1 / pi int u cos phi dphi = h to first order.
+(a segment of a circle, and its first moment). Where little is hidden, a circle fitted to the edge moves by as much:
+the edge is displaced by u(phi) = 1 - x / cos phi, and 1 / pi int u cos phi dphi = h to first order.
 
-What an image counts for is the pipeline's rule (``mosca.correspondence.hypothesis``): missing areas below a share
-are noise of the sizes, and the image counts in full, with its shift; beyond, its variance grows by the square of the
-shift that goes with the share. A point is the weighted mean of images, each of which is displaced by
-e = c r t, t the edge's normal: with N = sum J'J / v, v what the variance is taken for,
+An image's weight follows the pipeline's rule (``mosca.correspondence.hypothesis``). Missing areas below a share are
+taken for noise of the sizes, and the image has full weight in spite of its shift. Above it, the image's variance
+grows by the square of the shift that belongs to the share. A point is the weighted mean of images, each displaced by
+e = c r t, with t the edge's normal. With N = sum J'J / v, where v is the assumed variance,
 
     mean error = N^-1 sum J'J e / v,    covariance of the noise = N^-1 (sum J'J sigma^2 / v^2) N^-1.
 """
@@ -30,19 +30,19 @@ from mosca.numba_support.decorators import kernel
 
 @dataclass(frozen=True, eq=False)
 class WornMarkers:
-    """Balls seated on an upright cylinder, one a body: where the body is, seen from each ball's centre."""
+    """Balls seated on upright cylinders, one ball on each body; a body's place follows from its ball's centre."""
 
     radius_m: float
-    """Of the balls."""
+    """Radius of the balls."""
     body_radius_m: float
     low_m: float
     high_m: float
     """Heights of the body's ends."""
 
     def images(self, points: Array, normal: Array, places: Array) -> tuple[Array, Array, Array]:
-        """Return hidden shares (c, n), and shifts (c, n) [radius] and their directions (c, n, 3), of balls' images.
+        """Return, for images of balls, hidden shares (c, n), shifts (c, n) [radius] and their directions (c, n, 3).
 
-        ``points`` (n, 3) [m] centres of balls with the same ``normal`` (3,), ``places`` (c, 3) of the cameras [m].
+        ``points`` (n, 3) [m]: centres of balls with the same ``normal`` (3,); ``places`` (c, 3) [m]: the cameras.
         """
         axes = points - (self.body_radius_m + self.radius_m) * normal
         near, edge = body_clearance(points, axes, places, self.body_radius_m, self.low_m, self.high_m)
@@ -51,8 +51,9 @@ class WornMarkers:
 
 
 def cut_disc(cut: Array) -> tuple[Array, Array]:
-    """Return the hidden share of discs of radius 1 cut by a line at ``cut`` from the centre, 1 or more: not cut, and
-    the shift of the centroid of what is left, 0 where nothing is.
+    """Return hidden shares and centroid shifts of discs of radius 1 that a line cuts at ``cut`` from the centre.
+
+    From a ``cut`` of 1 on nothing is hidden. The shift is that of the remaining part, 0 where nothing remains.
     """
     x = np.clip(cut, -1.0, 1.0)
     hidden = (np.arccos(x) - x * np.sqrt(1.0 - x * x)) / np.pi
@@ -61,10 +62,11 @@ def cut_disc(cut: Array) -> tuple[Array, Array]:
 
 
 def taken_variance(hidden: Array, radius_px: Array, variance: Array) -> Array:
-    """Return the variance [px^2] that matching takes images for, of which a share is hidden.
+    """Return the variance [px^2] that matching assumes for images with a hidden share.
 
-    ``variance`` [px^2]: of whole images. The radius of a disc is known to 1 / sqrt(2) of the centre's standard
-    deviation (Fisher information of a sharp edge: pi and 2 pi times the same), its area to twice that share.
+    ``variance`` [px^2]: of whole images. The standard deviation of a disc's radius is 1 / sqrt(2) of its centre's
+    (Fisher information of a sharp edge: pi and 2 pi times the same); relative to it, that of its area is twice as
+    large.
     """
     usual = np.maximum(SIZE_DEADBAND, SIZE_SIGMAS * np.sqrt(2.0 * variance) / radius_px)
     shift = ODD_SHIFT * np.minimum(hidden, MOST_ODD) * radius_px
@@ -72,7 +74,7 @@ def taken_variance(hidden: Array, radius_px: Array, variance: Array) -> Array:
 
 
 def measured(seen: Array, hidden: Array) -> Array:
-    """Return which points (n,) are measured: three images, or two of which none is more than half hidden."""
+    """Return which points (n,) are measured: by three images, or by two that are not more than half hidden."""
     images = (seen & (hidden < 1.0)).sum(axis=0)
     good = (seen & (hidden < HALF_HIDDEN)).sum(axis=0)
     return np.asarray((good >= 2) | (images >= 3))
@@ -82,8 +84,8 @@ def measured(seen: Array, hidden: Array) -> Array:
 def body_clearance(points, axes, places, radius, low, high):
     """Return the least signed distance (c, n) [m] of sight lines from a body, and the normal (c, n, 3) there.
 
-    ``points`` (n, 3) [m], ``axes`` (n, 3) [m]: on the axis of the upright cylinder that goes with each, ``places``
-    (c, 3) [m]; ``radius``, ``low``, ``high`` [m] of all bodies.
+    ``points`` (n, 3) [m]; ``axes`` (n, 3) [m]: a point on the axis of each point's upright cylinder; ``places``
+    (c, 3) [m]: the cameras; ``radius``, ``low``, ``high`` [m]: of all bodies.
     """
     near, edge = np.zeros((len(places), len(points))), np.zeros((len(places), len(points), 3))
     row = np.array([CYLINDER, 0.0, 0.0, 0.5 * (low + high), radius, radius, 0.5 * (high - low), 1.0, 0.0])

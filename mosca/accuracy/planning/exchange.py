@@ -1,8 +1,8 @@
 """The best n of many candidate cameras, by exchange of one at a time (Fedorov, Theory of Optimal Experiments, 1972).
 
-Each candidate's information of each marker is known beforehand, so that a layout with one camera exchanged is a sum
-and the inverse of a matrix of three rows a marker. A step replaces one camera by the best of all candidates; the
-search ends where no single exchange is better.
+The information of each candidate on each marker is computed beforehand. A layout with one camera exchanged then needs
+only a sum and the inverse of a 3 x 3 matrix for each marker. A step replaces one camera by the best of all
+candidates; the search ends where no single exchange improves the layout.
 """
 
 from collections.abc import Callable, Sequence
@@ -14,13 +14,13 @@ from mosca.data.arrays import Array
 from mosca.numba_support.decorators import kernel
 
 MOST_TRIES = 60
-"""Candidates, best first, of which a step asks what costs more."""
+"""Largest number of candidates, best first, for which a step computes the additional cost, which takes long."""
 LEAST_GAIN = 1e-6
-"""Of the cost, that an exchange must bring: above rounding, so that equal layouts do not take turns for ever."""
+"""Least decrease of the cost by an exchange: above rounding, so that equal layouts do not alternate for ever."""
 
 
 def information_of(cameras: Array, room: MarkerRoom) -> Array:
-    """Return what each camera (c, COLUMNS) tells of each marker (c, n k, 6), float32 upper triangles [1/m^2].
+    """Return the information (c, n k, 6) of each camera (c, COLUMNS) on each marker: float32 upper triangles [1/m^2].
 
     The markers are all points with the first normal, then all with the next; zero where a camera does not see one.
     """
@@ -40,10 +40,10 @@ def information_of(cameras: Array, room: MarkerRoom) -> Array:
 
 @kernel
 def variances_with(information, rest, count, allowed):
-    """Return the variance (c, n) [m^2] of each marker with each candidate added; infinite where two do not see it.
+    """Return the variance (c, n) [m^2] of each marker with each candidate added; infinite below two cameras.
 
-    ``information`` (c, n, 6) of the candidates, ``rest`` (n, 6) of the cameras that stay, ``count`` (n,) how many of
-    these see each marker; candidates that are not ``allowed`` (c,) are infinite throughout.
+    ``information`` (c, n, 6): of the candidates; ``rest`` (n, 6): of the cameras that stay; ``count`` (n,): number of
+    these that see each marker. The variances of candidates that are not ``allowed`` (c,) are infinite.
     """
     candidates, markers = information.shape[:2]
     found = np.full((candidates, markers), np.inf)
@@ -64,7 +64,7 @@ def variances_with(information, rest, count, allowed):
 
 
 def variances_of(information: Array, chosen: Sequence[int]) -> Array:
-    """Return the variance (n,) [m^2] of each marker that the ``chosen`` candidates measure, else infinite."""
+    """Return the variance (n,) [m^2] of each marker by the ``chosen`` candidates; infinite where not measured."""
     rest, count = _of(information, list(chosen)[:-1])
     last = information[chosen[-1]][None]
     return np.asarray(variances_with(last, rest, count, np.ones(1, bool))[0])
@@ -86,16 +86,16 @@ def exchanged(
     information
         (c, n, 6) of the candidates (``information_of``).
     chosen
-        Candidates to begin with.
+        Candidates of the first layout.
     cost
-        Of variances (k, n) of k layouts: (k,), to be small.
+        Function of the variances (k, n) of k layouts; returns the costs (k,), which are minimised.
     allowed
-        Told the candidates that stay, returns which (c,) may stand beside them.
+        Function of the candidates that stay; returns which candidates (c,) may be added to them.
     more
-        Of chosen candidates, 0 or more: what is added to the cost and takes long. It is asked only of layouts that
-        could be the best.
+        Function of the chosen candidates; returns an additional cost, 0 or more, that takes long to compute. It is
+        called only for layouts that could be the best.
     passes
-        Over all cameras, at most.
+        Largest number of passes over all cameras.
     """
     best = list(chosen)
     least = float(cost(variances_of(information, best)[None])[0]) + more(best)

@@ -1,9 +1,10 @@
-"""How well a session with a test field will calibrate a planned rig, before there is an image.
+"""Predicted accuracy of a planned rig's calibration by a test field, before any image is taken.
 
-The normal equations of the bundle adjustment of predicted images: unknown are the cameras' poses and lenses, the
-field's pose at each stand but the first, which is the world, its marks, known beforehand to a standard deviation, and
-the shake of each whole image, likewise. Inverted, they are the covariance of the parameters; that of a measured point
-is G C G' with G = -N^-1 sum J' dx/dp (``mosca.calibration.quality.accuracy_map``).
+It follows from the normal equations of the bundle adjustment of predicted images. The unknowns are the cameras' poses
+and lenses; the field's pose at each stand but the first, which defines the world; the field's marks; and the shake of
+each whole image. Marks and shakes have a-priori standard deviations. The inverse is the covariance C of the
+parameters; that of a measured point is G C G' with G = -N^-1 sum J' dx/dp
+(``mosca.calibration.quality.accuracy_map``).
 """
 
 from dataclasses import dataclass, fields
@@ -16,28 +17,28 @@ from mosca.data.arrays import Array
 from mosca.data.rig import MoscaLens, Pose, Rig
 
 FREE = ("c_mm", "xp_px", "yp_px", "my_mm_per_px", "a", "K1_per_mm2", "K2_per_mm4", "P1_per_mm", "P2_per_mm")
-"""Lens parameters that a session estimates of a ``MoscaLens``; mx is held."""
+"""Parameters of a ``MoscaLens`` that a session estimates; mx is held."""
 LENS_COLUMNS = [k for k, one in enumerate(fields(MoscaLens)) if one.name in FREE]
 OWN = 6 + len(FREE)
-"""Unknowns of a camera."""
+"""Number of unknowns of a camera."""
 
 
 @dataclass(frozen=True, eq=False)
 class FieldSession:
-    """A session: marks of a field and where it is put."""
+    """A session: the marks of a field and the poses in which it is shown."""
 
     marks: Array
     """(m, 3) in the field's frame [m]."""
     stands: tuple[Pose, ...]
     """world_from_field; the first one defines the world."""
     frames: tuple[int, ...]
-    """Exposures at each stand."""
+    """Number of exposures at each stand."""
     seen: Array
-    """(c, s, m) bool: which camera sees which mark (its images' borders are asked besides)."""
+    """(c, s, m) bool: which camera sees which mark (the image borders are checked in addition)."""
     sigma_px: float
-    """Standard deviation an axis of a mark's image."""
+    """Standard deviation of a mark's image, an axis."""
     lasting_px: float
-    """Of what is the same in all exposures at a stand."""
+    """Standard deviation of errors that are the same in all exposures at a stand, an axis."""
     body_px: float
     """Shake of a whole image, rms an axis."""
     known_m: float
@@ -84,7 +85,7 @@ def parameter_covariance(rig: Rig, session: FieldSession) -> Array:
 def _design(
     one: Projection, rows: Array, c: int, s: int, pose: Pose, world: Array, first_stand: int, first_mark: int
 ) -> tuple[Array, Array]:
-    """Return the unknowns and the Jacobian (2 n, u) of the images ``rows``."""
+    """Return the indices of the unknowns and the Jacobian (2 n, u) of the images ``rows`` (n,)."""
     by_point = one.by_point[rows]
     parts = [one.by_pose[rows], one.by_lens[rows][:, :, LENS_COLUMNS]]
     columns = [np.arange(c * OWN, (c + 1) * OWN)]
@@ -106,16 +107,16 @@ def _design(
 
 
 def _prior() -> Array:
-    """Return the inverse variances (OWN,) of what is known of a camera without any image."""
+    """Return the a-priori inverse variances (OWN,) of a camera's unknowns."""
     usual = {"c_mm": 1.0, "xp_px": 100.0, "yp_px": 100.0, "my_mm_per_px": 1e-3, "a": 0.01}
     return np.array([1.0] * 6 + [usual.get(name, 1e-3) ** -2 for name in FREE])
 
 
 def common_covariance(rig: Rig, covariance: Array, points: Array, weights: Array) -> Array:
-    """Return the covariance (n, 3, 3) [m^2] that the calibration's error gives to points (n, 3).
+    """Return the covariance (n, 3, 3) [m^2] of points (n, 3) [m] due to the calibration's error.
 
-    ``weights`` (c, n): 1 / sigma^2 [1/px^2] with which each camera measures each, 0 where it does not see it. NaN
-    where fewer than two cameras do.
+    ``weights`` (c, n): 1 / sigma^2 [1/px^2] with which each camera measures each point, 0 where it does not see it.
+    NaN where fewer than two cameras see the point.
     """
     total = np.zeros((len(points), 3, 3))
     pull = np.zeros((len(points), 3, covariance.shape[0]))

@@ -22,12 +22,12 @@ from mosca.data.arrays import Array, read_only
 from mosca.data.rig import Camera, MoscaLens, Pose, Rig
 
 STEEPEST_RAD = np.deg2rad(85.0)
-"""Cameras are level about their axis, which has no meaning straight up or down."""
+"""Largest tilt: cameras are kept level about their axis, which has no meaning straight up or down."""
 
 
 @dataclass(frozen=True, eq=False)
 class MountingPlace:
-    """A rail, or a rectangle of a wall: where cameras may stand is start + a along + b up, a and b from 0 to 1."""
+    """A rail or a rectangle of a wall: cameras may stand at start + a along + b up, with a and b from 0 to 1."""
 
     start: Array
     """(3,) [m]"""
@@ -56,9 +56,9 @@ class CameraOption:
     blur_px: float
     """Standard deviation of the blur in focus."""
     extra_px: float
-    """Standard deviation an axis of image coordinates that is no noise of pixels: shake, rest of the lens model."""
+    """Standard deviation of image coordinates besides pixel noise, an axis: shake, misfit of the lens model."""
     table: int
-    """Its noise's table in the ``MarkerRoom``."""
+    """Index of its information table in the ``MarkerRoom``."""
 
     @property
     def row(self) -> Array:
@@ -75,7 +75,7 @@ class CameraOption:
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """n cameras: where each stands, looks, and which it is."""
+    """Places, directions and camera options of n cameras."""
 
     mount: Array
     """(n,) index of the mount."""
@@ -103,11 +103,11 @@ class Layout:
         return rows
 
     def price(self, options: Sequence[CameraOption]) -> float:
-        """Return what the cameras cost together."""
+        """Return the total price of the cameras."""
         return float(sum(options[k].price for k in self.option))
 
     def moved(self, share: Array, angles: Array) -> "Layout":
-        """Return the same cameras at other places of their mounts and with other angles."""
+        """Return the same cameras at other places on their mounts and with other angles."""
         return replace(self, share=share, angles=angles)
 
 

@@ -1,13 +1,13 @@
 """The predicted standard deviation over a volume, as numbers to report and as an objective with its gradient.
 
 The covariance of a point is C = (sum_c w J'J / sigma^2)^-1, its standard deviation sqrt(tr C). Reported figures count
-a marker that fewer than two cameras see as infinitely bad. The objective must lead an optimiser there: weights of
-cameras are smooth, C = (I / worst^2 + sum)^-1 stays finite, and a camera too few costs a part of its own:
+a marker that fewer than two cameras see as infinitely bad. The objective must lead an optimiser to good layouts:
+camera weights w are smooth, C = (I / worst^2 + sum)^-1 stays finite, and missing cameras have a cost of their own:
 
     f = sum_k W_k log sigma_(k) + cost mean(max(0, wanted - seen)^2),
 
-W the weights of Harrell and Davis's quantile (A new distribution-free quantile estimator, Biometrika 69, 1982): a
-quantile that depends smoothly on all values about it. Its gradient: d tr C = -tr(C^2 dN).
+with W the weights of Harrell and Davis's quantile (A new distribution-free quantile estimator, Biometrika 69, 1982),
+a quantile that depends smoothly on all values about it. The gradient follows from d tr C = -tr(C^2 dN).
 """
 
 from dataclasses import dataclass, field
@@ -20,23 +20,23 @@ from mosca.data.arrays import Array
 
 TRIANGLE = (np.array([0, 0, 0, 1, 1, 2]), np.array([0, 1, 2, 1, 2, 2]))
 TWICE = np.array([1.0, 2.0, 2.0, 1.0, 2.0, 1.0])
-"""How often an element of the upper triangle stands in the matrix."""
+"""Number of times that an element of the upper triangle occurs in the matrix."""
 
 
 @dataclass(frozen=True, eq=False)
 class PredictedMarkers:
-    """What is predicted of each marker: a point of the room, with each normal."""
+    """Prediction for each marker, a point of the room with one of the normals."""
 
     sigma_m: Array
     """(n, k) standard deviation, sqrt of the covariance's trace [m]; infinite where too few cameras see it."""
     covariance: Array
-    """(n, k, 3, 3) [m^2]; NaN there."""
+    """(n, k, 3, 3) [m^2]; NaN where too few cameras see the marker."""
     cameras: Array
-    """(n, k) how many cameras see it."""
+    """(n, k) number of cameras that see the marker."""
 
     def quantile_m(self, share: float) -> float:
-        """Return the standard deviation [m] that ``share`` of the markers do not exceed; infinite where fewer are
-        seen.
+        """Return the standard deviation [m] that ``share`` of the markers do not exceed; infinite where fewer markers
+        are seen.
         """
         return float(np.quantile(self.sigma_m, share, method="higher"))
 
@@ -46,9 +46,9 @@ class PredictedMarkers:
 
 
 def predict(cameras: Array, room: MarkerRoom, least: int = 2) -> PredictedMarkers:
-    """Return the prediction for cameras (c, COLUMNS) of ``mosca.accuracy.planning.views``, each point seen or not.
+    """Return the prediction for cameras (c, COLUMNS), rows of ``mosca.accuracy.planning.views``, with hard borders.
 
-    ``least``: markers that fewer cameras see count as not measured; two at least.
+    ``least``: markers that fewer cameras see count as not measured; at least two.
     """
     total, count = _gathered(cameras, room, Softness())
     good = count > max(2, least) - 0.5
@@ -61,18 +61,18 @@ def predict(cameras: Array, room: MarkerRoom, least: int = 2) -> PredictedMarker
 
 @dataclass(frozen=True, eq=False)
 class Objective:
-    """What is minimised, of rows of cameras."""
+    """Function of camera rows that is minimised."""
 
     room: MarkerRoom
     share: float
-    """Quantile wanted."""
+    """Quantile of the standard deviations that is minimised, as a share of the markers."""
     wanted: int
-    """Cameras that are to see each marker."""
+    """Number of cameras that should see each marker."""
     worst_m: float
-    """Standard deviation of what no camera sees [m]: the size of the volume."""
+    """Standard deviation assumed for markers that no camera sees [m]: the size of the volume."""
     softness: Softness
     cost: float = 0.3
-    """Of a missing camera, squared and averaged over the markers: as a change of log sigma."""
+    """Cost of the squared number of missing cameras, averaged over the markers, as a change of log sigma."""
     _weights: dict[int, Array] = field(default_factory=dict, repr=False)
 
     def value(self, cameras: Array) -> float:

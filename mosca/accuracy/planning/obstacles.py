@@ -1,7 +1,8 @@
 """Signed distances of sight lines from obstacles: boxes and cylinders, upright, turned about the vertical.
 
-The signed distance of a convex body is convex, also along a line: its least value between camera and point is found
-by golden section, and its derivative by the line's end follows without the place's own (envelope theorem).
+The signed distance from a convex body is a convex function, also along a line. Its least value between camera and
+point is found by golden section. The derivative of this value by the end of the line does not need the derivative of
+the place of the minimum (envelope theorem).
 """
 
 from collections.abc import Sequence
@@ -25,8 +26,10 @@ BOX, CYLINDER = 0.0, 1.0
 
 @dataclass(frozen=True)
 class Obstacle:
-    """An upright box or cylinder that hides what is behind it: ``center_m`` (3,), ``size_m`` (3,): edges; of a
-    cylinder its diameter twice, then its height. ``yaw_deg``: turned about the vertical.
+    """An upright box or cylinder that hides points behind it.
+
+    ``center_m`` (3,); ``size_m`` (3,): edges of a box, or diameter, diameter and height of a cylinder; ``yaw_deg``:
+    rotation about the vertical.
     """
 
     kind: Literal["box", "cylinder"]
@@ -83,9 +86,9 @@ def signed_distance(row, x, y, z):
 
 @step
 def clearance(row, x, y, z, ox, oy, oz, enough):
-    """Return the least signed distance [m] of the line from (x, y, z) to (ox, oy, oz) and its gradient by that end.
+    """Return the least signed distance [m] of the line from (x, y, z) to (ox, oy, oz) and its gradient by the latter.
 
-    Where the line passes farther than ``enough``, a distance that is not too large, and no gradient.
+    Where the line passes farther away than ``enough``, a lower bound of the distance is returned, with gradient 0.
     """
     px, py, pz = ox - x, oy - y, oz - z
     length2 = px * px + py * py + pz * pz
@@ -111,8 +114,8 @@ def clearance(row, x, y, z, ox, oy, oz, enough):
     t = 0.5 * (low + high)
     distance, gx, gy, gz = signed_distance(row, x + t * px, y + t * py, z + t * pz)
     if KINK < t < 1.0 - KINK:
-        # inside a body the nearest face changes at the minimum: of the gradients on both sides the mixture counts
-        # that does not change along the line
+        # inside a body the nearest face changes at the minimum: the gradients on both sides are mixed so that the
+        # mixture has no component along the line
         a, b = t - KINK, t + KINK
         _, ax, ay, az = signed_distance(row, x + a * px, y + a * py, z + a * pz)
         _, bx, by, bz = signed_distance(row, x + b * px, y + b * py, z + b * pz)
@@ -127,7 +130,7 @@ def clearance(row, x, y, z, ox, oy, oz, enough):
 def sight_clearance(rows, points, places):
     """Return the least signed distance (c, n) [m] of the lines from ``points`` (n, 3) to ``places`` (c, 3).
 
-    Over all obstacles; above zero where nothing is between. 1e9 where there is no obstacle.
+    The least distance is over all obstacles and above zero where nothing is between; 1e9 without any obstacle.
     """
     found = np.full((len(places), len(points)), 1e9)
     for c in range(len(places)):

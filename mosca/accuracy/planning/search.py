@@ -1,8 +1,8 @@
 """The search for a layout: CMA-ES over places, directions and lenses, refined by L-BFGS with the analytic gradient.
 
-CMA-ES (Hansen and Ostermeier, Evolutionary Computation 9, 2001) by the package ``cma``. A camera is five numbers: how
-far along all mounts, which are put end to end, how far up, pan and tilt from the direction to the volume's centre,
-and its option. The refinement holds mounts and options.
+CMA-ES (Hansen and Ostermeier, Evolutionary Computation 9, 2001) is that of the package ``cma``. A camera is described
+by five numbers: the distance along all mounts, put end to end; the height; pan and tilt from the direction to the
+volume's centre; and its option. The refinement holds mounts and options.
 """
 
 from collections.abc import Callable
@@ -20,18 +20,18 @@ from mosca.data.arrays import Array
 from mosca.errors import InputError
 
 WIDE = Softness(0.06, 0.08, 0.12)
-"""Of the global search."""
+"""Softness of the global search."""
 NARROWING = (Softness(0.03, 0.04, 0.06), Softness(0.012, 0.015, 0.03))
-"""Of the refinement, one after the other."""
+"""Softnesses of the refinement, one after the other."""
 STEPS = (0.15, 0.3, 0.25, 0.25, 0.3)
 """First standard deviations: share of all mounts, share of the height, pan, tilt [rad], share of the options."""
 PENALTY = 100.0
-"""Of a metre too near, squared, and of a share of the money too much."""
+"""Cost of a missing distance of a metre, which is squared, and of exceeding the money by 100 %."""
 
 
 @dataclass(frozen=True, eq=False)
 class PlacementTask:
-    """What is searched."""
+    """The task of a search: its objective, the choices and the limits."""
 
     objective: Objective
     mounts: tuple[MountingPlace, ...]
@@ -40,9 +40,9 @@ class PlacementTask:
     spacing_m: float = 0.3
     """Least distance of two cameras."""
     keep_out: Array | None = None
-    """(b, 9) bodies in which no camera stands (``mosca.accuracy.planning.obstacles``)."""
+    """(b, 9) bodies in which no camera may stand (``mosca.accuracy.planning.obstacles``)."""
     margin_m: float = 0.05
-    """Distance that cameras keep from these."""
+    """Least distance of cameras from these bodies."""
 
     @property
     def option_rows(self) -> Array:
@@ -50,13 +50,13 @@ class PlacementTask:
         return np.array([one.row for one in self.options])
 
     def hard(self, layout: Layout) -> float:
-        """Return the objective of a layout with markers seen or not, and what its place breaks."""
+        """Return the objective of a layout with hard borders of the views, plus the penalty of ``broken``."""
         objective = replace(self.objective, softness=Softness())
         return objective.value(layout.rows(self.mounts, self.option_rows)) + self.broken(layout)[0]
 
     def broken(self, layout: Layout) -> tuple[float, Array]:
-        """Return the penalty of cameras too near to each other or inside bodies, and of money, and its slope by the
-        cameras' places (n, 3), of which that of bodies is left out.
+        """Return the penalty for cameras too near to each other or inside bodies and for money, and its slope (n, 3)
+        by the cameras' places; the slope leaves out the bodies.
         """
         places = layout.places(self.mounts)
         apart = places[:, None] - places
@@ -72,7 +72,7 @@ class PlacementTask:
         return cost, slope
 
     def allowed(self, layout: Layout) -> bool:
-        """Return whether a layout keeps money and distances, to a centimetre."""
+        """Return whether a layout keeps within the money and the distances, to a centimetre."""
         cost, _ = self.broken(layout)
         return cost <= PENALTY * 1e-4
 
@@ -90,15 +90,15 @@ def search(
     Parameters
     ----------
     task
-        Objective and what may be chosen.
+        Objective, choices and limits.
     count
-        Cameras.
+        Number of cameras.
     evaluations
-        Of the objective, by CMA-ES.
+        Number of evaluations of the objective by CMA-ES.
     seed
-        Of CMA-ES.
+        Seed of CMA-ES.
     told
-        Called with the number of evaluations done and wanted.
+        Called with the numbers of evaluations done and wanted.
     """
     try:
         import cma
@@ -135,7 +135,7 @@ def search(
 
 
 def refine(task: PlacementTask, layout: Layout) -> Layout:
-    """Return a layout after L-BFGS over places on their mounts and directions; the given one where it is no worse."""
+    """Return the layout refined by L-BFGS over directions and places on the mounts; the given one if no worse."""
     n, best = len(layout), layout
     rows, along, up = task.option_rows, *(
         np.array([getattr(task.mounts[k], name) for k in layout.mount]) for name in ("along", "up")
@@ -163,7 +163,7 @@ def refine(task: PlacementTask, layout: Layout) -> Layout:
 
 
 class _Coding:
-    """Between CMA-ES's vectors (5 n,), all of whose values mean something, and layouts."""
+    """Conversion of CMA-ES's vectors (5 n,) to layouts; any values of a vector give a layout."""
 
     def __init__(self, task: PlacementTask, count: int) -> None:
         self.task, self.count = task, count
@@ -196,12 +196,12 @@ class _Coding:
 
 
 def _folded(x: Array) -> Array:
-    """Return numbers folded into 0 to 1, as a mirror at both ends does."""
+    """Return numbers folded into 0 to 1 by reflection at both ends."""
     return np.abs((x + 1.0) % 2.0 - 1.0)
 
 
 def first_layout(task: PlacementTask, count: int) -> Layout:
-    """Return the layout that the search begins with: cameras evenly spaced, the best option for all."""
+    """Return the first layout of the search: cameras evenly spaced, the best option for all."""
     coding = _Coding(task, count)
     layouts = [coding.layout(coding.start(option)) for option in range(len(task.options))]
     return min(layouts, key=task.hard)

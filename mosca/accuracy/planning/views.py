@@ -1,17 +1,17 @@
-"""What cameras tell of points: their information matrices, weighted by how far each camera sees them, and slopes.
+"""Information of cameras on points: matrices weighted by the visibility of each point, and their derivatives.
 
 A point X lies at v = (x, y, z) = R' (X - O) in a camera's frame (right, down, ahead). Its image (f x / z, f y / z)
-has the Jacobian J = f / z [right - x / z ahead; down - y / z ahead], so that a camera adds w J'J / sigma^2 to the
-information of X, with
+has the Jacobian J = f / z [right - x / z ahead; down - y / z ahead]. A camera adds w J'J / sigma^2 to the information
+on X, with
 
     sigma^2 = 1 / J_disc(R / s) + extra,   R = f D / (2 |X - O|),   s^2 = blur^2 + 1/12 + (b / 4)^2,
     b = defocus | 1 / |centre - O| - 1 / |X - O| |,   defocus = focal length^2 / (f-number pitch)
 
-(``mosca.accuracy.planning.image_noise``; b is the diameter of the thin lens's blur circle, focused on the volume's
-centre; its standard deviation an axis is a quarter of it). The weight w is 1 where the camera sees the point and 0
-elsewhere, or smooth, for optimisers: a product of logistic functions of the distance from the image's border, of the
-clearance of the sight line from obstacles, and of the cosine between a marker's normal and the sight line: a marker
-on a convex body is seen from the half space before its tangent plane.
+(``mosca.accuracy.planning.image_noise``; b is the diameter of the blur circle of a thin lens focused on the volume's
+centre; the standard deviation of the circle, an axis, is a quarter of b). The weight w is 1 where the camera sees the
+point and 0 elsewhere. For optimisers it is smooth: a product of logistic functions of the distance from the image's
+border, of the clearance of the sight line from obstacles, and of the cosine between a marker's normal and the sight
+line. A marker on a convex body is seen from the half space before its tangent plane.
 """
 
 from dataclasses import dataclass
@@ -25,32 +25,32 @@ from mosca.numba_support.decorators import kernel, step
 
 PLACE, PAN, TILT, SCALE, HALF_WIDTH, HALF_HEIGHT, DEFOCUS, BLUR, TABLE, EXTRA = 0, 3, 4, 5, 6, 7, 8, 9, 10, 11
 COLUMNS = 12
-"""Of a camera's row: place (3) [m], pan and tilt [rad], principal distance [px], half width and height [px], defocus
-[px m], variance of its blur, the pixel's included [px^2], its information table, variance that is no noise of pixels
+"""Length of a camera's row: place (3) [m], pan and tilt [rad], principal distance [px], half width and height [px],
+defocus [px m], variance of its blur, the pixel's included [px^2], its information table, variance besides pixel noise
 [px^2]."""
 DEGREES = 5
-"""Of freedom of a camera: place, pan, tilt."""
+"""Degrees of freedom of a camera: place, pan, tilt."""
 FIRST_RATIO = float(np.log(TABLE_RATIOS[0]))
 RATIO_STEP = float(np.log(TABLE_RATIOS[1] / TABLE_RATIOS[0]))
 LEAST_DEPTH_M = 1e-3
-"""What is nearer to a camera's plane, or behind it, is not seen."""
+"""A point with less depth in front of a camera, or behind it, is not seen."""
 LEAST_WEIGHT = 1e-9
-"""Below it a camera does not see a point."""
+"""A camera does not see a point whose weight is below this."""
 SCRATCH = 21
 
 
 @dataclass(frozen=True, eq=False)
 class MarkerRoom:
-    """Where points are and what hides them."""
+    """Points, their normals, and the obstacles that hide them."""
 
     points: Array
     """(n, 3) in the volume [m]."""
     normals: Array
-    """(k, 3) unit normals of a marker on the subject; (0, 3): markers hide behind nothing of their own."""
+    """(k, 3) unit normals of a marker on the subject; (0, 3): markers are not hidden by their own subject."""
     center: Array
-    """(3,) of the volume [m]: where lenses are focused."""
+    """(3,) centre of the volume [m], on which lenses are focused."""
     diameter_m: float
-    """Of the markers."""
+    """Diameter of the markers."""
     obstacles: Array
     """(b, 9), ``mosca.accuracy.planning.obstacles.obstacle_rows``."""
     tables: Array
@@ -69,13 +69,13 @@ class MarkerRoom:
 
 @dataclass(frozen=True)
 class Softness:
-    """Widths of the logistic functions that stand for a view's borders; all 0: seen or not."""
+    """Widths of the logistic functions that replace the borders of a view; all 0: hard borders."""
 
     image: float = 0.0
     """Share of the image's half width."""
     sight_m: float = 0.0
     facing: float = 0.0
-    """Of a cosine."""
+    """In terms of the cosine."""
 
     @property
     def row(self) -> Array:
@@ -97,7 +97,7 @@ def _logistic(value, width):
 
 @step
 def _log_information(table, log_ratio):
-    """Return log J and its slope by the logarithm of R / s, from straight pieces."""
+    """Return log J and its slope by log (R / s), by linear interpolation."""
     at = (log_ratio - FIRST_RATIO) / RATIO_STEP
     k = min(max(int(at), 0), len(table) - 2)
     slope = (table[k + 1] - table[k]) / RATIO_STEP
@@ -115,11 +115,11 @@ def axes_of(camera, axes):
 
 @step
 def _look(camera, axes, x, obstacles, center, diameter, table, soft, out):
-    """Fill ``out`` (SCRATCH): how a camera sees the point ``x``; returns whether its weight is above 0.
+    """Fill ``out`` (SCRATCH) for a camera and the point ``x``; return whether the weight is above 0.
 
-    Weight, information (6) unweighted, unit vector from point to camera (3); then what ``_slopes`` needs besides: by
-    u and v relative slopes of the weight, its relative gradient by the camera's place (3), u, v, 1 / depth, distance,
-    slope of log J by log (R / s).
+    ``out``: weight, information (6) unweighted, unit vector from point to camera (3); then values for ``_slopes``:
+    relative slopes of the weight by u and v, its relative gradient by the camera's place (3), u, v, 1 / depth,
+    distance, slope of log J by log (R / s).
     """
     d0, d1, d2 = x[0] - camera[0], x[1] - camera[1], x[2] - camera[2]
     depth = axes[2, 0] * d0 + axes[2, 1] * d1 + axes[2, 2] * d2
@@ -215,9 +215,9 @@ def _slopes(camera, axes, center, out, slopes):
 
 @step
 def _facing(normals, k, out, width):
-    """Return how far a marker with normal ``k`` faces the camera, 0 to 1, and its slope by the cosine.
+    """Return the weight, 0 to 1, of a marker with normal ``k`` for facing the camera, and its slope by the cosine.
 
-    ``out``: of ``_look``; without normals all face it.
+    ``out``: of ``_look``; without normals all markers face the camera.
     """
     if len(normals) == 0:
         return 1.0, 0.0
@@ -226,7 +226,7 @@ def _facing(normals, k, out, width):
 
 @kernel
 def gather(cameras, points, normals, obstacles, center, diameter, tables, soft):
-    """Return the information (n, k, 6), upper triangles [1/m^2], and how many cameras see each marker (n, k).
+    """Return the information (n, k, 6), upper triangles [1/m^2], and the number of cameras per marker (n, k).
 
     Arguments: rows of cameras (c, COLUMNS), then the fields of ``MarkerRoom``, ``Softness``. Without normals k = 1.
     """
@@ -249,9 +249,9 @@ def gather(cameras, points, normals, obstacles, center, diameter, tables, soft):
 
 @kernel
 def pull_back(cameras, points, normals, obstacles, center, diameter, tables, soft, by_information, by_count):
-    """Return the slope (c, DEGREES) of a function of ``gather``'s results, given its slopes by these.
+    """Return the slope (c, DEGREES) of a function of ``gather``'s results, given its slopes by these results.
 
-    ``by_information`` (n, k, 6), by the elements of the upper triangles; ``by_count`` (n, k).
+    ``by_information`` (n, k, 6): by the elements of the upper triangles; ``by_count`` (n, k): by the counts.
     """
     kinds = max(1, len(normals))
     slope = np.zeros((len(cameras), DEGREES))
@@ -286,7 +286,7 @@ def pull_back(cameras, points, normals, obstacles, center, diameter, tables, sof
 
 @kernel
 def view_table(cameras, points, normals, obstacles, center, diameter, tables, soft):
-    """Return how far each camera sees each marker (c, n, k), and the variance of its image (c, n) [px^2], 0 unseen.
+    """Return each camera's weight of each marker (c, n, k) and the variance of its image (c, n) [px^2], 0 unseen.
 
     Arguments as of ``gather``.
     """

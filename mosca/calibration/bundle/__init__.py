@@ -1,1 +1,1 @@
-"""Bundle adjustment: the one solver that every calibration shares; entry point: ``solver``."""
+"""Bundle adjustment: the solver that all calibrations share; entry point: ``solver``."""

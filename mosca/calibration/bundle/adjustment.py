@@ -23,21 +23,21 @@ class Precision:
     covariance: Array
     """(u, u) of ``Adjustment.parameters``."""
     points: Array
-    """(p, 3, 3) [m^2], the cameras' part included; zero where held, NaN where not determined."""
+    """(p, 3, 3) [m^2], including the uncertainty of the cameras; zero where held, NaN where not determined."""
     placements: Array
-    """(f, 6, 6) rotation about the thing's own axes and position; as ``points``."""
+    """(f, 6, 6) of the rotation about the thing's own axes and the position; otherwise as ``points``."""
     redundancy_numbers: Array
-    """(n, 2) of each image coordinate (Baarda 1968): 0: not checked by the others, 1: fully; NaN where left out."""
+    """(n, 2) of each image coordinate (Baarda 1968): 0 if not checked by the others, 1 if fully; NaN if left out."""
     standardised: Array
     """(n, 2) residual over its standard deviation (w-test)."""
     statistic: Array
-    """(n,) v^T Q_vv^-1 v of both coordinates together, of unit variance: chi-square with 2 degrees of freedom;
-    also of points left out (from the others' prediction), NaN where it cannot be tested."""
+    """(n,) v^T Q_vv^-1 v of both coordinates together, of unit variance: chi-square with 2 degrees of freedom. For
+    image points left out, v is the difference from the others' prediction. NaN where it cannot be tested."""
     sigma_x_px: Array
     """(c,) a-posteriori standard deviation of an image coordinate, by camera."""
     sigma_y_px: Array
     sigma_x_m: Array
-    """(c,) the same on the object at each point's own distance (the Mosca paper, section 2.2, Table 2)."""
+    """(c,) the same, converted to the object at each point's distance (the Mosca paper, section 2.2, Table 2)."""
     sigma_y_m: Array
 
 
@@ -50,17 +50,17 @@ class Adjustment:
     """(p, 3) [m]."""
     placements: Placements
     residuals_px: Array
-    """(n, 2) observed minus projected, of points left out too; NaN where a camera does not image its point."""
+    """(n, 2) observed minus projected, also of points left out; NaN where a camera does not image its point."""
     used: Array
     """(n,) bool."""
     rejected: Array
-    """Indices of observations rejected as blunders; ``used`` lacks also undetermined and unseen ones."""
+    """Indices of observations rejected as blunders; ``used`` is also False for undetermined and unseen ones."""
     parameters: tuple[str, ...]
     """Names of the u unknowns of cameras, lenses and kept points."""
     weak: tuple[str, ...]
-    """Those that the data hardly determine ..."""
+    """Names of the unknowns that the data hardly determine."""
     held: tuple[str, ...]
-    """... and the lens parameters among them held near their starting values."""
+    """Lens parameters among them that are held near their starting values."""
     sigma0: float
     """A-posteriori standard deviation of unit weight: 1 where the a-priori sigmas were right."""
     redundancy: int
@@ -161,7 +161,7 @@ def _by_camera(
     def total(values: Array) -> Array:
         return np.asarray(np.bincount(camera[good], values[good], cameras))
 
-    # the share of redundancy that a camera's coordinates have on the average
+    # mean redundancy number of a camera's coordinates
     with np.errstate(invalid="ignore", divide="ignore"):
         redundancy = total(numbers.sum(axis=1)) / 2
         found = []

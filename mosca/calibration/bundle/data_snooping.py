@@ -1,8 +1,8 @@
 """Blunders among the image points of a bundle adjustment: data snooping after Baarda (1968).
 
 As in ``mosca.calibration.single_camera.outliers`` the standard deviation is estimated without the point under test. A
-blunder hardly reaches beyond its own block (a point, or a placed thing), so that the largest of each block is
-rejected at once; the adjustment is repeated until none is improbable, then those that fit are readmitted.
+blunder has little effect beyond its own block (a point, or a placed thing). So the worst image point of each block is
+rejected in one step. The adjustment is repeated until none is improbable; then those that fit are readmitted.
 """
 
 from collections.abc import Callable
@@ -18,13 +18,13 @@ LEAST_REDUNDANCY = 3
 ROUNDS, PASSES = 40, 4
 
 Solve = Callable[[Solution, Array], Solution]
-"""From a solution and new weights (n,) to the solution with these."""
+"""Function of a solution and new weights (n,); returns the solution with these weights."""
 Test = Callable[[Solution], tuple[Array, float, int]]
-"""Of a solution: statistics v^T Q_vv^-1 v (n,) in a-priori units, sum of squares, redundancy."""
+"""Function of a solution; returns statistics v^T Q_vv^-1 v (n,) in a-priori units, sum of squares, redundancy."""
 
 
 def without_undetermined(layout: NormalsLayout, weight: Array) -> Array:
-    """Return the weights (n,) with 0 for the image points of points and placements that too few of them determine."""
+    """Return the weights (n,), 0 for image points of points and placements that too few of these determine."""
     dim, member = layout.blocks.size, layout.blocks.members
     block, used = layout.block_of, weight > 0
     enough = 2 * np.bincount(block[used], minlength=len(dim)) + np.diff(layout.known.first_distance)
@@ -33,7 +33,7 @@ def without_undetermined(layout: NormalsLayout, weight: Array) -> Array:
         weighted = (information[member[:, 0]] != 0).any(axis=(1, 2))
         enough += 3 * np.bincount(member[weighted, 1], minlength=len(dim))
     weight = np.where((enough >= dim)[block], weight, 0.0)
-    # a point that a distance joins to others needs two rays of its own, too
+    # a point that a distance joins to others also needs two rays of its own
     point = layout.observations.point
     rays = np.bincount(point[weight > 0], minlength=int(point.max(initial=0)) + 1)
     joined = np.isin(point, member[dim[member[:, 1]] > 3, 0]) & (layout.observations.placement < 0)
@@ -73,7 +73,7 @@ def _without_worst(
         if redundancy - 2 < LEAST_REDUNDANCY:
             break
         statistic = np.where(solution.weight > 0, np.nan_to_num(statistic), 0.0)
-        # the variance of the others, so that a blunder does not mask itself
+        # variance from the other image points, so that a blunder does not mask itself
         variance = np.maximum(cost - statistic, 1e-300) / (redundancy - 2)
         improbable = np.flatnonzero(f_distribution.sf(statistic / 2 / variance, 2, redundancy - 2) < level)
         if len(improbable) == 0:

@@ -1,7 +1,7 @@
 """Datum and determination: the datum defect, and which parameters the data do not determine.
 
 A network without control can shift, rotate and, without a length, stretch as a whole. These seven motions are
-known in closed form (``generators``); which of them nothing fixes is read off the reduced normal matrix.
+known in closed form (``generators``); the reduced normal matrix shows which of them are not fixed.
 """
 
 import numpy as np
@@ -17,18 +17,18 @@ from mosca.errors import CalibrationError
 
 MOTIONS = 7
 NOTHING_FIXES = 1e-9
-"""Eigenvalue, scaled to a unit diagonal, below which a common motion changes no residual."""
+"""Eigenvalue of the normal matrix, scaled to a unit diagonal, below which a common motion changes no residual."""
 SINGULAR = 1e-11
-"""The same of any direction: two unknowns are one."""
+"""The same for any direction: below it two unknowns cannot be separated."""
 PLAUSIBLE_SHARE = 0.1
-"""Plausible a-priori range of a lens parameter: it moves no image point by more than this share of half the image's
-diagonal; of a rotation so many rad, of a position this share of the distance to the points."""
+"""Plausible a-priori range: a lens parameter moves no image point by more than this share of half the image's
+diagonal; a rotation is at most this many rad, a position change at most this share of the distance to the points."""
 LEAST_OPEN_SHARE = 0.1
-"""Least variance along the weak directions, over what is plausible, for which a lens parameter gets a prior."""
+"""Least ratio of the variance along the weak directions to the plausible one for a lens parameter to get a prior."""
 
 
 def point_motions(points: Array) -> Array:
-    """Return how points (n, 3) move (n, 3, 7) by a common shift, small rotation about the world's axes, stretch."""
+    """Return the motions (n, 3, 7) of points (n, 3): common shift, small rotation about the world's axes, stretch."""
     motions = np.zeros((len(points), 3, MOTIONS))
     motions[:, :, :3] = np.eye(3)
     x, y, z = points.T
@@ -40,7 +40,7 @@ def point_motions(points: Array) -> Array:
 
 
 def placed_points(layout: NormalsLayout, state: ParameterValues, which: slice) -> Array:
-    """Return the points in the world [m] of the observations ``which`` of the sorted ones."""
+    """Return the points in the world [m] that belong to the sorted observations ``which``."""
     _, points, placements = state
     place = points[layout.observations.point[which]]
     if len(placements):
@@ -53,19 +53,19 @@ def placed_points(layout: NormalsLayout, state: ParameterValues, which: slice) -
 
 
 def generators(layout: NormalsLayout, state: ParameterValues) -> Array:
-    """Return how the unknowns of the reduced system move (u, 7) by the common motions, in this order."""
+    """Return the changes (u, 7) of the reduced system's unknowns by the common motions of ``point_motions``."""
     table, points, _ = state
     rotation, position = table[:, :9].reshape(-1, 3, 3), table[:, 9:LENS]
     out = np.zeros((len(layout.names) + 1, MOTIONS))
     cameras = len(table)
-    # rotating the world about e_k rotates a camera about R^T e_k of its own
+    # a rotation of the world about e_k rotates a camera about R^T e_k in its own frame
     out[layout.index[:cameras, :3], 3:6] = np.swapaxes(rotation, 1, 2)
     out[layout.index[:cameras, 3:6]] = point_motions(position)
     if len(layout.kept):
         on_thing = np.isin(layout.kept, layout.observations.point[layout.observations.placement >= 0])
         columns = layout.index[cameras:, :3][~on_thing]
         out[columns] = point_motions(points[layout.kept[~on_thing]])
-    # held unknowns have the index -1, the row that is cut off
+    # held unknowns have the index -1, which is the last row; it is cut off
     return out[:-1]
 
 
@@ -81,7 +81,7 @@ def null_generators(scaled: Array, motions: Array) -> Array:
 
 
 def check_datum(problem: Problem, loose: int) -> None:
-    """Raise CalibrationError where the number of common motions that nothing fixes does not suit the datum."""
+    """Raise CalibrationError where the number of free common motions does not suit the datum."""
     if problem.datum == "points" and loose not in (6, 7):
         raise CalibrationError(
             f"datum 'points': {7 - loose} of shift (3), turn (3) and stretch (1) are fixed already by what is "
@@ -98,15 +98,15 @@ def check_datum(problem: Problem, loose: int) -> None:
 def weak_directions(
     problem: Problem, layout: NormalsLayout, state: ParameterValues, matrix: Array, variance: float, priors: Priors
 ) -> tuple[tuple[str, ...], Priors]:
-    """Return the names of weakly determined unknowns, and a prior for the worst parameter of each lens with some.
+    """Return the names of weakly determined unknowns, and a prior for the worst parameter of each lens with any.
 
-    The reduced normal ``matrix`` (u, u) is scaled by what is plausible of each unknown a priori: an
-    eigenvalue below 1 is a direction of which the data, with a ``variance`` of unit weight, determine less well than
+    The reduced normal ``matrix`` (u, u) is scaled by each unknown's plausible a-priori standard deviation. An
+    eigenvalue below 1 marks a direction that the data, with a ``variance`` of unit weight, determine less well than
     that. CalibrationError where an unknown that is no lens parameter is not determined at all.
     """
     plausible = _plausible(problem, layout, state)
     values, vectors = np.linalg.eigh(matrix * plausible[:, None] * plausible / max(variance, 1e-300))
-    # variances along the weak directions, in units of what is plausible
+    # variances along the weak directions, in units of the plausible ones
     open_share = (vectors[:, values < 1] ** 2 / np.maximum(values[values < 1], 1e-300)).sum(axis=1)
     known = {one.column for one in priors}
     weak = [k for k in map(int, np.flatnonzero(open_share > 1)) if k not in known]
@@ -132,7 +132,7 @@ def weak_directions(
 
 
 def _plausible(problem: Problem, layout: NormalsLayout, state: ParameterValues) -> Array:
-    """Return what is plausible (u,) of each unknown of the reduced system as a standard deviation a priori."""
+    """Return the plausible a-priori standard deviation (u,) of each unknown of the reduced system."""
     table = state.cameras
     out = np.full(len(layout.names) + 1, PLAUSIBLE_SHARE)
     sample = slice(None, None, max(1, len(layout.order) // 1000))

@@ -1,21 +1,21 @@
 """Shake of whole images: a camera's body moves, and all image points of an exposure share an error.
 
-Least squares takes image points for independent. A shake of 0.03 px of the body is of the order of a centre's noise
+Least squares assumes independent image points. A shake of 0.03 px of the body is of the order of a centre's noise
 (0.02 px) for one point, and large against the precision of a hundred points together: the adjustment would give an
 image too much weight, and its covariance would be too small. So each image has a shake (x, y) of its own, random with
 one variance for all: a mixed model (Henderson 1975; Searle, Casella and McCulloch 1992, ch. 7). A body that shakes
-rotates: for a given motion of the image's middle, the rim moves up to twice as far in a wide lens. Modelled as a
-uniform shift, the remaining stretch would be taken for perspective of a moved target.
+rotates: for a given motion of the image's middle, the rim moves up to twice as far in a wide lens. If a uniform shift
+were modelled, the remaining stretch would be taken for perspective of a moved target.
 
-With v the residuals of the least-squares adjustment, W the weights, Z the shifts' columns, N the normal equations
-and A the design, ``u = Z^T W v`` has the expectation 0 and, shake s and noise sigma0 of unit weight given,
+Let v be the residuals of the least-squares adjustment, W the weights, Z the shifts' columns, N the normal equations
+and A the design. For a shake s and a noise sigma0 of unit weight, ``u = Z^T W v`` has the expectation 0 and
 
     Cov(u) = sigma0^2 B + s^2 B^2,   B = Z^T W Z - Z^T W A N^-1 A^T W Z.
 
-``body_shake`` solves for s the expectations of v^T W v and of the images' mean residuals squared. ``steadied`` takes
-off the best predictions (B + sigma0^2 / s^2)^-1 u: the adjustment of what remains is that by generalised least
-squares, in which an image counts for as much as its shake lets it, and ``shaken_covariance`` is its covariance.
-B is never formed: it is a sparse part and one of the rank of the cameras' unknowns.
+``body_shake`` solves the expectations of v^T W v and of the images' squared mean residuals for s. ``steadied``
+subtracts the best predictions (B + sigma0^2 / s^2)^-1 u from the image points. Their adjustment then equals
+generalised least squares, in which the shake limits an image's weight; ``shaken_covariance`` returns its covariance.
+B is never formed: it is the sum of a sparse matrix and one with the rank of the cameras' unknowns.
 """
 
 from dataclasses import dataclass
@@ -40,18 +40,18 @@ from mosca.data.rig import principal_distances_px
 from mosca.numba_support.decorators import kernel
 
 FEWEST_POINTS = 4
-"""Used points an image must have for its mean residual to inform about its shake."""
+"""Fewest used points of an image whose mean residual is used to estimate the shake."""
 LEAST_SHARE = 1e-3
-"""Mean share of an image's shift that must be left in its residuals; below it nothing shows the shakes."""
+"""Least mean share of an image's shift that remains in its residuals; below it the shakes cannot be estimated."""
 LEAST_NOISE = 1e-6
-"""Least variance of the noise, as a share of the variance of unit weight before the shakes are taken off."""
+"""Least variance of the noise, as a share of the variance of unit weight before the shakes are subtracted."""
 LEAST_WEIGHT = 1e-30
 """Guards a division by zero."""
 COLUMNS = 512
 
 
 def body_shake(problem: Problem, adjustment: Adjustment, exposure: Array) -> float:
-    """Return how far whole images move from exposure to exposure [px rms, an axis]; 0 where nothing shows it.
+    """Return the shake of whole images from exposure to exposure [px rms, an axis]; 0 where it cannot be estimated.
 
     ``adjustment``: by least squares, with precision, blunders rejected; ``exposure`` (n,): index of each
     observation's exposure.
@@ -75,9 +75,9 @@ def body_shake(problem: Problem, adjustment: Adjustment, exposure: Array) -> flo
 
 
 def steadied(problem: Problem, adjustment: Adjustment, exposure: Array, shake_px: float) -> Array:
-    """Return the image points (n, 2) with the predicted shakes of their images taken off.
+    """Return the image points (n, 2) [px] minus the predicted shakes of their images.
 
-    ``adjustment`` as for ``body_shake``; ``shake_px`` what that found.
+    ``adjustment`` as for ``body_shake``; ``shake_px``: result of ``body_shake``.
     """
     xy = np.array(problem.observations.xy_px)
     if shake_px == 0.0 or len(adjustment.parameters) == 0:
@@ -92,9 +92,9 @@ def steadied(problem: Problem, adjustment: Adjustment, exposure: Array, shake_px
 
 
 def shaken_covariance(problem: Problem, adjustment: Adjustment, exposure: Array, shake_px: float) -> Array:
-    """Return the covariance (u, u) of ``adjustment.parameters`` that the shakes of whole images leave.
+    """Return the covariance (u, u) of ``adjustment.parameters``, with the shakes of whole images included.
 
-    ``adjustment``: with precision, of image points that are ``steadied``; ``shake_px``: rms an axis.
+    ``adjustment``: with precision, of ``steadied`` image points; ``shake_px``: rms an axis.
     """
     assert adjustment.precision is not None
     covariance = np.asarray(adjustment.precision.covariance)
@@ -102,7 +102,7 @@ def shaken_covariance(problem: Problem, adjustment: Adjustment, exposure: Array,
         return covariance
     shifts = shifts_of(problem, adjustment, exposure)
     solver = _Solver.of(shifts, adjustment.sigma0**2 / shake_px**2)
-    # predictions took their share of the noise with them: as many unknowns as they could follow it
+    # the subtracted predictions also contain noise, as if they were this number of further unknowns
     taken = 2 * len(shifts.count) - solver.ratio * solver.trace()
     redundancy = max(adjustment.redundancy, 1)
     noise = adjustment.sigma0**2 * redundancy / max(redundancy - taken, 1.0)
@@ -116,11 +116,11 @@ def shaken_covariance(problem: Problem, adjustment: Adjustment, exposure: Array,
 class ExposureShifts:
     """The shakes of i images (2 each) beside the unknowns of an adjustment.
 
-    ``image_of`` (n,) image of each observation, ``z`` (n, 2, 2) how it moves with its image's shakes, mixed so that
-    Z^T W Z is diagonal; ``count`` (i,) used points; ``d`` (2i,) weights Z^T W Z, ``u`` (2i,);
-    ``g`` (2i, u) with the unknowns of the reduced system, whose ``cofactors`` (u, u) are scaled to a unit diagonal by
-    ``scale`` (u,); ``s`` (2i, q) with those of the blocks, whose normal matrix is ``v``, its inverse ``v_inverse``.
-    ``cost``: v^T W v, a-priori observations included.
+    ``image_of`` (n,): image of each observation; ``z`` (n, 2, 2): its derivative by its image's shakes, which are
+    mixed so that Z^T W Z is diagonal; ``count`` (i,): used points; ``d`` (2i,): weights Z^T W Z; ``u`` (2i,).
+    ``g`` (2i, u): mixed part with the unknowns of the reduced system, whose ``cofactors`` (u, u) are scaled to a unit
+    diagonal by ``scale`` (u,). ``s`` (2i, q): mixed part with the unknowns of the blocks, whose normal matrix is
+    ``v`` with the inverse ``v_inverse``. ``cost``: v^T W v, a-priori observations included.
     """
 
     image_of: Array
@@ -137,14 +137,16 @@ class ExposureShifts:
     cost: float
 
     def beside_cameras(self) -> csr_array:
-        """Return Z^T W Z with the blocks eliminated (2i, 2i), the cameras held."""
+        """Return Z^T W Z (2i, 2i) with the blocks eliminated and the cameras held."""
         return csr_array(diags_array(self.d) - self.s @ self.v_inverse @ self.s.T)
 
 
 @dataclass(frozen=True, eq=False)
 class _Solver:
-    """Solves (B + ratio) x = z: blocks first, then the unknowns of the reduced system, whose normal matrix beside the
-    shifts is ``normal`` (scaled as the cofactors); ``x_g`` (2i, u) the sparse part's solution for ``g``.
+    """Solver of (B + ratio) x = z: blocks first, then the unknowns of the reduced system.
+
+    ``normal``: normal matrix of these unknowns beside the shifts (scaled as the cofactors); ``x_g`` (2i, u): solution
+    of the sparse part for ``g``.
     """
 
     shifts: ExposureShifts
@@ -191,7 +193,7 @@ def _sparse_part(shifts: ExposureShifts, e: Array, blocks: SuperLU | None, z: Ar
 def shifts_of(problem: Problem, adjustment: Adjustment, exposure: Array, even: bool = False) -> ExposureShifts:
     """Return the shakes of the images beside the adjustment's unknowns.
 
-    ``even``: as shifts that are alike at all points of an image, not as rotations of its camera.
+    ``even``: as shifts that are the same at all points of an image, not as rotations of its camera.
     """
     assert adjustment.precision is not None
     layout = layout_of(problem)
@@ -244,10 +246,10 @@ def shifts_of(problem: Problem, adjustment: Adjustment, exposure: Array, even: b
 
 
 def _by_shakes(problem: Problem, adjustment: Adjustment, image_of: Array, squares: Array) -> tuple[Array, Array]:
-    """Return how observations move with their images' shakes (n, 2, 2), and the diagonal of Z^T W Z (2i,).
+    """Return the derivatives of observations by their images' shakes (n, 2, 2), and the diagonal of Z^T W Z (2i,).
 
-    A shake is a rotation of the camera about its own x and y axes, in the pixels by which the image's middle moves;
-    each image's two are mixed by a rotation that makes Z^T W Z diagonal, which leaves their variance what it is.
+    A shake is a rotation of the camera about its own x and y axes, in the pixels by which the image's middle moves.
+    The two shakes of an image are mixed by a rotation that makes Z^T W Z diagonal and does not change their variance.
     """
     see = problem.observations
     at = np.asarray(adjustment.points)[see.point]
@@ -271,20 +273,20 @@ def _by_shakes(problem: Problem, adjustment: Adjustment, image_of: Array, square
 
 
 def _block_matrices(layout: NormalsLayout, flat: Array, inverse: Array) -> tuple[csc_array, csc_array, Array]:
-    """Return the blocks' normal matrix and its inverse (q, q), and which unknowns (q,) nothing determines."""
+    """Return the blocks' normal matrix and its inverse (q, q), and which unknowns (q,) are undetermined."""
     dim, first_value, first = layout.blocks.size, layout.blocks.normals_at, layout.blocks.slope_at
     block = np.repeat(np.arange(len(dim)), dim * dim)
     row, column = np.divmod(np.arange(len(block)) - first_value[block], dim[block])
     at, shape = (first[block] + row, first[block] + column), (int(dim.sum()),) * 2
     v_inverse = csc_array(coo_array((inverse, at), shape=shape))
     open_ = v_inverse.diagonal() <= 0
-    # held, as in the inverse
+    # undetermined unknowns are held, as in the inverse
     kept = np.where(open_[at[0]] | open_[at[1]], (at[0] == at[1]).astype(float), flat)
     return csc_array(coo_array((kept, at), shape=shape)), v_inverse, open_
 
 
 def _with_blocks(layout: NormalsLayout, image: Array, by_block: Array, images: int, open_: Array) -> csr_array:
-    """Return Z^T W A of the blocks (2 images, q), from what each sorted observation gives to it (n, 2, 6)."""
+    """Return Z^T W A of the blocks (2 images, q), from the contribution of each sorted observation (n, 2, 6)."""
     dim, first = layout.blocks.size, layout.blocks.slope_at
     block = layout.block_of
     column = np.broadcast_to(
@@ -301,8 +303,10 @@ def _sums(
     state: ParameterValues, see: SortedObservations, columns: LensColumns, index: Array, image: Array, z: Array,
     slopes: Array, by_block: Array
 ) -> None:  # fmt: skip
-    """Add z^T w^2 J of each observation to its image's ``slopes`` (i, 2, u + 1) by the reduced system's unknowns, the
-    last column taking what is held; write that of its block's unknowns to ``by_block`` (n, 2, 6).
+    """Sum z^T w^2 J of the observations over their images.
+
+    The part of the reduced system's unknowns is added to ``slopes`` (i, 2, u + 1), whose last column collects held
+    unknowns. The part of the block's unknowns is written to ``by_block`` (n, 2, 6).
     """
     weight, slot = see.weight, see.slot
     width = index.shape[1]

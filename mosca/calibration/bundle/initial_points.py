@@ -8,18 +8,18 @@ from mosca.data.arrays import Array
 from mosca.data.rig import Camera
 from mosca.errors import CalibrationError
 
-# normal matrix of unit rays: below it (angles of about 0.2 deg) the rays are as good as parallel
+# least eigenvalue of the normal matrix of unit rays: below it (angles of about 0.2 deg) rays count as parallel
 LEAST_CROSSING = 1e-5
 
 
 def intersected(
     cameras: tuple[Camera, ...], layout: NormalsLayout, points: Array, fallback: Array | None = None
 ) -> Array:
-    """Return points (p, 3) with the eliminated ones that are NaN replaced by the point nearest to their rays.
+    """Return points (p, 3) in which eliminated points that are NaN are replaced by the point nearest to their rays.
 
-    Rays that hardly cross, or meet behind a camera (possible with poor starting poses), put the point at the
-    mean of its rays at the typical distance of the others. A point that nothing determines is put where
-    ``fallback`` (p, 3) has it; CalibrationError without.
+    Where rays hardly cross, or meet behind a camera (possible with poor starting poses), the point is the mean of its
+    rays at the typical distance of the other points. An undetermined point is taken from ``fallback`` (p, 3);
+    CalibrationError without it.
     """
     missing = layout.members[~np.isfinite(points.take(layout.members, axis=0)).all(axis=1)]
     if len(missing) == 0:
@@ -65,7 +65,7 @@ def intersected(
 
 
 def _sums(target: Array, values: Array, length: int) -> Array:
-    """Return the sums (length, ...) of ``values`` (n, ...) that go to each ``target`` (n,)."""
+    """Return the sums (length, ...) of the ``values`` (n, ...) with the same index in ``target`` (n,)."""
     flat = values.reshape(len(values), -1)
     sums = [np.bincount(target, column, length) for column in flat.T]
     return np.stack(sums, axis=1).reshape(length, *values.shape[1:])

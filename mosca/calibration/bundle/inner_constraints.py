@@ -1,4 +1,4 @@
-"""Free networks: the datum that a network's own points carry (inner constraints, Meissl 1962)."""
+"""Free networks: the datum that a network's own points define (inner constraints, Meissl 1962)."""
 
 import numpy as np
 
@@ -21,7 +21,7 @@ def diagonals(layout: NormalsLayout, matrices: Array) -> Array:
 
 
 def undetermined(layout: NormalsLayout, inverse: Array) -> Array:
-    """Return which eliminated points and then placements (m + f,) have a direction that nothing determines."""
+    """Return which eliminated points and then placements (m + f,) have an undetermined direction."""
     loose = diagonals(layout, inverse) <= 0
     points = 3 * len(layout.members)
     return np.concatenate([loose[:points].reshape(-1, 3).any(axis=1), loose[points:].reshape(-1, 6).any(axis=1)])
@@ -30,7 +30,7 @@ def undetermined(layout: NormalsLayout, inverse: Array) -> Array:
 def onto_given(layout: NormalsLayout, solution: Solution, given: ParameterValues) -> ParameterValues:
     """Return the network moved so that its datum points neither shift, rotate nor stretch against their given values.
 
-    Minimises the sum of the squared distances.
+    The motion minimises the sum of the squared distances.
     """
     table, points, placements = solution.descent.state
     chosen = layout.members[~undetermined(layout, solution.inverse)[: len(layout.members)]]
@@ -58,7 +58,7 @@ def in_free_network(layout: NormalsLayout, solution: Solution, by_point: Array) 
     """Carry cofactors into the datum of the points (S-transformation, Baarda 1973): x' = x - G (G_d^T G_d)^-1
     G_d^T x_d.
 
-    Points depend on the reduced unknowns by x_p = e - V^-1 W^T x_c, with e of cofactors V^-1.
+    Points depend on the reduced unknowns by x_p = e - V^-1 W^T x_c, where e has the cofactors V^-1.
     """
     state, mixed, inverse = solution.descent.state, solution.descent.normals.mixed, solution.inverse
     moves = generators(layout, state)[:, : solution.motions]

@@ -1,10 +1,10 @@
 """Image points of a bundle adjustment and their derivatives, batch by batch, compiled.
 
-A *batch* is up to LANES image points of one camera that follow each other: the same lens, so that each formula runs
-over the whole batch before the next, several points at once in the processor's vectors. Intermediate results
-are in ``work``, row after row of LANES numbers, and in ``j``, the derivatives by the camera's unknowns: two rows
-(x, y) a column. Both are flat and the rows' offsets constants, since the compiler must see that no row overlaps
-another. The formulas are those of ``kernels.observe`` and ``lenses``, for one point at a time.
+A *batch* is up to LANES consecutive image points of one camera. They have the same lens, so that each formula runs
+over the whole batch before the next one, on several points at once in the processor's vectors. Intermediate results
+are in ``work``, in rows of LANES numbers. The derivatives by the camera's unknowns are in ``j``, two rows (x, y) a
+column. Both arrays are flat and the offsets of rows are constants, since the compiler must see that no row overlaps
+another. The formulas are those of ``kernels.observe`` and ``lenses``, which treat one point at a time.
 """
 
 import numpy as np
@@ -16,7 +16,7 @@ from mosca.data.arrays import Array
 from mosca.numba_support.decorators import step
 
 LANES, VECTOR = 64, 8
-"""Image points of a batch at most, and the vector width to whose multiples it is padded."""
+"""Largest number of image points of a batch, and the vector width to multiples of which a batch is padded."""
 # offsets in ``work``: direction in the camera's frame (3), observed pixel (2), 1/sigma, whether imaged, then residual
 # (2), derivatives of x and y by the direction (3 + 3) and by the lens parameters (18 + 18), by the block's unknowns
 # (x, y of 6) and by the point where it is kept (x, y of 3)
@@ -68,7 +68,7 @@ def project(c: Array, lanes: int, w: Array, out: Array) -> None:
                 w[LX + k * LANES + i], w[LY + k * LANES + i] = out[0, L + k], out[1, L + k]
     if missing == 0:
         return
-    # what is not imaged has no derivatives, and these may be no numbers
+    # points that are not imaged have no derivatives: the computed ones may be NaN
     for i in range(lanes):
         if w[THERE + i] == 0.0:
             for k in range(0, 3 * LANES, LANES):
@@ -79,7 +79,7 @@ def project(c: Array, lanes: int, w: Array, out: Array) -> None:
 
 @step(fastmath=FAST)
 def _opencv_plain(q: Array, lanes: int, w: Array) -> float:
-    """``lenses``' OpenCV model without its rarely used coefficients, over a batch; return how many are not imaged."""
+    """Apply ``lenses``' OpenCV model without rarely used coefficients to a batch; return how many are not imaged."""
     fx, fy, cx, cy, k1, k2, p1, p2, k3, fold = q[0], q[1], q[2], q[3], q[4], q[5], q[6], q[7], q[8], q[FOLD]
     missing = 0.0
     for i in range(lanes):
@@ -147,7 +147,7 @@ def weighted_residuals(
 @step(fastmath=FAST)
 def derive(c: Array, camera: int, columns: LensColumns, lanes: int, w: Array, j: Array) -> int:
     """Write the weighted derivatives by the camera's unknowns into ``j`` and by the point in the world at
-    BLOCK; return how many unknowns, made even by one of which nothing depends.
+    BLOCK; return the number of unknowns, made even by one without effect.
     """
     count, first, second, factor = columns
     r0, r1, r2, r3, r4, r5, r6, r7, r8 = c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], c[8]
@@ -179,8 +179,8 @@ def derive(c: Array, camera: int, columns: LensColumns, lanes: int, w: Array, j:
 
 @step(fastmath=FAST)
 def derive_placed(state: ParameterValues, see: SortedObservations, m: int, count: int, w: Array) -> None:
-    """Write the derivatives by the rotation of each point's placement and by the placement's shift at BLOCK, by the
-    point on its thing at OWN, from those by the point in the world at BLOCK.
+    """Convert the derivatives by the point in the world at BLOCK: write those by the rotation and the shift of the
+    point's placement at BLOCK, and those by the point on its thing at OWN.
     """
     _, points, placements = state
     point_of, placement_of = see.point, see.placement

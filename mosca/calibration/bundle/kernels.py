@@ -17,7 +17,7 @@ from mosca.data.arrays import Array
 from mosca.numba_support.decorators import kernel, step
 
 UNSEEN = 1e3
-"""Residual, in standard deviations, of an image point that the trial camera cannot see: no perfect fit, no pull."""
+"""Residual, in standard deviations, of an image point that the trial camera cannot see: a misfit without gradient."""
 LEAST_SQUARES, HUBER, CAUCHY = 0, 1, 2
 LENS = 12
 """First column of a camera's lens row in the table of cameras."""
@@ -84,7 +84,7 @@ def observe(state: ParameterValues, see: SortedObservations, m: int, out: Array)
 
 @kernel(fastmath=FAST)
 def imaged(state: ParameterValues, see: SortedObservations, out: Array) -> None:
-    """Write the residuals ``out`` (n, 2), projected minus observed [px]; NaN where its point is not imaged."""
+    """Write the residuals ``out`` (n, 2), projected minus observed [px]; NaN where the point is not imaged."""
     work = np.empty((2, OBSERVED))
     for m in range(out.shape[0]):
         if observe(state, see, m, work):

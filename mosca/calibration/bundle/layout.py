@@ -18,7 +18,7 @@ from mosca.errors import CalibrationError
 
 POSE_NAMES = ("turn_x_rad", "turn_y_rad", "turn_z_rad", "X_m", "Y_m", "Z_m")
 MOST_JOINED_POINTS = 16
-"""Points joined by distances up to this number are one block; more stay in the reduced system."""
+"""Up to this number of points joined by distances form one block; more stay in the reduced system."""
 LANE = 4
 """Groups' columns are padded to multiples of this, so that compiled loops run over whole vectors."""
 
@@ -36,7 +36,7 @@ class NormalsLayout:
     index: Array
     """(groups, K) columns of each group in the reduced system, -1 where held."""
     names: tuple[str, ...]
-    """Of the unknowns of the reduced system."""
+    """Names of the unknowns of the reduced system."""
     members: Array
     """Eliminated points, in the order of their blocks."""
     placed: Array
@@ -44,7 +44,7 @@ class NormalsLayout:
     kept: Array
     """Points that stay in the reduced system."""
     kept_rods: Distances
-    """Distances between these, or from these to held points."""
+    """Distances between kept points, or from kept to held points."""
     lens_places: Array
     """(q, 3) of every free lens parameter: group, column within the group, index of the lens parameter."""
     lens_factors: Array
@@ -64,7 +64,7 @@ class _Assignment(NamedTuple):
     size: Array
     """(b,) unknowns of each block."""
     block: Array
-    """(n,) block of each observation; block 0 is that of observations that touch none."""
+    """(n,) block of each observation; block 0 is for observations that touch no block."""
     point_block: Array
     """(p,) block of each point."""
     offset: Array
@@ -97,7 +97,7 @@ def layout_of(problem: Problem) -> NormalsLayout:
     slot_first = np.searchsorted(slot_block, np.arange(len(assigned.size) + 1))
     runs = find_runs(assigned.size, slot_first, slot_group)
     run = np.repeat(np.arange(len(runs) - 1), np.diff(runs))[assigned.block[order]]
-    # of a run first all that one camera sees, so that batches are long
+    # within a run, observations are sorted by camera, so that batches are long
     part = np.where(on_thing[order], 0, assigned.offset[see.point[order]])
     own = sorted_by(
         see.camera[order] * MOST_JOINED_POINTS + part // 3, cameras * MOST_JOINED_POINTS, np.arange(len(see))
@@ -178,9 +178,9 @@ def _known(
 
 
 def _alike_together(dim: Array, point_blocks: int, block: Array, camera: Array) -> Array:
-    """Return new numbers (blocks,) by which blocks of one size seen by the same cameras follow each other.
+    """Return new numbers (blocks,) that make blocks of one size seen by the same cameras consecutive.
 
-    Points stay before placements. Of more than 62 cameras some count as the same, which costs time, nothing else.
+    Points stay before placements. With more than 62 cameras some count as the same; this only costs time.
     """
     seen_by = np.zeros(len(dim), dtype=np.int64)
     np.bitwise_or.at(seen_by, block, np.left_shift(1, camera % 62))
@@ -195,11 +195,11 @@ class _Slots(NamedTuple):
     """Slots of observations."""
 
     slot: Array
-    """(n,) of the camera, -1 in block 0."""
+    """(n,) slot of the camera, -1 in block 0."""
     kept_slot: Array
-    """(n,) of the kept point, -1 for none."""
+    """(n,) slot of the kept point, -1 for none."""
     key: Array
-    """(slots,) block times the number of groups plus group, rising."""
+    """(slots,) block times the number of groups plus group, ascending."""
 
 
 def _slots(block: Array, camera: Array, kept_group: Array, groups: int) -> _Slots:
@@ -229,9 +229,9 @@ def _every_camera_sees(problem: Problem) -> None:
 
 
 def _useful(problem: Problem) -> Distances:
-    """Return the distances both of whose ends are determined by something else, too.
+    """Return the distances whose two ends are also determined by other observations.
 
-    One ray and one distance leave a point two solutions.
+    A point with one ray and one distance has two solutions.
     """
     rods = problem.distances
     if len(rods) == 0:
@@ -274,7 +274,7 @@ def _kept(problem: Problem, on_thing: Array, rods: Distances) -> tuple[Array, Ar
 def _rods(
     rods: Distances, home: Array, offset: Array, eliminated: Array, kept: Array, n_blocks: int
 ) -> tuple[tuple[Array, ...], Distances]:
-    """Return the distances within blocks as the kernels take them, and those that touch only kept points."""
+    """Return the distances within blocks in the kernels' form, and those that touch only kept points."""
     if len(rods) == 0:
         first = np.zeros(n_blocks + 1, dtype=np.int64)
         return (first, np.zeros((0, 4), dtype=np.int64), np.zeros((0, 2))), rods

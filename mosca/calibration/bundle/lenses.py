@@ -18,7 +18,7 @@ __all__ = [
 ]  # fmt: skip
 
 FOLD_SAMPLES = 256
-"""Steps in which the fold is bracketed: a third of a degree of the half field of view each."""
+"""Number of steps that bracket the fold, each a third of a degree of the half field of view."""
 
 
 def lens_row(lens: Lens, free: tuple[str, ...]) -> Array:
@@ -42,7 +42,7 @@ def lens_of(row: Array, like: Lens) -> Lens:
 
 @kernel
 def set_fold(q):
-    """Write where the mapping of lens row q folds back: bracketed by steps of a third of a degree, then halved."""
+    """Write where the mapping of lens row q folds back: bracketed by steps of a third of a degree, then bisected."""
     q[FOLD] = np.inf
     last = np.pi if q[MODEL] == FISHEYE else np.pi / 2 - 1e-3
     unit = q[0] if q[MODEL] == MOSCA else 1.0
@@ -78,8 +78,8 @@ def set_folds(rows):
 def image(q, v0, v1, v2, out):
     """Project a direction, camera frame, by lens row q; returns whether it is imaged.
 
-    Fills ``out`` (2, IMAGED or more): of x and y the pixel, its derivative by the direction (3) and by the lens
-    parameters (18). One array, since each array argument costs as much as some ten numbers.
+    Fills ``out`` (2, IMAGED or more): for x and y the pixel, its derivatives by the direction (3) and by the lens
+    parameters (18). It is one array, since each array argument costs as much as some ten numbers.
     """
     if q[MODEL] == MOSCA:
         return mosca.fast_image(q, v0, v1, v2, out)
@@ -90,9 +90,9 @@ def image(q, v0, v1, v2, out):
 
 @kernel
 def influence(q, reach_px):
-    """Return how far, at most, each lens parameter (18,) moves image points ``reach_px`` off the axis, per unit.
+    """Return the largest motion (18,) of image points ``reach_px`` off the axis per unit of each lens parameter.
 
-    Points that the lens does not image count half as far out, and so on.
+    Where the lens does not image such points, half their angle is tried, and so on.
     """
     most, out = np.zeros(18), np.zeros((2, IMAGED))
     focal = q[0] / q[3] if q[MODEL] == MOSCA else q[0]

@@ -25,17 +25,17 @@ from mosca.data.rig import Camera, Pose
 
 # the least damping also keeps a free network regular: its common motions then do not move
 FIRST_DAMPING, LEAST_DAMPING, WORST_DAMPING = 1e-6, 1e-10, 1e12
-# beyond it small promises only mean small steps
+# damping beyond which a small predicted decrease only means a small step
 STALLED = 1e2
-# of its promise a step may miss this share and the problem still counts as near enough to quadratic
+# largest share by which a step's decrease may differ from the prediction where the problem counts as quadratic
 AS_PROMISED = 0.1
-# sums of squares of so many numbers cannot be distinguished below this share of theirs
+# relative difference below which two sums of so many squares cannot be distinguished
 ROUNDING = 1e-14
 # residuals of rounding size, in standard deviations: an exact fit
 EXACT = 1e-9
 
-# residuals, in typical ones and in standard deviations, that mark a point as badly placed; the share of them
-# that must be left when it is intersected again; and the residual of a point that is not imaged
+# residual, in typical ones and in standard deviations, from which a point is badly placed; share of its squared
+# residuals that may remain when it is intersected again; residual of a point that is not imaged
 FAR_SIGMAS, LEFT_SHARE, UNSEEN_SIGMAS = 8.0, 0.5, 1e9
 
 
@@ -57,7 +57,7 @@ class AdjustmentTask:
 
 @dataclass(frozen=True, eq=False)
 class Descent:
-    """Where a descent ended: state, normal equations there, cost, steps, unseen points, whether it converged."""
+    """End of a descent: state, normal equations there, cost, steps, unseen points, whether it converged."""
 
     state: ParameterValues
     normals: NormalEquations
@@ -72,7 +72,7 @@ class Solution:
     """A finished descent with the inverse of its normal equations, from which precision is computed.
 
     ``weight`` (n,) 1/sigma of the sorted image points, 0 where left out; ``cofactors`` (u, u) of the reduced system
-    in any datum; ``inverse`` of the blocks; ``motions`` the number of common motions that nothing fixes.
+    in any datum; ``inverse`` of the blocks; ``motions`` the number of common motions that are not fixed.
     """
 
     descent: Descent
@@ -83,7 +83,7 @@ class Solution:
 
 
 def first_state(problem: Problem, layout: NormalsLayout) -> ParameterValues:
-    """Return the starting values; points without are intersected from their rays."""
+    """Return the starting values; points without any are intersected from their rays."""
     cameras = tuple(one.camera for one in problem.cameras)
     points = intersected(cameras, layout, np.array(problem.points.xyz))
     return state_of(problem, cameras, points, problem.placements)
@@ -92,11 +92,11 @@ def first_state(problem: Problem, layout: NormalsLayout) -> ParameterValues:
 def placed_again(
     task: AdjustmentTask, state: ParameterValues, residual: Array, weight: Array, least: float = 0.0
 ) -> ParameterValues | None:
-    """Return the state with badly placed points intersected again, None where that helps none.
+    """Return the state with badly placed points intersected again, None where that improves no point.
 
-    ``residual`` (n, 2) there [px]; ``least``: what, in standard deviations, a bad point has at least. Badly
-    placed: a camera ought to see the point and does not, or sees it far from where the point lies; at a poor
-    start an end of a wand may be caught on the other side of its fellow, where the length is right as well.
+    ``residual`` (n, 2) [px]: at ``state``; ``least``: least residual of a badly placed point, in standard deviations.
+    A point is badly placed if a camera should image it and does not, or observes it far from its projection. From a
+    poor start, one end of a wand may end on the wrong side of the other end, where the length is right as well.
     """
     layout = task.layout
     away = _distances(layout, residual, weight)
@@ -120,7 +120,7 @@ def placed_again(
 
 
 def _distances(layout: NormalsLayout, residual: Array, weight: Array) -> Array:
-    """Return how far (n,) points of the world are from where they are seen, in standard deviations."""
+    """Return the residuals (n,) of points of the world, in standard deviations; 0 for all others."""
     away = np.nan_to_num(np.hypot(residual[:, 0], residual[:, 1]) * weight, nan=UNSEEN_SIGMAS)
     return np.where((weight > 0) & (layout.observations.placement < 0), away, 0.0)
 
@@ -207,8 +207,8 @@ def descend(task: AdjustmentTask, start: ParameterValues, weight: Array) -> Desc
         ratio = gained / promised
         fall = 0.1 if ratio > 0.75 else max(1 / 3, 1 - (2 * ratio - 1) ** 3)
         damping, growth = max(damping * fall, LEAST_DAMPING), 2.0
-        # steps that gain what was predicted shrink at least linearly: predicted gain of the next, at
-        # the last one's rate
+        # gains of steps that match their prediction shrink at least linearly: the next gain is extrapolated
+        # at the last rate
         next_one = promised**2 / before if before > 0 and abs(ratio - 1) < AS_PROMISED else np.inf
         if min(gained, next_one) <= enough:
             return Descent(state, normals, cost, step + 1, unseen, damping < STALLED)
@@ -232,7 +232,7 @@ def linearised(
 def _step(
     task: AdjustmentTask, normals: NormalEquations, pull: tuple[Array, Array] | None, damping: float, inverse: Array
 ) -> tuple[tuple[Array, Array] | None, float]:
-    """Return a damped step of the groups and of the blocks (None where there is none) and the promised decrease."""
+    """Return a damped step of the groups and of the blocks (None where there is none) and the predicted decrease."""
     layout = task.layout
     matrix, slope = reduced(layout, normals, pull, damping, inverse)
     step = np.zeros(0)

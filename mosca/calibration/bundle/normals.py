@@ -1,8 +1,8 @@
 """Normal equations of a bundle adjustment, summed batch by batch, compiled; the Jacobian is never stored.
 
 The notation is that of ``kernels``, batches are those of ``jacobian_rows``. W^T of a run of blocks (``reduction``) is
-stored transposed: a row for each unknown of the run's groups, in it first the first unknowns of all its blocks, then
-the second ones: consecutive points of a batch are consecutive there.
+stored transposed, with a row for each unknown of the run's groups. A row holds the first unknowns of all blocks, then
+the second ones, and so on, so that consecutive points of a batch are consecutive in it.
 """
 
 from typing import NamedTuple
@@ -147,7 +147,7 @@ def _sum_camera(
 
 @step(fastmath=FAST)
 def _sum_block(batch: Batch, see: SortedObservations, blocks: EliminatedBlocks, normals: NormalEquations) -> None:
-    """Add a batch to its blocks' normals and slope, and to what these have in common with the camera."""
+    """Add a batch to its blocks' normals and slope, and to their mixed part with the camera."""
     b, size, m, count, used, w, j, local = batch
     offset, slot, block = see.offset[m], see.slot, see.block
     slot_first, at_v, at_g, at_w = blocks.first_slot, blocks.normals_at, blocks.slope_at, blocks.mixed_at
@@ -158,7 +158,7 @@ def _sum_block(batch: Batch, see: SortedObservations, blocks: EliminatedBlocks, 
         local[i] = block[m + i] - b
         together &= local[i] == local[0] + i
     column = (slot[m] - slot_first[block[m]]) * width
-    # a placement's block is its rotation and then its shift, a point's part of a block one shift
+    # a placement's block is a rotation and then a shift, a point's part of a block is one shift
     parts = 6 if see.placement[m] >= 0 else 3
     for first in range(0, parts, 3):
         for second in range(0, parts, 3):
@@ -183,7 +183,7 @@ def _sum_block(batch: Batch, see: SortedObservations, blocks: EliminatedBlocks, 
 
 @step(fastmath=FAST)
 def _sum_own(batch: Batch, x: int, y: int, to: int, n: int, block_normals: Array) -> None:
-    """Add the products of three derivatives, at ``x`` in ``work``, and three, at ``y``, of a batch to its blocks."""
+    """Add a batch's products of the three derivatives at ``x`` in ``work`` with the three at ``y`` to its blocks."""
     w, local = batch.work, batch.local
     for i in range(batch.number):
         p0, p1, p2 = w[x + i], w[x + 2 * LANES + i], w[x + 4 * LANES + i]
@@ -198,7 +198,7 @@ def _sum_own(batch: Batch, x: int, y: int, to: int, n: int, block_normals: Array
 
 @step(fastmath=FAST)
 def _sum_kept(batch: Batch, see: SortedObservations, blocks: EliminatedBlocks, normals: NormalEquations) -> None:
-    """Add a batch to the kept points that it shows, and to what these have in common with cameras and blocks."""
+    """Add a batch to the kept points that it shows, and to their mixed parts with cameras and blocks."""
     b, size, m, count, used, w, j, _ = batch
     camera, placement, offset = see.camera[m], see.placement[m], see.offset[m]
     kept, kept_slot, block = see.kept_group, see.kept_slot, see.block

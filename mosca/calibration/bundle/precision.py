@@ -25,11 +25,11 @@ class BlockCofactors(NamedTuple):
     """Cofactors of one block (``precise``)."""
 
     own: Array
-    """(n, n) of its unknowns."""
+    """(n, n) cofactors of its unknowns."""
     with_groups: Array
     """(n, wide) V^-1 W^T Q."""
     size: int
-    """n."""
+    """Number n of unknowns."""
     first_slot: int
 
 
@@ -41,9 +41,10 @@ def precise(
     """Write cofactors of the blocks and the residual and test statistic of each image point.
 
     ``base_weight`` (n,): 1 / sigma a priori of the sorted image points, also of those left out; ``mixed``: W^T
-    (``NormalEquations``). Written are ``block_cofactors`` (as V): V^-1 W^T Q W V^-1 + V^-1; and ``tests`` (n, 7):
-    residual projected minus observed x, y [px]; the projection's cofactors xx, xy, yy over those of the image point a
-    priori; v^T Q_vv^-1 v, of points left out e^T Q_ee^-1 e, NaN where it cannot be tested; and the robust weight.
+    (``NormalEquations``). Written are ``block_cofactors`` (laid out as V): V^-1 W^T Q W V^-1 + V^-1; and ``tests``
+    (n, 7): residuals x, y, projected minus observed [px]; cofactors xx, xy, yy of the projection over the a-priori
+    ones of the image point; v^T Q_vv^-1 v, for points left out e^T Q_ee^-1 e, NaN where a point cannot be tested; the
+    robust weight.
     """
     dim, slot_first, slot_group, at_v = blocks.size, blocks.first_slot, blocks.slot_group, blocks.normals_at
     cofactors, index, runs = inverse.cofactors, inverse.group_columns, blocks.runs
@@ -176,7 +177,7 @@ def _test(
     robust_weight = weigh((e0 * e0 + e1 * e1) * base, loss)[1]
     factor = base * robust_weight if weight[m] > 0 else base
     q00, q01, q11 = q00 * factor, q01 * factor, q11 * factor
-    # residuals of points that take part vary less than the image points, of those left out more
+    # residuals of used image points vary less than the image points, residuals of those left out vary more
     sign = -1.0 if weight[m] > 0 else 1.0
     v00, v01, v11 = 1 + sign * q00, sign * q01, 1 + sign * q11
     least = (v00 + v11) / 2 - np.sqrt(((v00 - v11) / 2) ** 2 + v01 * v01)

@@ -26,7 +26,7 @@ Priors = tuple[LensPrior, ...]
 
 
 def free_lens_parameters(layout: NormalsLayout) -> list[tuple[int, int, int]]:
-    """Return column, camera and parameter of each free lens parameter; of "f_px" the parameter is fx."""
+    """Return column, camera and parameter of each free lens parameter; for "f_px" the parameter is fx."""
     found = []
     seen: set[int] = set()
     for camera, place, parameter in layout.lens_places:
@@ -40,7 +40,7 @@ def free_lens_parameters(layout: NormalsLayout) -> list[tuple[int, int, int]]:
 def pulls(
     problem: Problem, layout: NormalsLayout, priors: Priors, state: ParameterValues
 ) -> tuple[tuple[Array, Array] | None, float]:
-    """Return normal matrix (u, u) and slope (u,) of all a-priori observations, and its cost; None if nothing is."""
+    """Return the normal matrix (u, u) and slope (u,) of all a-priori observations, None without any; and the cost."""
     information = problem.points.information
     if not (priors or len(layout.kept_rods) or (len(layout.kept) and information is not None)):
         return None, 0.0
@@ -81,7 +81,7 @@ def _kept_rods(layout: NormalsLayout, points: Array, normals: Array, slope: Arra
 
 
 def count(problem: Problem, layout: NormalsLayout, priors: Priors) -> int:
-    """Return how many observations beside image points the adjustment has: lengths and a-priori values."""
+    """Return the number of observations besides image points: lengths and a-priori values."""
     lengths = len(layout.known.distances) + len(layout.kept_rods)
     points = 0
     if problem.points.information is not None:

@@ -47,9 +47,9 @@ class CameraUnknowns:
 
 @dataclass(frozen=True, eq=False)
 class ObjectPoints:
-    """Object points ``xyz`` (p, 3) [m] with what is known of them; made by ``free``, ``fixed``, ``weighted``.
+    """Object points ``xyz`` (p, 3) [m] with a-priori information; made by ``free``, ``fixed``, ``weighted``.
 
-    NaN coordinates of a free point: the rays that see it are intersected for a start. ``held`` (p,) bool;
+    A free point with NaN coordinates gets its starting values by intersection of its rays. ``held`` (p,) bool;
     ``information`` (p, 3, 3) [1/m^2] inverse covariance of the given coordinates, zero where free, None where
     no point is weighted. The coordinates of a point that is seen on a placed thing are in the thing's frame.
     """
@@ -200,9 +200,9 @@ NO_DISTANCES = Distances(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0))
 class Problem:
     """A bundle adjustment: its unknowns with starting values, its observations and its datum.
 
-    ``datum``: "given": what is held or weighted fixes the coordinate system; "points": a free network, whose datum is
-    that its points of the world that are seen neither shift, rotate nor, where no length is known, stretch
-    against their given values (inner constraints, Meissl 1962).
+    ``datum``: "given": held or weighted unknowns fix the coordinate system; "points": a free network, in which the
+    seen points of the world neither shift, rotate nor, where no length is known, stretch against their given values
+    (inner constraints, Meissl 1962).
     """
 
     cameras: tuple[CameraUnknowns, ...]

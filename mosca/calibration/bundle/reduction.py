@@ -1,7 +1,7 @@
 """Elimination of the blocks of a bundle adjustment, and back-substitution; compiled. Notation as in ``kernels``.
 
-Blocks of one size that touch the same groups follow each other: a *run* of them is one matrix, W^T of all of
-them (rows by unknowns of the blocks, columns by slots), as ``normals`` lays it out.
+Blocks of one size that touch the same groups are consecutive. A *run* of them is one matrix, W^T of all these blocks
+(rows by unknowns of the blocks, columns by slots), laid out as in ``normals``.
 """
 
 import numpy as np
@@ -12,9 +12,9 @@ from mosca.data.arrays import Array
 from mosca.numba_support.decorators import kernel, step
 
 SINGULAR_PIVOT = 1e-13
-"""Share of its diagonal that a pivot of a block must keep; below it the direction is undetermined and stays."""
+"""Share of its diagonal that a pivot of a block must keep; below it the direction is undetermined and is held."""
 MOST_ROWS = 384
-"""Unknowns of a run, so that its matrices stay near the processor."""
+"""Largest number of unknowns of a run, so that its matrices stay in the processor's cache."""
 
 
 @step(fastmath=FAST)
@@ -61,7 +61,7 @@ def invert_three(m: Array, at: int, damping: float, out: Array) -> None:
     l12 = s12 * p1
     s2 = d2 - l2 * m[at + 6] - l12 * s12
     p2 = 1 / s2 if s2 > SINGULAR_PIVOT * d2 else 0.0
-    # a held direction is left out of the others, too
+    # a held direction is also left out of the others
     l2, l12 = (l2, l12) if p2 > 0 else (0.0, 0.0)
     l1 = l1 if p1 > 0 else 0.0
     k2 = l1 * l12 - l2
@@ -176,7 +176,7 @@ def reduce_to_groups(
 def scatter(normals: NormalEquations, pairs: Array, index: Array, damping: float, out: Array) -> None:
     """Write the reduced normal matrix ``out`` (n, n); ``index`` (groups, K) holds each group's columns in it.
 
-    ``pairs``: what the elimination takes away. Groups may share columns (a common lens).
+    ``pairs``: matrices that the elimination subtracts. Groups may share columns (a common lens).
     """
     group_normals, cross, pair_of = normals.groups, normals.cross, normals.pair_of
     groups, width = index.shape
@@ -211,7 +211,7 @@ def back_substitute(
     group_step: Array,
     block_step: Array,
 ) -> float:
-    """Write the step of every block, given that of the groups (groups, K); return the blocks' promised decrease."""
+    """Write the step of every block, given that of the groups (groups, K); return the blocks' predicted decrease."""
     dim, runs, slot_first, slot_group = blocks.size, blocks.runs, blocks.first_slot, blocks.slot_group
     at_v, at_g, at_w = blocks.normals_at, blocks.slope_at, blocks.mixed_at
     mixed, block_normals, block_slope = normals.mixed, normals.blocks, normals.block_slope

@@ -1,6 +1,6 @@
-"""Bundle adjustment: the one solver for wands, test fields, boards and body-worn cameras.
+"""Bundle adjustment: the solver for wands, test fields, boards and body-worn cameras.
 
-A ``Problem`` states what is unknown and what was observed, ``solve`` returns the ``Adjustment``:
+A ``Problem`` states unknowns and observations; ``solve`` returns the ``Adjustment``:
 
     cameras = tuple(CameraUnknowns(camera, free=("f_px", "k1")) for camera in rig.cameras)
     observations = Observations(camera, point, xy_px)
@@ -9,8 +9,8 @@ A ``Problem`` states what is unknown and what was observed, ``solve`` returns th
     adjustment = solve(problem)
 
 Least squares, or robust by reweighting, over cameras, lenses, points and poses at once (Brown 1958; Triggs et
-al. 1999). Time and memory are linear in the observations; the cameras, lenses and points seen on placed
-things stay in one dense reduced system, so that up to a thousand or two of these are sensible.
+al. 1999). Time and memory are linear in the observations. The cameras, lenses and points seen on placed
+things stay in one dense reduced system; up to a thousand or two of these are sensible.
 """
 
 from dataclasses import dataclass, replace
@@ -71,7 +71,7 @@ class BundleSettings:
     loss: Literal["least squares", "huber", "cauchy"] = "least squares"
     """Robust losses give less weight to residuals beyond ``loss_scale``."""
     loss_scale: float = 2.5
-    """In a-priori standard deviations, of both coordinates together."""
+    """Scale of a robust loss, in a-priori standard deviations of both coordinates together."""
     tolerance: float = 1e-2
     """Share of its standard deviation by which an unknown may still move at the end."""
     most_steps: int = 100
@@ -84,7 +84,7 @@ class BundleSettings:
 
 
 def solve(problem: Problem, settings: BundleSettings | None = None, start: Adjustment | None = None) -> Adjustment:
-    """Adjust ``problem``, from its given values or from those of an earlier adjustment ``start`` of the same
+    """Adjust ``problem``, starting from its given values or from an earlier adjustment ``start`` of the same
     structure.
 
     CalibrationError where the datum or an unknown is not determined.
@@ -111,7 +111,7 @@ def solve(problem: Problem, settings: BundleSettings | None = None, start: Adjus
         cofactors, tests = tested(layout, solution, loss)
         precision = precision_of(problem, layout, solution, cofactors, tests, variance)
     descent = solution.descent
-    # a common motion changes no residual
+    # the common motion onto the datum changes no residual
     own = descent.normals.residuals_px if (solution.weight > 0).all() else residuals(layout, descent.state)
     used, out, residual = np.empty(len(own), dtype=bool), np.empty(len(own), dtype=bool), np.empty_like(own)
     used[layout.order] = (solution.weight > 0) & np.isfinite(own[:, 0])
@@ -165,14 +165,14 @@ def _solved(
             weak += tuple(name for name in found if name not in weak)
         if not (more and hold_weak):
             break
-        # near their starting values, wherever they have crept
+        # priors are at the starting values, however far the parameters have moved since
         more = tuple(replace(one, value=float(first.cameras[one.camera, LENS + one.parameter])) for one in more)
         task, state = replace(task, priors=task.priors + more), descent.state
     return task, Solution(descent, weight, _inverse(task.layout, matrix), inverse, motions), weak, steps
 
 
 def _solution_at(task: AdjustmentTask, solution: Solution) -> Solution:
-    """Return the solution with the normal equations of its state, which was moved since."""
+    """Return the solution with the normal equations computed again at its state, which was moved."""
     normals = empty_normals(task.layout)
     linearised(task, solution.descent.state, solution.weight, normals)
     return _inverted(task, replace(solution.descent, normals=normals), solution.weight)
@@ -184,7 +184,7 @@ def _inverted(task: AdjustmentTask, descent: Descent, weight: Array) -> Solution
 
 
 def _normal_matrix(task: AdjustmentTask, descent: Descent) -> tuple[Array, Array, int]:
-    """Return the reduced normal matrix with the datum fixed, the inverse blocks, and how many motions were loose."""
+    """Return the reduced normal matrix with the datum fixed, the inverse blocks, and the number of free motions."""
     pull, _ = pulls(task.problem, task.layout, task.priors, descent.state)
     inverse = np.empty_like(descent.normals.blocks)
     matrix, _ = reduced(task.layout, descent.normals, pull, 0.0, inverse)

@@ -1,17 +1,17 @@
 """Systematic image errors, which repeated exposures of a stationary target share and which do not average out.
 
-A lens is not quite its model, and a mark's image is not quite where its light is: while a target is stationary, these
-errors are the same in each exposure. Least squares takes them for new ones each time. Repeats distinguish them from
-noise (pure error and lack of fit: Draper and Smith 1998, section 2.1): the mean residual of a mark that a camera saw
-n times has the variance rho (sigma_L^2 + sigma_n^2 / n), of which the scatter among the n knows sigma_n, and rho is
-what the adjustment leaves of it (redundancy numbers, Baarda 1968). Both are taken in a-priori standard deviations: a
-dim, thin or saturated mark has larger systematic errors, too, and counts as little here as in the adjustment. What
-they do to the parameters p is their part of
+A lens is not quite its model, and a mark's image is not quite where its light is. While a target is stationary, these
+errors are the same in each exposure, but least squares treats them as independent. Repeats separate them from noise
+(pure error and lack of fit: Draper and Smith 1998, section 2.1): the mean residual of a mark that a camera saw n
+times has the variance rho (sigma_L^2 + sigma_n^2 / n). sigma_n is estimated from the scatter among the n residuals;
+rho is the share that the adjustment leaves in the residuals (redundancy numbers, Baarda 1968). Both errors are in
+a-priori standard deviations: a dim, thin or saturated mark also has larger systematic errors, and its weight is as
+low here as in the adjustment. The systematic errors add to the covariance of the parameters p
 
     C_L = N^-1 (sum over cells of g^T sigma_L^2 (1 - 1/n) g) N^-1,   g = sum over the cell of A^T W,
 
-the covariance of estimates with errors correlated within cells, here a mark in one stationary interval and camera
-(White 1980; Liang and Zeger 1986). The part 1/n of it is in the covariance of independent errors already.
+the covariance of estimates with errors correlated within cells; a cell is a mark in one stationary interval and
+camera (White 1980; Liang and Zeger 1986). The part 1/n is already in the covariance of independent errors.
 """
 
 import numpy as np
@@ -22,16 +22,16 @@ from mosca.calibration.bundle.problem import Problem
 from mosca.data.arrays import Array
 
 FEWEST_CELLS = 20
-"""Cells that a camera must have seen repeatedly for its systematic error to be estimated."""
+"""Fewest cells that a camera must have seen repeatedly for its systematic error to be estimated."""
 LEAST_REDUNDANCY = 0.1
 """Cells whose mean residual the adjustment fits nearly away are left out."""
 
 
 def systematic_errors(adjustment: Adjustment, camera: Array, cell: Array, sigma_px: Array) -> Array:
-    """Return the systematic part of image errors (c,), rms an axis over standard deviations; NaN without repeats.
+    """Return the systematic image errors (c,), rms an axis over a-priori standard deviations; NaN without repeats.
 
-    ``adjustment``: with precision; ``camera`` (n,) of each observation; ``cell`` (n,) alike for observations that
-    one camera made of one mark in one stationary interval; ``sigma_px`` (n,) a priori.
+    ``adjustment``: with precision; ``camera`` (n,) of each observation; ``cell`` (n,) the same for observations by
+    one camera of one mark in one stationary interval; ``sigma_px`` (n,) a priori.
     """
     assert adjustment.precision is not None
     cameras = len(adjustment.cameras)
@@ -53,9 +53,9 @@ def systematic_errors(adjustment: Adjustment, camera: Array, cell: Array, sigma_
 
 
 def systematic_covariance(problem: Problem, adjustment: Adjustment, cell: Array, lasting: Array) -> Array:
-    """Return what systematic errors add to the covariance (u, u) of ``adjustment.parameters``.
+    """Return the matrix (u, u) that systematic errors add to the covariance of ``adjustment.parameters``.
 
-    ``cell`` as for ``systematic_errors``; ``lasting`` (c,) what that found, NaN counts nothing.
+    ``cell`` as for ``systematic_errors``; ``lasting`` (c,): result of ``systematic_errors``; NaN counts as 0.
     """
     if len(adjustment.parameters) == 0 or not np.nansum(lasting) > 0:
         return np.zeros((len(adjustment.parameters),) * 2)
@@ -63,7 +63,7 @@ def systematic_covariance(problem: Problem, adjustment: Adjustment, cell: Array,
     camera = np.zeros(len(cells.count), dtype=np.int64)
     camera[cells.image_of] = problem.observations.camera
     repeated = 1 - 1 / np.maximum(cells.count, 1)
-    # of each cell, from the sum of its weights
+    # a-priori variance of each cell, from the sum of its weights
     variance = cells.count / np.maximum(cells.d[::2], 1e-300)
     sigma = np.nan_to_num(lasting)[camera] * np.sqrt(repeated * variance)
     by_cell = cells.cofactors @ cells.g.T * np.repeat(sigma, 2) * cells.scale[:, None]

@@ -52,9 +52,9 @@ class LensColumns(NamedTuple):
     first: Array
     """(c, k) lens parameter of each column."""
     second: Array
-    """(c, k) a second one that moves with it ..."""
+    """(c, k) a second lens parameter that changes with the first."""
     factor: Array
-    """(c, k) ... times this; 0 for none."""
+    """(c, k) ratio of the second's change to the first's; 0 for none."""
 
 
 class EliminatedBlocks(NamedTuple):
@@ -73,7 +73,7 @@ class EliminatedBlocks(NamedTuple):
     slope_at: Array
     """(b,) beginning of a block's slope and step."""
     mixed_at: Array
-    """(b + 1,) beginning of the part that a block has in common with its groups."""
+    """(b + 1,) beginning of a block's mixed part with its groups."""
     runs: Array
     """(runs + 1,) first block of each run (``reduction``)."""
     members: Array

@@ -1,4 +1,4 @@
-"""From poses of targets before cameras to poses of all cameras in one world: chained over common views."""
+"""Poses of all cameras in one world, chained over common views from the target's poses in the cameras' frames."""
 
 import heapq
 from collections.abc import Collection, Mapping, Sequence
@@ -15,11 +15,11 @@ View = tuple[int, int]
 def chain(
     views: Mapping[View, Pose], doubt: Mapping[View, float], reference: int, names: Sequence[str]
 ) -> tuple[dict[int, Pose], dict[int, Pose]]:
-    """Return world_from_camera by camera and world_from_target by target pose, the world being pose ``reference``.
+    """Return world_from_camera by camera and world_from_target by target pose; pose ``reference`` is the world.
 
-    ``views``: camera_from_target of each view; ``doubt``: how little each is to be trusted. Grown from the reference
-    along the least doubtful views (a minimum spanning tree); target poses that no placed camera saw are left out.
-    CalibrationError names the cameras that no common view joins.
+    ``views``: camera_from_target of each view; ``doubt``: unreliability of each view. Poses are chained from the
+    reference along the least doubtful views (a minimum spanning tree). Target poses that no placed camera saw are
+    left out. CalibrationError names the cameras that no common view joins.
     """
     cameras: dict[int, Pose] = {}
     stands: dict[int, Pose] = {reference: Pose(np.eye(3), np.zeros(3))}

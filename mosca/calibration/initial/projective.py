@@ -1,8 +1,8 @@
 """Projective geometry of uncalibrated views: fundamental matrices and homographies.
 
-Robust by random samples scored by the median (Rousseeuw 1984), each followed by concentration steps (Rousseeuw and
-Van Driessen 1999): no threshold has to be known, and up to about a third of the pairs may be wrong. Image
-coordinates are plain ones (``PointViews.plain``), of size one; formulas after Hartley and Zisserman 2004.
+The estimates are robust: random samples are scored by the median (Rousseeuw 1984), each followed by concentration
+steps (Rousseeuw and Van Driessen 1999). No threshold has to be known; up to about a third of the pairs may be wrong.
+Image coordinates are plain ones (``PointViews.plain``), of size one; formulas after Hartley and Zisserman 2004.
 """
 
 from collections.abc import Callable
@@ -24,7 +24,7 @@ SMALL = 1e-300
 
 @dataclass(frozen=True, eq=False)
 class Robust:
-    """A matrix found in spite of blunders: ``matrix``, ``inliers`` (n,) bool, ``median`` of all distances."""
+    """A robustly estimated ``matrix``, its ``inliers`` (n,) bool, and the ``median`` of all distances."""
 
     matrix: Array
     inliers: Array
@@ -34,7 +34,7 @@ class Robust:
 def fundamental(first: Array, second: Array, rng: np.random.Generator, samples: int = SAMPLES) -> Robust:
     """Return the fundamental matrix F (3, 3), second^T F first = 0, of image points (n, 2) each, n >= 8.
 
-    The eight-point algorithm (Hartley 1997) on samples; Sampson's distance, in units of the coordinates.
+    The eight-point algorithm (Hartley 1997) is used on samples, with Sampson's distance in units of the coordinates.
     """
     x, back_x = _normalised(first)
     y, back_y = _normalised(second)
@@ -54,7 +54,7 @@ def fundamental(first: Array, second: Array, rng: np.random.Generator, samples: 
 def plane_misfit(first: Array, second: Array, rng: np.random.Generator) -> float:
     """Return the median residual of the best homography of image points (n, 2) [units of the coordinates].
 
-    Small where the points lie in a plane or the baseline is short: then they determine a pair poorly.
+    It is small where the points lie in a plane or the baseline is short: then they determine a pair poorly.
     """
     x = _h(first)
 
@@ -88,8 +88,8 @@ def _robust(
     distances: Callable[[Array, Array], Array],
     rng: np.random.Generator,
 ) -> Robust:
-    """Return the best matrix: ``fit`` takes indices (s, k) to matrices (s, ...), ``distances`` matrices (s, ...) and
-    indices (n,) to (s, n).
+    """Return the best matrix. ``fit`` maps indices (s, k) to matrices (s, ...); ``distances`` maps matrices (s, ...)
+    and indices (n,) to distances (s, n).
     """
     every = np.arange(n)
     looked_at = rng.permutation(n)[: max(MOST_SCORED, 2 * size)]
@@ -137,7 +137,7 @@ def _eight_point(x: Array, y: Array) -> Array:
 
 
 def _least(rows: Array) -> Array:
-    """Return unit vectors (s, k) that make ``rows`` (s, n, k) times them least."""
+    """Return the unit vectors (s, k) for which the products of ``rows`` (s, n, k) with them are least."""
     return np.asarray(np.linalg.eigh(np.swapaxes(rows, 1, 2) @ rows)[1][:, :, 0])
 
 
@@ -162,5 +162,5 @@ def _transfer(matrices: Array, points: Array, xy: Array) -> Array:
     """Return the distances (s, n) of the images of points (n, k) under matrices (s, 3, k) from ``xy`` (n, 2)."""
     image = points @ np.swapaxes(matrices, 1, 2)
     depth = np.where(np.abs(image[..., 2:]) > SMALL, image[..., 2:], SMALL)
-    # far away is far away: squares must not overflow
+    # large distances are clipped, so that squares do not overflow
     return np.asarray(np.linalg.norm(np.clip(image[..., :2] / depth - xy, -1e6, 1e6), axis=2))

@@ -3,7 +3,7 @@
 The direct linear transformation (Abdel-Aziz and Karara 1971) gives the 3 x 4 projection matrix of at least six
 points that do not lie in one plane; its factors are the camera. Random samples scored by the median residual
 (Rousseeuw 1984; concentration steps of Rousseeuw and Van Driessen 1999) tolerate up to about a third of
-blunders out. The result has no distortion: it is where ``mosca.calibration.single_camera.adjust`` starts.
+blunders. The result has no distortion; ``mosca.calibration.single_camera.adjust`` starts from it.
 """
 
 from dataclasses import dataclass
@@ -27,7 +27,7 @@ KEPT_SAMPLES = 10
 CONCENTRATION_STEPS = 3
 INLIER_SIGMAS = 4.0
 """Robust standard deviations up to which an image is an inlier."""
-# a median residual beyond this share of the image's extent is no camera at all, whatever its distortion
+# with a median residual beyond this share of the image's extent no camera fits, whatever its distortion
 WORST_MEDIAN_SHARE = 0.05
 FISHEYE_HALF_ANGLES_DEG = range(20, 125, 10)
 
@@ -62,7 +62,7 @@ def resect(where: str, xy_px: Array, xyz: Array, rng: np.random.Generator) -> Re
     interior, rotation, origin = _factors(where, back @ matrix, world[inliers], len(world))
     lens = OpenCVLens(*(float(interior[i, j]) for i, j in ((0, 0), (1, 1), (0, 2), (1, 2))))
     pose = Pose(rotation.T, origin)
-    # the linear solution's own residual (with its skew) is the criterion for the points, not the pinhole's
+    # points are judged by the residual of the linear solution (with its skew), not by that of the pinhole
     homogeneous = np.column_stack([world, np.ones(len(world))]) @ (back @ matrix).T
     distance = np.linalg.norm(homogeneous[:, :2] / homogeneous[:, 2:] - xy, axis=1)
     median = float(np.median(distance))
@@ -79,8 +79,8 @@ def resect_fisheye(
 ) -> Resection:
     """Resect an equidistant camera of ``size`` (width, height) with its axis in the middle of the image.
 
-    Tries field angles and keeps the one whose rays meet the points best; for narrow fields the pinhole
-    does. Arguments and errors as for ``resect``; points beside and behind the camera are allowed here.
+    Tries field angles and keeps the one whose rays meet the points best; for narrow fields the resected pinhole
+    is good enough. Arguments and errors as for ``resect``; points beside and behind the camera are allowed here.
     """
     xy, world = _checked(where, xy_px, xyz)
     cx, cy = (size[0] - 1) / 2, (size[1] - 1) / 2
@@ -120,7 +120,7 @@ def resect_fisheye(
 def aim(resection: Resection, centre_px: tuple[float, float]) -> Pose:
     """Return the pose rotated so that its z axis is the ray of ``centre_px``.
 
-    Where the principal point is then held at ``centre_px``, the image moves little: a shift of the principal
+    If the principal point is then held at ``centre_px``, the image moves little, since a shift of the principal
     point and a small rotation of a camera cannot be separated.
     """
     z = lens_directions(resection.lens, np.array([centre_px]))[0]
@@ -222,7 +222,7 @@ def _linear(image: Array, points: Array) -> Array:
 def _distances(matrices: Array, image: Array, points: Array) -> Array:
     """Return the distances (k, n) of k matrices' projections from rays (n, 3), as sines of angles.
 
-    The sine does not see the sign of the matrix; rays that leave backwards are put right by ``_factors``.
+    The sine does not depend on the sign of the matrix; ``_factors`` corrects rays that point backwards.
     """
     w = points @ np.swapaxes(matrices, 1, 2)
     w /= np.maximum(np.linalg.norm(w, axis=2, keepdims=True), 1e-300)
@@ -233,7 +233,7 @@ def _distances(matrices: Array, image: Array, points: Array) -> Array:
 def _factors(where: str, matrix: Array, world: Array, seen: int) -> tuple[Array, Array, Array]:
     """Return interior orientation K (3, 3), camera_from_world rotation (3, 3) and the projection centre (3,).
 
-    ``world``: the points that agree, of ``seen``.
+    ``world``: the points that agree; ``seen``: number of all points.
     """
     depth = world @ matrix[2, :3] + matrix[2, 3]
     if np.median(depth) < 0:

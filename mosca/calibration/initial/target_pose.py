@@ -1,9 +1,8 @@
 """Pose of a known rigid target in the frame of a calibrated camera: linear initial values, refined; two for a plane.
 
-A target seen under angles that hardly differ from a parallel projection has nearly the same image when its relief is
-inverted along the line of sight. For a solid target the two differ in the images; for a plane only its perspective
-distinguishes them (Oberkampf, DeMenthon and Davis 1996), so that both poses are returned, the better-fitting one
-first.
+If a target's projection is nearly parallel, its image hardly changes when the target's relief is inverted along the
+line of sight. For a solid target the two images differ. For a plane only perspective distinguishes them (Oberkampf,
+DeMenthon and Davis 1996), so that both poses are returned, the better-fitting one first.
 """
 
 from dataclasses import dataclass
@@ -20,7 +19,7 @@ from mosca.data.rotations import nearest_rotation
 FEWEST_POINTS = 4
 FEWEST_SOLID = 6
 LEAST_RELIEF = 0.05
-"""Third over first extent of points below which they are treated as a plane with some relief."""
+"""Ratio of the third to the first extent of points below which they are treated as a plane with some relief."""
 FLAT = 1e-6
 """Ratio of the least to the largest singular value below which points lie in a plane."""
 STEPS = 30
@@ -32,8 +31,8 @@ TUKEY = 4.685
 
 @dataclass(frozen=True, eq=False)
 class TargetPoseFit:
-    """A pose ``camera_from_target`` and how it fits: ``rms_rad`` root mean square distance of the rays, with the
-    points that do not fit left out (``used`` (n,) bool).
+    """A pose ``camera_from_target`` and its fit: ``rms_rad`` is the root mean square distance of the rays, without
+    the points that do not fit (``used`` (n,) bool).
     """
 
     camera_from_target: Pose
@@ -44,7 +43,7 @@ class TargetPoseFit:
 def poses_of(directions: Array, points: Array, *, robust: bool = True) -> tuple[TargetPoseFit, ...]:
     """Return the poses (best first, one or two) of target points (n, 3) [m] seen along unit rays (n, 3).
 
-    Empty where fewer than four points are seen or no pose has all of them before the camera.
+    The result is empty where fewer than four points are seen or no pose has all of them before the camera.
     """
     good = np.asarray(np.isfinite(directions).all(axis=1))
     if good.sum() < FEWEST_POINTS:
@@ -71,7 +70,7 @@ def homography(plane: Array, image: Array) -> Array:
 
 
 def plane_of(points: Array) -> tuple[Array, Array, float]:
-    """Return middle (3,), axes (3, 3; columns, the last one across) of the best plane, and the relief's share."""
+    """Return middle (3,) and axes (3, 3; columns, the last one normal) of the best plane, and the relative relief."""
     middle = points.mean(axis=0)
     sizes, axes = np.linalg.svd(points - middle, full_matrices=False)[1:]
     axes = axes.T if np.linalg.det(axes) > 0 else axes.T * [1, 1, -1]
@@ -84,7 +83,7 @@ def _starts(rays: Array, points: Array) -> list[Pose]:
     if len(points) >= FEWEST_SOLID and relief > LEAST_RELIEF:
         solid = _solid_start(rays, points)
         starts += [] if solid is None else [solid]
-    # view along the rays' middle, so that wide views are plane images too
+    # view along the mean ray, so that wide views also have a plane image
     view = rays.mean(axis=0)
     view /= np.linalg.norm(view)
     turn = _rotated_to(view)
@@ -156,7 +155,7 @@ def _refined(start: Pose, rays: Array, points: Array, robust: bool) -> TargetPos
     """
     across = _across(rays)
     rotation, translation = start.rotation, start.translation
-    middle = points.mean(axis=0)  # rotations about the target's middle: rotation and shift hardly mix
+    middle = points.mean(axis=0)  # rotate about the target's middle: rotation and shift are nearly separate
     translation = translation + rotation @ middle
     local = points - middle
     weight = np.ones(len(points))
@@ -208,7 +207,7 @@ def _residuals(
 
 
 def _across(rays: Array) -> Array:
-    """Return two unit vectors (n, 2, 3) across each ray."""
+    """Return two unit vectors (n, 2, 3) normal to each ray."""
     side = np.where(np.abs(rays[:, :1]) < 0.7, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
     first = np.cross(rays, side)
     first /= np.linalg.norm(first, axis=1, keepdims=True)

@@ -1,9 +1,9 @@
-"""Detects cameras that were bumped during a run, by name.
+"""Detection of cameras that were bumped during a run, by name.
 
-Each frame's points give, camera by camera, the rotation that would best explain how its image lies beside what the
-other cameras see, with all cameras' information on each other (Baarda 1968's test of one camera's common
-shift against all residuals). Sums over the last frames are tested; the body's shake of whole images is part of
-their covariance. A bump too large for the matching shows as a camera whose images all miss by one shift.
+Each frame's points give, for each camera, the rotation that would best explain the displacement of its image against
+the other cameras, with the information of all cameras on each other (Baarda 1968's test of one camera's common
+shift against all residuals). Sums over the last frames are tested; their covariance includes the body's shake of
+whole images. After a bump too large for the matching, all images of the camera are displaced by one shift.
 
     watch = BumpDetector(rig)
     for step in run(source, rig):
@@ -40,8 +40,8 @@ class BumpSettings:
     least_frames: int = 10
     """Duration from which a shift counts."""
     least_points: float = 8.0
-    """Images per frame that must show it, or a few half-hidden markers are taken for a bump (measured on a drone with
-    eight)."""
+    """Images per frame that must show a shift; otherwise a few half-hidden markers are taken for a bump (measured on
+    a drone with eight)."""
     lead: float = 25.0
     """Chi-square by which the camera must explain the residuals better than any other to be named."""
     body_px: float = 0.03
@@ -49,8 +49,8 @@ class BumpSettings:
     camera_sigma_px: float = 0.03
     """Random error of an image point in addition to its detection's."""
     lost_share: float = 0.3
-    """A camera matched to fewer than this share of the expected points, while as many of its images lie at one common
-    shift, was bumped far."""
+    """A camera was bumped far if fewer than this share of the expected points are matched, while as many of its
+    images have one common shift."""
     lost_frames: int = 20
     """Frames examined for ``lost_share``."""
 
@@ -63,15 +63,15 @@ class Alarm:
     """None where the residuals do not determine which of ``suspects``."""
     suspects: tuple[str, ...]
     since: int
-    """First frame."""
+    """First frame of the change."""
     shift_px: float
     """Shift of its image (rms over the points)."""
     turn_rad: tuple[float, float, float]
-    """(3,) rotation about its own axes that explains it, NaN where only the shift is known."""
+    """(3,) rotation about its own axes that explains the shift, NaN where only the shift is known."""
     chi_square: float
-    """Of the change, with 3 degrees of freedom."""
+    """Chi-square of the change, with 3 degrees of freedom."""
     significance: float
-    """Probability of it without a bump."""
+    """Probability of such a change without a bump."""
 
     @property
     def message(self) -> str:
@@ -97,7 +97,7 @@ class BumpDetector:
         self._limit = float(chi2.isf(self.settings.significance, 3))
 
     def update(self, frame: int, detections: Mapping[str, Detections], points: Points) -> Alarm | None:
-        """Take the points of frame number ``frame`` and the detections that they were made of; return an alarm if a
+        """Take the points of frame number ``frame`` and the detections they were made from; return an alarm if a
         camera was bumped.
         """
         s = self.settings
@@ -117,7 +117,7 @@ class BumpDetector:
     def _shifted(self) -> Alarm | None:
         every = list(self._frames)
         for window in self.settings.windows:
-            # a fifth of a window between its tests costs no more delay than that
+            # tests are a fifth of a window apart, which delays an alarm by no more than that
             if len(every) < window or self._count % max(1, window // 5):
                 continue
             change = changes(every[-window:])
@@ -177,10 +177,10 @@ class Changes:
 
 
 def changes(frames: list[FrameSums]) -> Changes:
-    """Return what each camera would have to be rotated by to explain the sums of ``frames``.
+    """Return the rotation of each camera that would explain the sums of ``frames``.
 
-    E v = M[:, k] w, Cov v = M + M B M summed over frames; generalised least squares, M pseudo-inverted, since
-    rotations that no residual shows exist (two cameras).
+    Generalised least squares with E v = M[:, k] w and Cov v = M + M B M, summed over frames. M is pseudo-inverted,
+    since some rotations change no residual (two cameras).
     """
     v = sum((f.pull for f in frames), np.zeros_like(frames[0].pull))
     m = sum((f.information for f in frames), np.zeros_like(frames[0].information))
@@ -206,6 +206,6 @@ def changes(frames: list[FrameSums]) -> Changes:
 
 
 def _since(every: list[FrameSums], k: int) -> int:
-    """Return the first frame from which on camera k's rotation explains most: the likeliest time of change."""
+    """Return the frame (by index) from which on camera k's rotation explains most: the likeliest time of change."""
     starts = range(len(every))
     return max(starts, key=lambda first: changes(every[first:]).statistic[k])

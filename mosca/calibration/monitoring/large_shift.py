@@ -18,7 +18,7 @@ REACH_PX = 80.0
 BIN_PX = 2.0
 """Width of the bins of the histogram of shifts [px]; the shift is refined afterwards."""
 LEAST_EXPECTED = 20
-"""Points that a camera was expected to see in the frames examined, for its absence to count."""
+"""Fewest points that a camera must be expected to see in the frames examined before missing ones count."""
 LEAST_VOTES = 8.0
 """Least votes for the common shift, relative to an average bin."""
 
@@ -34,7 +34,7 @@ class LargeShift:
 
 
 class LargeShiftDetector:
-    """Counts, camera by camera, which points it should see and does not, and where its unused images lie."""
+    """Counts the points that each camera should see and does not, and the places of its unused images."""
 
     def __init__(self, rig: Rig, lost_share: float, frames: int) -> None:
         self._rig, self._share, self._frames = rig, lost_share, frames
@@ -69,7 +69,7 @@ class LargeShiftDetector:
             return None
         edges = np.arange(-REACH_PX, REACH_PX + BIN_PX, BIN_PX)
         table = np.histogram2d(votes[:, 0], votes[:, 1], (edges, edges))[0]
-        # a shift seldom falls into the middle of a bin: count two by two
+        # a shift seldom falls into the middle of a bin: sum the counts of two by two bins
         table = table[:-1, :-1] + table[1:, :-1] + table[:-1, 1:] + table[1:, 1:]
         best = np.unravel_index(int(np.argmax(table)), table.shape)
         top, mean = float(table[best]), float(table.mean())

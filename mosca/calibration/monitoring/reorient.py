@@ -1,4 +1,4 @@
-"""Re-orientation of a bumped camera from the points that the others track: its pose is estimated, its lens held."""
+"""Re-orientation of a bumped camera from points tracked by the others: its pose is estimated, its lens is held."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -29,7 +29,7 @@ PAIRED_PX = 3.0
 
 @dataclass(frozen=True, eq=False)
 class CameraObservations:
-    """A camera's image points of points that others measured.
+    """A camera's image points of points that other cameras measured.
 
     ``frame`` (n,); ``xyz`` (n, 3) [m] and ``covariance`` (n, 3, 3) from the other cameras alone; ``xy_px`` (n, 2)
     and ``covariance_px2`` (n, 2, 2) of the camera's own image.
@@ -76,10 +76,10 @@ def gather(
     points: Points,
     shift_px: tuple[float, float] | None = None,
 ) -> CameraObservations:
-    """Return what camera ``name`` saw of a frame's points that two or more others measure, without its own part.
+    """Return camera ``name``'s observations of those points of a frame that two or more other cameras measure.
 
-    ``shift_px``: (x, y) by which its image is off (``common_shift``), for a bump so large that its images were not
-    matched: images are paired with points again.
+    The points are measured without the camera itself. ``shift_px``: displacement (x, y) of its image
+    (``common_shift``) after a bump so large that its images were not matched; then they are paired with points again.
     """
     index, found = rig.names.index(rig.camera(name).name), detections.get(name)
     others = Rig(tuple(c for c in rig.cameras if c.name != name))
@@ -112,7 +112,7 @@ def gather(
 def common_shift(rig: Rig, name: str, detections: Mapping[str, Detections], points: Points) -> tuple[float, float]:
     """Return the shift (x, y) [px] that most of a camera's images have against the points of the others.
 
-    The densest bin among all differences; (0, 0) where there are none. For one frame set.
+    It is the densest bin of all differences in one frame set; (0, 0) where there are none.
     """
     camera, found = rig.camera(name), detections.get(name)
     others = (points.rays >= 0).sum(axis=1) - (points.rays[:, rig.names.index(name)] >= 0)
@@ -132,9 +132,9 @@ def common_shift(rig: Rig, name: str, detections: Mapping[str, Detections], poin
 
 
 def reorient(camera: Camera, seen: CameraObservations, body_px: float = 0.03) -> Reorientation:
-    """Resect ``camera`` from ``seen``, its lens held, from its old pose on.
+    """Resect ``camera`` from ``seen`` with its lens held, starting from its old pose.
 
-    Weights from the image's and the point's covariances; wrong pairs are left out.
+    Weights follow from the image's and the point's covariances; wrong pairs are left out.
     ``body_px``: shake of a whole image, which all points of a frame share. CalibrationError for fewer than
     12 points, points on a line, or a pose that does not fit.
     """
@@ -152,7 +152,7 @@ def reorient(camera: Camera, seen: CameraObservations, body_px: float = 0.03) ->
         at = replace(camera, world_from_camera=pose)
         rest, slope, weight = _linearised(at, seen)
         squared = np.einsum("ni,nij,nj->n", rest, weight, rest)
-        # from a poor initial pose all residuals are large: wrong points are those with larger ones than the others
+        # from a poor initial pose all residuals are large: wrong points have larger ones than the others
         scale = max(float(np.median(squared)) * SIGMA_BY_MEDIAN_2D**2, 1.0)
         used = np.isfinite(squared) & (squared < 2 * OUTLIER_SIGMAS**2 * scale)
         normal = np.einsum("nki,nkl,nlj->ij", slope[used], weight[used], slope[used])
@@ -195,7 +195,7 @@ def _linearised(camera: Camera, seen: CameraObservations) -> tuple[Array, Array,
 
 
 def _shaken(frame: Array, slope: Array, weight: Array, normal: Array, body_px: float) -> Array:
-    """Return the covariance (6, 6) that whole images' shake gives the pose: each frame shifts as one."""
+    """Return the covariance (6, 6) of the pose due to the shake of whole images: each frame shifts as a whole."""
     inverse, total = np.linalg.inv(normal), np.zeros((6, 6))
     for one in np.unique(frame):
         rows = frame == one

@@ -1,6 +1,6 @@
-"""Monitors a running rig: detects bumps, and re-orients a bumped camera from the points that the others track.
+"""Monitoring of a running rig: detects bumps, and re-orients a bumped camera from points tracked by the others.
 
-Given to ``mosca.pipeline.run`` as its keeper: each frame set's points go in, and the rig for the next comes out.
+``mosca.pipeline.run`` takes it as its keeper: it is given each frame set's points and provides the rig for the next.
 """
 
 from collections import deque
@@ -17,7 +17,7 @@ from mosca.data.tracks import Points
 from mosca.errors import MoscaError
 
 REORIENT_FRAMES = 30
-"""Frames after a bump from which the new pose is found: the body's shake averages out."""
+"""Number of frames after a bump from which the new pose is estimated, so that the body's shake averages out."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +56,7 @@ class RigKeeper:
         self._open: Incident | None = None
 
     def attend(self, frame: int, detections: Mapping[str, Detections], points: Points) -> None:
-        """Take a frame set's points; ``rig`` may be another one afterwards."""
+        """Take a frame set's points; ``rig`` may have changed afterwards."""
         self._recent.append((frame, detections, points))
         if self._open is not None:
             # only frames since the bump determine the new pose

@@ -19,10 +19,11 @@ FARTHEST_SIGMAS = 6.0
 class FrameSums:
     """Normal equations of c cameras' rotations from one frame's residuals.
 
-    With residuals r of all images of a point, their weights W and J by the point, P = W - W J N^-1 J^T W leaves
-    what the point cannot take up; with A by the rotations: ``pull`` (3c,) sum A^T P r, ``information`` (3c, 3c)
-    sum A^T P A = M, ``spread`` (3c, 3c) covariance of the pull, M + M B M with B the body's shake.
-    ``image_square`` (c, 3, 3) sum of A^T A [px^2/rad^2] and ``count`` (c,) images: a rotation's effect in px.
+    Let r be the residuals of all images of a point, W their weights, J and A their derivatives by the point and by
+    the rotations. P = W - W J N^-1 J^T W leaves the part that the point cannot take up. ``pull`` (3c,): sum A^T P r;
+    ``information`` (3c, 3c): sum A^T P A = M; ``spread`` (3c, 3c): covariance of the pull, M + M B M with B the
+    body's shake. ``image_square`` (c, 3, 3), sum of A^T A [px^2/rad^2], and ``count`` (c,) of images give a
+    rotation's effect in px.
     """
 
     frame: int
@@ -38,7 +39,7 @@ def frame_sums(
 ) -> FrameSums:
     """Return the sums of a frame's points that at least two cameras see.
 
-    ``sigma_px``: random error of an image point beside its detection's; ``body_px``: shake of whole images.
+    ``sigma_px``: random error of an image point besides its detection's; ``body_px``: shake of whole images.
     """
     n, c = len(points), len(rig.cameras)
     slope, turn = np.zeros((n, c, 2, 3)), np.zeros((n, c, 2, 3))

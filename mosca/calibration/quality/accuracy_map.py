@@ -1,8 +1,8 @@
 """Predicted covariance of a point measured with a calibrated rig: from detection, and from the calibration.
 
-A point X seen at pixels with covariances S_c follows from N = sum J_c^T S_c^-1 J_c, so that detection gives it
-the covariance N^-1. The calibration's parameters p move it by G = -N^-1 sum J_c^T S_c^-1 dx_c/dp, which gives
-it G C_pp G^T: common to all points and frames, it does not average out and is therefore kept apart.
+A point X seen at pixels with covariances S_c has the normal matrix N = sum J_c^T S_c^-1 J_c and thus the covariance
+N^-1 from detection. The calibration's parameters p move it by G = -N^-1 sum J_c^T S_c^-1 dx_c/dp, which gives the
+covariance G C_pp G^T. This part is common to all points and frames and does not average out: it is kept apart.
 """
 
 from collections.abc import Sequence
@@ -86,7 +86,7 @@ def triangulated_points(
     table[index, camera] = xy_px
     xyz = triangulate(rig, table)[0]
     met: Array = np.asarray(np.isfinite(xyz).all(axis=1))
-    # two steps of Gauss and Newton with each image point's own covariance
+    # two Gauss-Newton steps with each image point's own covariance
     for _ in range(2):
         total, pull, slope = _normals(rig, parameters, camera, index, xy_px, covariance_px2, xyz, met)
         met &= _solvable(total)

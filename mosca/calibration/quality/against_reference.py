@@ -1,7 +1,7 @@
-"""Against an earlier rig: were two cameras exchanged, and did one move?
+"""Comparison with an earlier rig: whether two cameras were exchanged, and whether one moved.
 
-The new poses are transformed into the earlier rig's frame by the common motion of most cameras, and the new target
-points, projected by the earlier cameras, are compared with the observations: all in px, independent of the frames.
+The new poses are transformed into the earlier rig's frame by the common motion of most cameras. The new target points
+are projected by the earlier cameras and compared with the observations, in px and independent of the frames.
 """
 
 from dataclasses import dataclass, replace
@@ -19,9 +19,9 @@ from mosca.data.rig import Camera, Pose, Rig
 from mosca.data.rotations import nearest_rotation
 
 MOST_POINTS = 60
-"""Points a camera that are compared."""
+"""Largest number of points compared for each camera."""
 MOST_PAIRS = 40
-"""Exchanges that are tried."""
+"""Largest number of exchanges that are tried."""
 UNSEEN_PX = 1e4
 """Difference [px] counted where a lens does not image a point."""
 
@@ -74,7 +74,7 @@ def moved(calibration: Calibration, known: Rig, settings: QualityLimits) -> tupl
     own = np.array([_own_sigma(calibration, one) for one in seen])
     found = []
     for one, size, sigma in zip(seen, misfit, own, strict=True):
-        # the earlier rig was as uncertain as this one, and so is what is common to the others
+        # the earlier rig was as uncertain as this one, and so is the motion common to the other cameras
         uncertain = np.sqrt(2) * np.hypot(sigma, np.median(own))
         allowed = max(settings.moved_px, settings.moved_sigmas * uncertain)
         if size > allowed:
@@ -107,7 +107,7 @@ def best_misfit(seen: list[_CameraView], assigned: list[Camera]) -> Array:
 
 
 def _agreement(misfit: Array) -> float:
-    """Return how badly a common motion fits: the median and, of the rest, little."""
+    """Return the misfit of a common motion: the median, plus a small part of the mean."""
     return float(np.median(misfit) + 1e-3 * np.minimum(misfit, 1e3).mean())
 
 
@@ -124,7 +124,7 @@ def _misfit(one: _CameraView, old: Camera, new_from_old: Pose) -> float:
 
 
 def _mean_motion(seen: list[_CameraView], assigned: list[Camera]) -> Pose:
-    """Return the motion that carries the earlier centres and axes onto the new ones, in the mean."""
+    """Return the motion that on average carries the earlier centres and axes onto the new ones."""
     pairs = [(one.camera.world_from_camera, c.world_from_camera) for one, c in zip(seen, assigned, strict=True)]
     rotation = nearest_rotation(sum((new.rotation @ old.rotation.T for new, old in pairs), np.zeros((3, 3))))[0]
     shift = np.mean([new.translation - rotation @ old.translation for new, old in pairs], axis=0)
@@ -132,13 +132,13 @@ def _mean_motion(seen: list[_CameraView], assigned: list[Camera]) -> Pose:
 
 
 def _seen(calibration: Calibration, known: Rig) -> list[_CameraView]:
-    """Return what the cameras saw that the earlier rig has too, at most MOST_POINTS each."""
+    """Return the observations of the cameras that the earlier rig also has, at most MOST_POINTS each."""
     world, found = calibration.points_in_world(), []
     for k, camera in enumerate(calibration.rig.cameras):
         rows = np.flatnonzero(calibration.used & (calibration.sightings.camera == k))
         if camera.name in known.names and len(rows):
             rows = rows[:: max(1, -(-len(rows) // MOST_POINTS))]
-            # the new camera's own image of the points: noise is no difference
+            # the new camera's own projection of the points, so that noise is no difference
             found.append(_CameraView(camera, world[rows], project(camera, world[rows])))
     return found
 
@@ -154,7 +154,7 @@ def _same_size(one: Camera, other: Camera) -> bool:
 
 
 def _own_sigma(calibration: Calibration, one: _CameraView) -> float:
-    """Return the standard deviation [px] of the camera's image of its points by its own parameters."""
+    """Return the standard deviation [px] of the camera's projections due to the errors of its own parameters."""
     k = calibration.rig.names.index(one.camera.name)
     slope = sensitivity(calibration.rig, k, calibration.parameters, one.points)
     block = calibration.covariance[np.ix_(slope.columns, slope.columns)]
@@ -163,7 +163,7 @@ def _own_sigma(calibration: Calibration, one: _CameraView) -> float:
 
 
 def _motion(seen: list[_CameraView], known: Rig, one: _CameraView, misfit: Array) -> tuple[float, float]:
-    """Return by how much a camera shifted [m] and rotated [rad] against the camera that fits best."""
+    """Return the shift [m] and rotation [rad] of a camera against the camera that fits best."""
     others = [k for k, other in enumerate(seen) if other is not one]
     anchor = seen[min(others, key=lambda k: misfit[k])].camera
     motion = anchor.world_from_camera @ known.camera(anchor.name).world_from_camera.inverse()

@@ -2,7 +2,7 @@
 
     findings = check_calibration(calibration, known=rig_of_last_week, target_diameters_m=field_diameters)
 
-A finding refuses, warns or notes; a good calibration has neither of the first two.
+A finding is a refusal, a warning or a note; a good calibration has no refusals or warnings.
 """
 
 from collections.abc import Sequence
@@ -33,9 +33,9 @@ def check_calibration(
 ) -> tuple[Finding, ...]:
     """Return the findings on ``calibration``, the gravest first.
 
-    ``known``: an earlier rig of the same cameras; ``target_diameters_m``: true diameters of the marks (m,), or of
-    all; ``lengths``: held-out lengths (``judge_size.length_errors``); ``volume`` (low, high) [m, world] of the
-    measurement; ``rigid_target``: the positions of the world's marks were known a priori, so that the target itself
+    ``known``: an earlier rig of the same cameras; ``target_diameters_m``: true diameter of each mark (m,), or one for
+    all; ``lengths``: held-out lengths (``scale.length_errors``); ``volume`` (low, high) [m, world] of the
+    measurement; ``rigid_target``: whether the positions of the world's marks were known a priori, so that the target
     joins cameras that see none of its marks in common.
     """
     s = settings or QualityLimits()
@@ -61,7 +61,7 @@ def check_calibration(
 
 
 def _against(calibration: Calibration, known: Rig, settings: QualityLimits) -> tuple[Finding, ...]:
-    """Return how the calibration differs from an earlier rig; exchanged cameras explain all the rest."""
+    """Return findings on differences from an earlier rig; exchanged cameras explain all other differences."""
     swapped = exchanged(calibration, known, settings)
     if swapped:
         return swapped

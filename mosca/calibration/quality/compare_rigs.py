@@ -2,9 +2,9 @@
 
     for line in compare_rigs(rig, other).lines(): print(line)
 
-Rays are compared as lines at the working distance: a point on b's ray is imaged by a. What remains after one
-similarity (or rigid motion) common to all cameras is what matters for shapes; after each camera's own rotation
-remains what its lens alone does.
+Rays are compared as lines at the working distance: a point on b's ray is imaged by a. The differences after one
+similarity (or rigid motion) common to all cameras matter for shapes. The differences after each camera's own rotation
+are those of its lens alone.
 """
 
 from collections.abc import Sequence
@@ -100,7 +100,7 @@ def compare_rigs(
 ) -> RigDifference:
     """Compare rig ``b`` with rig ``a``: cameras by name, in a's order.
 
-    ``volume`` (low, high) [m, a's world]: where; default a cube around the point that the axes pass nearest.
+    ``volume`` (low, high) [m, a's world]: where to compare; by default a cube around the point nearest to the axes.
     ``align``: common motion that is removed: similarity, rigid or none. InputError where no camera is common,
     or the same camera has images of two sizes.
     """
@@ -122,7 +122,7 @@ def compare_rigs(
     rig_a, rig_b = (Rig(tuple(pair[k] for pair in pairs)) for k in (0, 1))
     box = _working_volume(rig_a) if volume is None else np.array(volume, dtype=float)
     grid = _grid(box)
-    # what a images of the volume, b measures: the common motion is what carries b's points onto a's
+    # b measures the images that a makes of the volume; the common motion carries b's points onto a's
     points_b = _measured(rig_a, rig_b, grid)
     met = np.isfinite(points_b).all(axis=1)
     if align == "none":
@@ -147,7 +147,7 @@ def compare_rigs(
 
 
 def _measured(seen_by: Rig, measured_by: Rig, points: Array) -> Array:
-    """Return where the one rig positions (n, 3) what the other images of ``points`` (n, 3)."""
+    """Return the positions (n, 3) that one rig measures from the other rig's images of ``points`` (n, 3)."""
     table = np.stack([_inside(camera, project(camera, points)) for camera in seen_by.cameras], axis=1)
     return triangulate(measured_by, table)[0]
 
@@ -168,7 +168,7 @@ def _camera_difference(a: Camera, b: Camera, aligned: Camera, middle: Array) -> 
     before, after = _ray_distance(a, b, xy, distance), _ray_distance(a, aligned, xy, distance)
     mine, theirs = lens_directions(a.lens, xy), lens_directions(b.lens, xy)
     both = np.flatnonzero(np.isfinite(mine).all(axis=1) & np.isfinite(theirs).all(axis=1))
-    # the rotation that brings b's rays onto a's best: what is left is the lens
+    # rotation that best brings b's rays onto a's: the remaining difference is that of the lens
     turn = nearest_rotation(mine[both].T @ theirs[both])[0]
     own = np.linalg.norm(lens_pixels(a.lens, theirs[both] @ turn.T) - xy[both], axis=1)
     pose, other = a.world_from_camera, aligned.world_from_camera
@@ -185,7 +185,7 @@ def _camera_difference(a: Camera, b: Camera, aligned: Camera, middle: Array) -> 
 
 
 def _ray_distance(a: Camera, b: Camera, xy: Array, distance: float) -> Array:
-    """Return how far (n,) a images a point of b's ray, at ``distance`` [m] from b, from the ray's pixel [px]."""
+    """Return the distances (n,) [px] from the rays' pixels to a's images of b's rays at ``distance`` [m] from b."""
     points = b.world_from_camera.transform(distance * lens_directions(b.lens, xy))
     return np.asarray(np.linalg.norm(project(a, points) - xy, axis=1))
 
@@ -209,13 +209,13 @@ def _angle(rotation: Array) -> float:
 
 
 def _working_volume(rig: Rig) -> Array:
-    """Return low and high corner (2, 3) of a cube around the point that the cameras' axes pass nearest [m]."""
+    """Return low and high corner (2, 3) [m] of a cube around the point nearest to the cameras' axes."""
     centres = np.array([camera.world_from_camera.translation for camera in rig.cameras])
     axes = np.array([camera.world_from_camera.rotation[:, 2] for camera in rig.cameras])
     across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
     total = across.sum(axis=0)
     if np.linalg.eigvalsh(total)[0] < 1e-3 * len(axes):
-        # parallel axes meet nowhere: three times the cameras' own extent in front of them
+        # parallel axes do not meet: take three times the cameras' own extent in front of them
         reach = 3 * max(float(np.ptp(centres, axis=0).max()), 0.3)
         middle = centres.mean(axis=0) + reach * axes.mean(axis=0)
     else:

@@ -1,4 +1,4 @@
-"""Is the interior orientation that of a real camera, and did the target have the depth to determine it?"""
+"""Checks of the interior orientation: is it that of a real camera, and had the target the depth to determine it?"""
 
 import numpy as np
 
@@ -15,7 +15,7 @@ DO_AGAIN = "calibrate again with the target filling the image, tilted and at sev
 
 
 def ran_away(calibration: Calibration, settings: QualityLimits) -> tuple[Finding, ...]:
-    """Return what in the cameras' interior orientation no real camera has."""
+    """Return findings on interior orientations that no real camera has."""
     found: list[Finding] = []
     for k, camera in enumerate(calibration.rig.cameras):
         for complaint in (_impossible_scale(camera, settings), _impossible_centre(camera, settings),
@@ -66,7 +66,7 @@ def changed_interior(calibration: Calibration, known: Rig, settings: QualityLimi
 
 
 def little_depth(calibration: Calibration, settings: QualityLimits) -> tuple[Finding, ...]:
-    """Return the cameras whose principal distance and distance cannot be separated by the images."""
+    """Return the cameras whose principal distance and distance from the target the images cannot separate."""
     found = []
     for k, camera in enumerate(calibration.rig.cameras):
         sigma = sigma_of_principal_distance(calibration, k)
@@ -92,7 +92,7 @@ def little_depth(calibration: Calibration, settings: QualityLimits) -> tuple[Fin
 
 
 def weak_parameters(calibration: Calibration) -> tuple[Finding, ...]:
-    """Return, a camera, which parameters the data hardly determine."""
+    """Return, for each camera, the parameters that the data hardly determine."""
     found = []
     for camera in calibration.rig.cameras:
         mine = [name for name in calibration.weak if name.rpartition(".")[0] == camera.name]
@@ -115,8 +115,8 @@ def weak_parameters(calibration: Calibration) -> tuple[Finding, ...]:
 def distance_correlation(calibration: Calibration, camera: int) -> tuple[float, float]:
     """Return correlation of the principal distance with the camera's position along its axis, and its inflation.
 
-    The inflation is by how much the camera's own other parameters widen the principal distance's variance.
-    (0, 1) where either was held.
+    The inflation is the factor by which the camera's own other parameters increase the variance of the principal
+    distance. (0, 1) where either was held.
     """
     one, column = calibration.rig.cameras[camera], principal_distance_column(calibration, camera)
     place = [f"{one.name}.{name}" for name in POSE_NAMES[3:]]
@@ -140,7 +140,7 @@ def distance_correlation(calibration: Calibration, camera: int) -> tuple[float, 
 
 
 def depth_range(calibration: Calibration, camera: int) -> float:
-    """Return how far the used points spread along the camera's axis (1 to 99 %), over their mean distance."""
+    """Return the spread of the used points along the camera's axis (1 to 99 %), over their mean distance."""
     depth = _depths(calibration, camera)
     if len(depth) == 0:
         return 0.0
@@ -214,7 +214,7 @@ def _impossible_distortion(calibration: Calibration, index: int, settings: Quali
     reach = np.linalg.norm(calibration.sightings.xy_px[rows] - centre, axis=1).max(initial=0.0)
     if folded.any():
         radius = float(np.linalg.norm(grid[folded] - centre, axis=1).min())
-        # where nothing was measured the lens has no rays and measures nothing: harmless, but reported
+        # beyond the measured points a fold is harmless, since the lens has no rays there, but it is reported
         raise_ = refuse if radius < reach else note
         return [
             raise_(

@@ -52,7 +52,7 @@ def sensitivity(rig: Rig, camera: int, parameters: Sequence[str], points: Array)
 
 
 def aspect(lens: Lens) -> float:
-    """Return the principal distance in pixel heights over that in pixel widths: 1 for square pixels."""
+    """Return the ratio of the principal distance in pixel heights to that in pixel widths: 1 for square pixels."""
     fx, fy = principal_distances_px(lens)
     return fy / fx
 
@@ -74,7 +74,7 @@ def sigma_of_principal_distance(calibration: Calibration, camera: int) -> float 
 
 
 def principal_distance_column(calibration: Calibration, camera: int) -> int | None:
-    """Return which parameter is the principal distance of camera number ``camera``; None where it was held."""
+    """Return the index of the principal distance of camera number ``camera``; None where it was held."""
     owner = calibration.rig.names[camera]
     for name in ("c_mm", FOCAL, "fx_px"):
         if f"{owner}.{name}" in calibration.parameters:

@@ -1,7 +1,7 @@
-"""Planes seen with little perspective: does the mirrored pose fit as well?
+"""Check of planes seen with little perspective: does the mirrored pose fit as well?
 
 Under weak perspective a plane and its reflection in the plane across the line of sight have the same image
-(Oberkampf, DeMenthon and Davis 1996; Schweighofer and Pinz 2006). Perspective decides, where there is enough.
+(Oberkampf, DeMenthon and Davis 1996; Schweighofer and Pinz 2006). Sufficient perspective distinguishes them.
 """
 
 from dataclasses import dataclass, replace
@@ -18,7 +18,7 @@ from mosca.data.rig import Camera, Pose
 
 FEWEST_POINTS = 4
 MOST_FRAMES = 60
-"""Placements of a camera that are examined, evenly chosen."""
+"""Largest number of placements examined for a camera, evenly chosen."""
 
 
 @dataclass(frozen=True)
@@ -88,14 +88,14 @@ def _mirrored(camera: Camera, middle: Array, normal: Array) -> Camera:
     pose = camera.world_from_camera
     sight = middle - pose.translation
     sight = sight / np.linalg.norm(sight)
-    # two reflections are a rotation: across the line of sight, and in the plane, which leaves it unchanged
+    # two reflections make a rotation: one across the line of sight, and one in the plane, which leaves it unchanged
     turn = (np.eye(3) - 2 * np.outer(sight, sight)) @ (np.eye(3) - 2 * np.outer(normal, normal))
     centre = middle + turn.T @ (pose.translation - middle)
     return replace(camera, world_from_camera=Pose(turn.T @ pose.rotation, centre))
 
 
 def _tied(calibration: Calibration) -> Array:
-    """Return which sightings (n,) are of points that another camera determines, too."""
+    """Return which sightings (n,) are of points that another camera also determines."""
     count = len(calibration.target_translation)
     rows = calibration.used & (calibration.placement >= 0)
     seen = np.zeros((count, len(calibration.rig.cameras)), dtype=bool)
@@ -107,7 +107,7 @@ def _tied(calibration: Calibration) -> Array:
 
 
 def _alone(calibration: Calibration, index: int, mine: Array, tied: bool, settings: QualityLimits) -> list[Finding]:
-    """Return findings about the placements that only this camera saw."""
+    """Return findings on the placements that only this camera saw."""
     camera = calibration.rig.cameras[index]
     frames = np.unique(calibration.placement[mine])
     frames = frames[:: max(1, -(-len(frames) // MOST_FRAMES))]

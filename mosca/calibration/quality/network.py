@@ -66,7 +66,7 @@ def few_views(calibration: Calibration, settings: QualityLimits) -> tuple[Findin
 
 
 def board_views(calibration: Calibration, camera: int) -> tuple[int, float]:
-    """Return how many placements of a plane a camera saw, and how many points each; (0, 0) without a plane."""
+    """Return the number of placements of a plane that a camera saw, and of points in each; (0, 0) without a plane."""
     rows = calibration.used & (calibration.sightings.camera == camera) & (calibration.placement >= 0)
     if len(calibration.marks_m) < 4 or not rows.any() or not is_flat(calibration.marks_m):
         return 0, 0.0
@@ -75,7 +75,7 @@ def board_views(calibration: Calibration, camera: int) -> tuple[int, float]:
 
 
 def is_flat(points: Array) -> bool:
-    """Whether points (n, 3), where they are known, lie in a plane, but not on a line."""
+    """Return whether the known ones of points (n, 3) lie in a plane, but not on a line."""
     points = points[np.isfinite(points).all(axis=1)]
     if len(points) < 3:
         return False
@@ -86,8 +86,8 @@ def is_flat(points: Array) -> bool:
 def links(calibration: Calibration, rigid_target: bool = False) -> Array:
     """Return the number of points (c, c) that connect each pair of cameras.
 
-    Points seen by both; of a rigid target with known geometry (a placement, or with ``rigid_target`` the field
-    itself), the smaller of the two cameras' numbers of its points, since different points connect as well.
+    These are points seen by both. For a rigid target with known geometry (a placement, or with ``rigid_target`` the
+    field itself), it is the smaller of the two cameras' numbers of its points, since different points also connect.
     """
     count = len(calibration.rig.cameras)
     strength = np.zeros((count, count), dtype=np.int64)
@@ -110,7 +110,7 @@ def links(calibration: Calibration, rigid_target: bool = False) -> Array:
 
 
 def linked(calibration: Calibration, settings: QualityLimits, rigid_target: bool = False) -> tuple[Finding, ...]:
-    """Return the cameras that no common view joins, or few."""
+    """Return the cameras that are joined to the others by no or few common views."""
     names = calibration.rig.names
     if len(names) < 2:
         return ()
@@ -146,7 +146,7 @@ def linked(calibration: Calibration, settings: QualityLimits, rigid_target: bool
 
 
 def common_views(calibration: Calibration) -> Array:
-    """Return how many placements each two cameras (c, c) both saw."""
+    """Return the number (c, c) of placements that both cameras of each pair saw."""
     rows = calibration.used & (calibration.placement >= 0)
     seen = np.zeros((len(calibration.target_translation), len(calibration.rig.cameras)), dtype=np.int64)
     seen[calibration.placement[rows], calibration.sightings.camera[rows]] = 1
@@ -168,7 +168,7 @@ def missing_links(calibration: Calibration, label: Array) -> tuple[tuple[int, in
             (i, j) for i in range(len(label)) for j in range(len(label)) if {label[i], label[j]} == {label[0], other}
         ]
         counted = [(i, j, int(_inside(rig.cameras[j], seen[i]).sum())) for i, j in pairs]
-        # of links as good as each other the shortest: there two cameras see the same side of the target
+        # of equally good links the shortest is taken: its cameras see the same side of the target
         found.append(max(counted, key=lambda one: (one[2], -apart[one[0], one[1]])))
     return tuple(found)
 
@@ -190,7 +190,7 @@ def _inside(camera: Camera, points: Array) -> Array:
 
 
 def coverage(calibration: Calibration, camera: int, cells: tuple[int, int]) -> Array:
-    """Return which cells (rows, columns) of an image the used points cover: in them, or between them (hull)."""
+    """Return which cells (rows, columns) of an image the used points cover: cells with points, or in their hull."""
     columns, rows = cells
     size = np.array(calibration.sightings.sizes[camera], dtype=float)
     mine = calibration.used & (calibration.sightings.camera == camera)
@@ -204,7 +204,7 @@ def coverage(calibration: Calibration, camera: int, cells: tuple[int, int]) -> A
 
 
 def volume_coverage(calibration: Calibration, low: Sequence[float], high: Sequence[float]) -> Array:
-    """Return which cells (x, y, z) of a box [m, world] the used points cover: in them or between them (hull)."""
+    """Return which cells (x, y, z) of a box [m, world] the used points cover: cells with points, or in their hull."""
     corner, extent = (np.asarray(low, dtype=float), np.asarray(high, dtype=float) - np.asarray(low, dtype=float))
     at = (calibration.points_in_world()[calibration.used] - corner) / extent * VOLUME_CELLS
     covered = np.zeros((VOLUME_CELLS,) * 3, dtype=bool)
@@ -228,7 +228,7 @@ def _between(points: Array, places: Array) -> Array:
 def little_coverage(
     calibration: Calibration, settings: QualityLimits, volume: tuple[Sequence[float], Sequence[float]] | None = None
 ) -> tuple[Finding, ...]:
-    """Return the cameras whose image, and whether the ``volume`` (low, high) [m], was covered in part only."""
+    """Return findings where a camera's image, or the ``volume`` (low, high) [m], was covered only in part."""
     found = []
     for k, camera in enumerate(calibration.rig.cameras):
         if not own_lens_parameters(camera.name, calibration.parameters):

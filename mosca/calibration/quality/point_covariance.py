@@ -1,8 +1,9 @@
-"""The calibration's share in the covariance of triangulated points, apart from the measurement's.
+"""The calibration's contribution to the covariance of triangulated points, apart from the measurement's.
 
-A point follows from its images by N = sum J_c^T S_c^-1 J_c, so that the calibration's parameters p move it by
-G = -N^-1 sum J_c^T S_c^-1 dx_c/dp and give it G C_pp G^T (``mosca.calibration.quality.accuracy_map`` shows it on a
-grid). It is common to all points and frames and does not average out: it is never added to the measurement's.
+With the normal matrix N = sum J_c^T S_c^-1 J_c of a point, the calibration's parameters p move the point by
+G = -N^-1 sum J_c^T S_c^-1 dx_c/dp and give it the covariance G C_pp G^T (``mosca.calibration.quality.accuracy_map``
+shows it on a grid). It is common to all points and frames and does not average out, so it is never added to the
+measurement's.
 """
 
 import numpy as np
@@ -19,7 +20,7 @@ def calibration_covariance(calibration: Calibration, xyz: Array, seen: Array) ->
     all equally well. NaN where fewer than two cameras saw a point.
     """
     good, shift, columns = _shift(calibration, xyz, seen)
-    # one large product in the place of one for each point
+    # one large product instead of one for each point
     moved = shift.reshape(-1, len(columns)) @ calibration.covariance[np.ix_(columns, columns)]
     covariance = np.full((len(good), 3, 3), np.nan)
     covariance[good] = moved.reshape(shift.shape) @ np.swapaxes(shift, 1, 2)
@@ -27,8 +28,8 @@ def calibration_covariance(calibration: Calibration, xyz: Array, seen: Array) ->
 
 
 def calibration_shift(calibration: Calibration, xyz: Array, seen: Array) -> Array:
-    """Return how far (n, 3, u) the true points lie from measured ones for each unit that a parameter is told too
-    large; arguments as of ``calibration_covariance``, NaN likewise.
+    """Return the shifts (n, 3, u) of the true points against the measured ones for each unit by which a parameter is
+    stated too large; arguments and NaN as for ``calibration_covariance``.
     """
     good, shift, columns = _shift(calibration, xyz, seen)
     every = np.full((len(good), 3, len(calibration.parameters)), np.nan)
@@ -38,9 +39,9 @@ def calibration_shift(calibration: Calibration, xyz: Array, seen: Array) -> Arra
 
 
 def _shift(calibration: Calibration, xyz: Array, seen: Array) -> tuple[Array, Array, Array]:
-    """Return which points (n,) two cameras or more see, their shift (m, 3, k) by the cameras' parameters alone, and
-    which k of all parameters these are: those of the target's points and poses, most of a session's, move no point
-    that the cameras measure.
+    """Return which points (n,) two cameras or more see, their shift (m, 3, k) by the k parameters of the cameras, and
+    the indices of these parameters. The others, most of a session's, are those of the target's points and poses; they
+    move no point that the cameras measure.
     """
     xyz, seen = np.asarray(xyz, dtype=float).reshape(-1, 3), np.asarray(seen, dtype=bool)
     good = seen.sum(axis=1) >= 2

@@ -1,4 +1,4 @@
-"""All data that a page shows of a calibration."""
+"""All data of a calibration that a report page shows."""
 
 from collections.abc import Sequence
 
@@ -63,7 +63,7 @@ def _accuracy(
     if not (extent > 0).all():
         return None
     known = calibration.sigma_px[np.isfinite(calibration.sigma_px).all(axis=1)]
-    # later measurements are affected by the cameras' shake, too
+    # later measurements are also affected by the cameras' shake
     sigma_px = float(np.sqrt(np.mean(known**2) + calibration.body_px**2)) if len(known) else 0.1
     count = [max(LEAST_GRID, int(GRID * edge / extent.max()) // 2 * 2 + 1) for edge in extent]
     return accuracy_map(calibration, low, high, (count[0], count[1], count[2]), sigma_px)

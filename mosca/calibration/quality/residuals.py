@@ -12,11 +12,11 @@ from mosca.data.distributions import f as f_distribution
 LEAST_WITHIN = 40
 """Degrees of freedom inside cells from which the scatter of a residual is known well enough."""
 POINTS_OF_AN_IMAGE = 8
-"""Points an image from which its common shift (the body's shake) is taken off first."""
+"""Fewest points of an image for its common shift (the body's shake) to be subtracted first."""
 
 
 def blunders(calibration: Calibration, settings: QualityLimits) -> tuple[Finding, ...]:
-    """Return the cameras of which a large share of points does not fit."""
+    """Return the cameras with a large share of points that do not fit."""
     found = []
     # points that nothing determines have no residual
     judged = np.isfinite(calibration.residuals_px).all(axis=1)
@@ -57,9 +57,9 @@ def lens_misfit(calibration: Calibration, settings: QualityLimits) -> tuple[Find
 def residual_pattern(
     calibration: Calibration, camera: int, cells: tuple[int, int], free: int = 0
 ) -> tuple[float, float, float]:
-    """Return the size [px rms, an axis] of the residuals' mean in cells beyond chance, its chance, their scatter.
+    """Return the size [px rms, an axis] of the residuals' cell means beyond chance, its p-value, and their scatter.
 
-    Means of cells against the scatter inside cells: F-test. (0, 1, 0) where cells hold too few points.
+    An F-test compares the means of cells with the scatter inside cells. (0, 1, 0) where cells hold too few points.
     """
     mean, count, residuals, cell = cell_means(calibration, camera, cells)
     filled = count > 0

@@ -1,4 +1,4 @@
-"""Is the scale right: sizes of the marks' images, plausible distances, and lengths that were held out."""
+"""Checks of the scale: sizes of the marks' images, plausible distances, and held-out lengths."""
 
 from dataclasses import dataclass
 
@@ -25,16 +25,16 @@ UNITS = {
     2.54: "centimetres for inches",
     12.0: "inches for feet",
 }
-"""Ratios that come of taking the one unit for the other."""
+"""Ratios that result from taking one unit for the other."""
 
 
 def sizes(
     calibration: Calibration, target_diameters_m: Array | float, settings: QualityLimits
 ) -> tuple[Finding, ...]:
-    """Return whether the marks have the image size that the calibrated geometry predicts.
+    """Return findings where the marks do not have the image size that the calibrated geometry predicts.
 
-    ``target_diameters_m``: of each mark (m,), or of all. The positions of the marks and their diameters come from
-    one file, but only the positions made the rig: if these are wrong, the images are too large or too small.
+    ``target_diameters_m``: of each mark (m,), or one for all. The marks' positions and diameters come from one file,
+    but the rig depends only on the positions: if these are wrong, the images are too large or too small.
     """
     ratio, sigma, typical_px, count = size_ratio(calibration, target_diameters_m)
     if count < 3:
@@ -59,7 +59,7 @@ def sizes(
 
 
 def distances(calibration: Calibration, settings: QualityLimits) -> tuple[Finding, ...]:
-    """Return whether the target is at a distance that cannot be metres."""
+    """Return findings where the target is at a distance that cannot be in metres."""
     see, rows = calibration.sightings, calibration.used
     centres = np.array([camera.world_from_camera.translation for camera in calibration.rig.cameras])
     away = np.linalg.norm(calibration.points_in_world() - centres[see.camera], axis=1)[rows]
@@ -76,11 +76,11 @@ def distances(calibration: Calibration, settings: QualityLimits) -> tuple[Findin
 
 
 def size_ratio(calibration: Calibration, target_diameters_m: Array | float) -> tuple[float, float, float, int]:
-    """Return seen over predicted image diameter (median), its standard deviation, the typical diameter [px] and
-    the number of marks' images that have one.
+    """Return the median ratio of seen to predicted image diameter, its standard deviation, the typical diameter [px]
+    and the number of marks' images that have one.
 
-    A disc's longer axis is what a disc facing the camera has; a ball off the axis is a little longer. Standard
-    deviation of the median: 1.25 times that of a mean, from the median absolute deviation.
+    The longer axis of a disc's image equals the diameter for a disc facing the camera; a ball off the axis is a
+    little longer. The median's standard deviation is 1.25 times that of a mean, from the median absolute deviation.
     """
     see = calibration.sightings
     diameter = np.broadcast_to(np.asarray(target_diameters_m, dtype=float), (len(calibration.marks_m),))
@@ -112,11 +112,11 @@ def _unit(ratio: float, near: float) -> str:
 
 @dataclass(frozen=True, eq=False)
 class LengthErrors:
-    """Lengths measured with a rig against what they are.
+    """Lengths measured with a rig, compared with the true length.
 
     ``frame`` (k,); ``length_m`` and ``sigma_m`` (k,) measured, with the standard deviation from detection;
-    ``true_m``; ``scale_error`` mean of measured over true, less 1; ``scale_sigma`` its standard deviation: scatter,
-    the bar's own, and the calibration's (common to all frames, so that it does not average out).
+    ``true_m``; ``scale_error`` mean of measured over true, minus 1; ``scale_sigma`` its standard deviation, from
+    scatter, the bar's own, and the calibration's (common to all frames, so that it does not average out).
     """
 
     frame: Array
@@ -137,8 +137,8 @@ def length_errors(
 ) -> LengthErrors:
     """Measure a scale bar that the calibration did not use.
 
-    ``sightings``: marks 0 and 1 are the bar's ends, cameras named as the rig's; ``length_m`` +- ``sigma_m`` what
-    it is. With a ``Calibration`` its covariance counts, with a ``Rig`` it does not. InputError where fewer
+    ``sightings``: marks 0 and 1 are the bar's ends, cameras are named as in the rig; ``length_m`` +- ``sigma_m``: the
+    true length. With a ``Calibration`` its covariance is included, with a ``Rig`` it is not. InputError where fewer
     than two frames show both ends in two cameras.
     """
     rig = calibration if isinstance(calibration, Rig) else calibration.rig
@@ -180,7 +180,7 @@ def length_errors(
 
 
 def scale_error(errors: LengthErrors, settings: QualityLimits | None = None) -> tuple[Finding, ...]:
-    """Return a refusal where held-out lengths come out wrong beyond their own uncertainty."""
+    """Return a refusal where held-out lengths are wrong beyond their own uncertainty."""
     settings = settings or QualityLimits()
     unit = _unit(1 + errors.scale_error, settings.unit_error)
     if unit:

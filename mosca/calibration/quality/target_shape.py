@@ -1,4 +1,4 @@
-"""Is the target as its file has it? Residuals that go with the mark, from view to view, say no."""
+"""Check of the target's shape: it differs from its file if residuals of a mark repeat from view to view."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -11,17 +11,17 @@ from mosca.data.arrays import Array
 from mosca.data.calibration import Calibration, Finding
 
 REPEATED_SHARE = 0.1
-"""Share of the residuals' squares, of views left out, above which it is told. Of a target as in its file the share is
-below 0, since what is estimated from the noise of some views adds to that of others."""
+"""Share of the residuals' squares, in views left out, above which a finding is reported. For a target as in its file
+the share is below 0, since displacements estimated from the noise of some views add to the noise of others."""
 ESTIMATED_SHARE = 0.25
-"""The same, above which the marks are estimated: bends as large as half of the noise. A lens whose model leaves
-residuals of 6 times the noise makes 0.13, the bent board of sleap-anipose 0.77."""
+"""Share, as before, above which the marks are estimated: bends as large as half of the noise. A lens whose model
+leaves residuals of 6 times the noise makes 0.13, the bent board of sleap-anipose 0.77."""
 FEWEST_VIEWS = 8
 """Exposures of the target below which it is not judged."""
 
 
 def target_shape(calibration: Calibration) -> tuple[Finding, ...]:
-    """Return whether the marks of a rigid target are elsewhere on it than its file has them."""
+    """Return a warning where the marks of a rigid target are not where its file has them."""
     share, away = repeated_displacements(calibration)
     if not share > REPEATED_SHARE:
         return ()
@@ -29,7 +29,7 @@ def target_shape(calibration: Calibration) -> tuple[Finding, ...]:
 
 
 def with_shape(calibration: Calibration, calibrated: Callable[[Array], Calibration]) -> Calibration:
-    """Return the calibration with the marks' positions among the unknowns where residuals ask for it.
+    """Return the calibration, with the marks' positions among the unknowns where the residuals require it.
 
     ``calibrated``: calibrates with a-priori standard deviations (3,) [m] of the marks along the target's axes. These
     are the rms of the displacements, in the plane and out of it: paper bends more than a printer stretches it.
@@ -53,10 +53,10 @@ def _told(calibration: Calibration, share: float, away: Array) -> str:
 
 
 def repeated_displacements(calibration: Calibration) -> tuple[float, Array]:
-    """Return which share of the residuals' squares the marks' displacements explain, and these (m, 3) [m].
+    """Return the share of the residuals' squares that displacements of the marks explain, and these (m, 3) [m].
 
-    By views that were left out: the displacements of all marks, to first order, that explain the residuals of one
-    half of the session are tried on the other one. 0 of too few views.
+    The share is that of views left out: the displacements of all marks, to first order, are estimated from the
+    residuals of one half of the session and tried on the other half. 0 with too few views.
     """
     rows = np.flatnonzero(calibration.used & np.isfinite(calibration.residuals_px).all(axis=1))
     frames = calibration.sightings.frame[rows]
@@ -89,7 +89,7 @@ def _slopes(calibration: Calibration, rows: Array) -> Array:
 
 
 def _displacements(slope: Array, residual: Array, mark: Array, marks: int) -> Array:
-    """Return the displacements (m, 3) [m] of the marks that explain the residuals best, 0 where nothing says it."""
+    """Return the displacements (m, 3) [m] of the marks that explain the residuals best, 0 where undetermined."""
     normal, right = np.zeros((marks, 3, 3)), np.zeros((marks, 3))
     np.add.at(normal, mark, np.einsum("nki,nkj->nij", slope, slope))
     np.add.at(right, mark, np.einsum("nki,nk->ni", slope, residual))

@@ -1,4 +1,4 @@
-"""Is sigma0 about 1? Where residuals are not as large as detection expects, the likeliest cause is named."""
+"""Check that sigma0 is about 1: where residuals are not as large as expected, the likeliest cause is named."""
 
 from collections.abc import Sequence
 
@@ -18,7 +18,7 @@ NO_BETTER = "points are less exact than detection expects: defocus, motion blur,
 
 
 def unit_weight(calibration: Calibration, found: Sequence[Finding], settings: QualityLimits) -> tuple[Finding, ...]:
-    """Return whether sigma0 is far from 1, and why; ``found``: what the other checks say."""
+    """Return a finding where sigma0 is far from 1, with the cause; ``found``: findings of the other checks."""
     sigma0, most = calibration.sigma0, settings.unit_weight
     if 1 / most <= sigma0 <= most:
         return ()

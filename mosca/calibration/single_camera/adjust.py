@@ -1,7 +1,7 @@
 """Adjustment of one camera from known points: interior and exterior orientation, their precision, and blunders.
 
-Starting values come from ``resection``. Which lens parameters are estimated is decided by the data
-(``choice``), and blunders are found on the way (``blunders``): the two depend on each other.
+Starting values come from ``resection``. The lens parameters to estimate are selected from the data
+(``parameter_selection``), and blunders are found at the same time (``outliers``), since the two depend on each other.
 """
 
 from collections.abc import Sequence
@@ -24,8 +24,8 @@ ROUNDS = 4
 class AdjustmentSettings:
     """Settings of a single camera's adjustment.
 
-    ``parameters``: lens parameters to estimate; None lets the data choose, OpenCV's thin prism among the rest unless
-    ``prism`` is False. ``significance``: level of the F-test by which a group joins. ``blunder_significance``:
+    ``parameters``: lens parameters to estimate; None: those that the data determine, among them OpenCV's thin prism
+    unless ``prism`` is False. ``significance``: level of the F-test by which a group joins. ``blunder_significance``:
     chance that a point is rejected in an adjustment without blunders. ``max_sigma0_px`` and ``max_rejected``: beyond
     these the result is refused. ``pixel_pitch_mm``: mx of a Mosca lens, which is held (the sensor's data sheet; it
     only sets the unit of c).
@@ -44,7 +44,7 @@ class AdjustmentSettings:
 class CameraAdjustment:
     """An adjusted camera and its precision.
 
-    ``residuals_px`` (n, 2) observed minus projected of all points, the rejected too; ``used`` (n,) bool;
+    ``residuals_px`` (n, 2) observed minus projected of all points, also rejected ones; ``used`` (n,) bool;
     ``parameters`` names of the p unknowns (rotation about the camera's own axes, position, lens) and their
     ``covariance`` (p, p) in these units; ``sigma0_px`` a-posteriori standard deviation of an image
     coordinate; ``sigma_x_px``, ``sigma_y_px`` the same of each coordinate and ``sigma_x_m``, ``sigma_y_m``
@@ -105,10 +105,10 @@ def adjust_camera(
     else:
         first = resect(where, xy, world, rng)
     start = _start(name, size, model, first, settings)
-    # the prism's terms rule the corners: with them one wild corner could throw out the good one opposite
+    # the prism's terms dominate the corners: with them a blunder in one could reject the good point opposite
     nested = nested_parameters(model, int(first.inliers.sum()), groups_of(model, prism=False))
     used = robust_points(start, nested, xy, world, first.inliers)
-    # the choice of parameters and the rejection of points depend on each other; four rounds end a dispute
+    # the selection of parameters and the rejection of points depend on each other; it ends after four rounds
     for _ in range(ROUNDS):
         fit, chosen = _chosen_fit(where, start, xy, world, used, settings)
         fit, kept = snoop(fit, xy, world, used, settings.blunder_significance)
@@ -119,7 +119,7 @@ def adjust_camera(
 
 
 def check_lens(where: str, model: str, parameters: Sequence[str] | None) -> None:
-    """Raise InputError for an unknown lens model, or a parameter that it has not or that is always held.
+    """Raise InputError for an unknown lens model, or a parameter that it does not have or that is always held.
 
     ``where`` begins the message (for instance "camera 'left'").
     """
@@ -197,7 +197,7 @@ def _checked(
             f"{settings.max_rejected:.0%} may be rejected; check the pairs and the lens model"
         )
     everyone = residuals_of(fit.camera, xy, world)
-    # what one pixel measures on the target, at each point's own distance (a fisheye's scale is an angle)
+    # size of one pixel on the target at each point's own distance (a fisheye's scale is an angle)
     seen = fit.camera.world_from_camera.inverse().transform(world[used])
     depth = np.linalg.norm(seen, axis=1) if isinstance(fit.camera.lens, FisheyeLens) else seen[:, 2]
     residuals = everyone[used]

@@ -20,7 +20,8 @@ def calibrate_from_points(
 ) -> tuple[Rig, tuple[CameraAdjustment, ...]]:
     """Calibrate each camera of ``target`` by space resection; its files lie in the folder ``recording``.
 
-    ``settings.pixel_pitch_mm`` is overridden by the target's; ``lens``: model of all cameras, before the target's.
+    The target's pixel pitch overrides ``settings.pixel_pitch_mm``; ``lens`` (model of all cameras) overrides the
+    target's.
     InputError for a file that cannot be used, CalibrationError for points that do not determine their camera.
     """
     if not Path(recording).is_dir():

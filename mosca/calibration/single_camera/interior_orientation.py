@@ -1,8 +1,8 @@
 """Starting values of a camera's interior orientation, from views of a target whose marks are known.
 
-A solid target: space resection with the parameters that its points determine (``adjust``). A plane: its views'
-homographies give the principal distance, with the principal point in the middle of the image and square pixels
-(Zhang 2000), and an adjustment of that camera alone the rest.
+For a solid target, space resection estimates the parameters that its points determine (``adjust``). For a plane, the
+homographies of its views give the principal distance, with the principal point in the middle of the image and square
+pixels (Zhang 2000); an adjustment of that camera alone gives the rest.
 """
 
 from collections.abc import Mapping, Sequence
@@ -36,8 +36,8 @@ MOST_START_VIEWS = 40
 
 @dataclass(frozen=True)
 class LensChoice:
-    """The lens model to estimate; ``pixel_pitch_mm`` is mx of a Mosca lens, which is held; ``own_pitch_mm``: that of
-    cameras, by name, whose pixels are others.
+    """The lens model to estimate; ``pixel_pitch_mm`` is mx of a Mosca lens, which is held; ``own_pitch_mm``: mx by
+    name for cameras with other pixels.
     """
 
     model: str = "mosca"
@@ -99,7 +99,7 @@ def _from_solid(shown: CameraViews, lens: LensChoice, rng: np.random.Generator) 
             "wanted; show it more of the target",
             (name,),
         )
-    # a thin prism found in one view would stay: the adjustment of all views holds it
+    # a thin prism estimated from one view would stay, since the adjustment of all views holds it
     settings = AdjustmentSettings(prism=False, pixel_pitch_mm=lens.pixel_pitch_mm, max_sigma0_px=5.0)
     first: CalibrationError | None = None
     for seen in views:
@@ -108,7 +108,7 @@ def _from_solid(shown: CameraViews, lens: LensChoice, rng: np.random.Generator) 
         try:
             adjusted = adjust_camera(name, size, lens.model, seen.xy_px, shown.marks_m[seen.mark], rng, settings)
         except CalibrationError as error:
-            # with 20 marks for 16 unknowns some may agree on a wrong camera: the next view has others
+            # with 20 marks for 16 unknowns some may fit a wrong camera: the next view has others
             first = first or error
         else:
             return Camera(name, *size, adjusted.camera.lens, Pose(np.eye(3), np.zeros(3)))
@@ -125,7 +125,7 @@ def _from_plane(shown: CameraViews, lens: LensChoice) -> Camera:
             f"at least {FEWEST_PLANE_VIEWS} are wanted; hold it before the camera at more angles",
             (name,),
         )
-    # evenly from all: neighbouring views are nearly the same
+    # evenly from all views, since neighbouring ones are nearly the same
     picked = [usable[k] for k in np.unique(np.linspace(0, len(usable) - 1, MOST_START_VIEWS).astype(int))]
     f_px = _focal_px(replace(shown, views=picked))
     camera = Camera(name, *size, plain_lens(lens, f_px, size), Pose(np.eye(3), np.zeros(3)))

@@ -1,4 +1,4 @@
-"""Least squares for one camera and known points: the bundle solver, with nothing else unknown.
+"""Least squares for one camera and known points, by the bundle solver.
 
 Unknowns are the camera's rotation about its own axes (3), its position in the world (3) and the free lens
 parameters, in that order.
@@ -16,13 +16,13 @@ from mosca.data.rig import Camera
 from mosca.errors import CalibrationError
 
 POSE_PARAMETERS = ("turn_x_rad", "turn_y_rad", "turn_z_rad", "X_m", "Y_m", "Z_m")
-# residual of a point that the trial camera cannot image: not to be taken for a perfect fit
+# residual of a point that the trial camera cannot image, so that it is not taken for a perfect fit
 UNSEEN_PX = 1e3
 # share of its standard deviation by which an unknown may still move
 CONVERGED = 1e-3
 # for fits that only compare models or find outliers
 ROUGHLY_CONVERGED = 0.03
-# the least eigenvalue of the normal matrix scaled to a unit diagonal; below it two parameters are one
+# least eigenvalue of the normal matrix scaled to a unit diagonal; below it two parameters cannot be separated
 LEAST_EIGENVALUE = 1e-11
 
 
@@ -56,11 +56,11 @@ def fit_camera(
     weights: Array | None = None,
     tolerance: float = CONVERGED,
 ) -> CameraFit:
-    """CameraFit pose and the ``free`` lens parameters to pixels (n, 2) of points (n, 3) [m].
+    """Fit the pose and the ``free`` lens parameters to pixels (n, 2) of points (n, 3) [m].
 
     ``weights`` (n,) of the points (default 1); ``tolerance`` the share of its standard deviation by which an
-    unknown may still move. The other lens parameters stay as ``start`` has them; where the points leave an unknown
-    open all do.
+    unknown may still move. The other lens parameters stay as ``start`` has them; if the points do not determine an
+    unknown, all stay.
     """
     weights = np.ones(len(xyz)) if weights is None else weights
     there = np.flatnonzero(weights > 0)
@@ -69,7 +69,7 @@ def fit_camera(
     settings = BundleSettings(tolerance=tolerance, hold_weak=False, precision=False)
     try:
         camera, determined = solve(problem, settings).cameras[0], True
-    except CalibrationError:  # the caller decides what to do without the parameters
+    except CalibrationError:  # the caller handles a fit whose parameters are undetermined
         camera, determined = start, False
     residuals, jacobian = linearised(camera, free, xy_px, xyz)
     root = np.sqrt(weights)

@@ -1,8 +1,8 @@
 """Blunders among measured points: gross ones by a robust fit, the rest by data snooping.
 
-Data snooping after Baarda (1968), with the standard deviation estimated without the point under test (so that the
-test is exact for few points too): the point with the largest standardised residual is rejected, the adjustment is
-repeated, and at the end the points that fit are readmitted.
+Data snooping after Baarda (1968), with the standard deviation estimated without the point under test, so that the
+test is exact also for few points. The point with the largest standardised residual is rejected and the adjustment is
+repeated; at the end the points that fit are readmitted.
 """
 
 from collections.abc import Sequence
@@ -35,9 +35,9 @@ PASSES = 10
 def robust_points(
     start: Camera, nested: Sequence[tuple[str, ...]], xy_px: Array, xyz: Array, inliers: Array
 ) -> Array:
-    """Return which points (n,) are no gross blunders, by a redescending weight from ``inliers`` (n,) on.
+    """Return which points (n,) are no gross blunders, by redescending weights that start from ``inliers`` (n,).
 
-    ``nested``: sets of free lens parameters, each richer than the one before; the last that the points determine
+    ``nested``: sets of free lens parameters, each richer than the one before. The last one that the points determine
     is used, since a lens term left out appears as blunders in the corners.
     """
     free, camera = nested[0], start
@@ -83,7 +83,7 @@ def _without_worst(fit: CameraFit, xy_px: Array, xyz: Array, used: Array, level:
             break
         statistic = _standardised(fit)
         worst = int(np.argmax(statistic))
-        # the variance of the others, so that a blunder does not mask itself
+        # variance from the other points, so that a blunder does not mask itself
         variance = max(fit.cost - statistic[worst], 1e-300) / (redundancy - 2)
         if f_distribution.sf(statistic[worst] / 2 / variance, 2, redundancy - 2) >= level:
             break

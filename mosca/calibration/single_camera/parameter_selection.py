@@ -1,10 +1,10 @@
 """Selection of the lens parameters that the data determine.
 
-Pose and scale (c and my, or fx and fy) are always estimated; the principal point, the affinity a, K1, (P1, P2), K2,
-K3 (or k1, (p1, p2), k2, k3, ...) join one group at a time, that one first which lowers the sum of squares most
-significantly (F-test), until none does. A parameter left out stays at zero, the principal point in the
-middle of the image. So weak terms cannot swing where no point lies. Mosca's P1 and P2 come last, and only where the
-others do not imitate them. OpenCV's thin prism s1-s4 is what a slanting window or water surface does to a camera.
+Pose and scale (c and my, or fx and fy) are always estimated. The principal point, the affinity a, K1, (P1, P2), K2,
+K3 (or k1, (p1, p2), k2, k3, ...) join group by group: each time the group that lowers the sum of squares most
+significantly (F-test), until none does. A parameter left out stays at zero, the principal point in the middle of the
+image. So weak terms cannot become large where there are no points. Mosca's P1 and P2 come last, and only where the
+others do not imitate them. OpenCV's thin prism s1-s4 models the effect of a slanting window or water surface.
 Mosca's mx is always held: c, mx and my have two degrees of freedom.
 """
 
@@ -24,7 +24,7 @@ Group = tuple[str, ...]
 SCALE = {"mosca": ("c_mm", "my_mm_per_px"), "opencv": ("fx_px", "fy_px"), "fisheye": ("fx_px", "fy_px")}
 PRISM = ("s1", "s2", "s3", "s4")
 # groups of lens parameters that may join, in the order in which they become available: a radial term
-# needs the lower one before it
+# becomes available after the next lower one
 GROUPS: dict[str, tuple[tuple[str, ...], ...]] = {
     "mosca": (
         ("xp_px", "yp_px"),
@@ -62,7 +62,7 @@ def nested_parameters(model: str, n_points: int, groups: Sequence[Group]) -> lis
 def choose_parameters(
     start: Camera, xy_px: Array, xyz: Array, significance: float, groups: Sequence[Group]
 ) -> tuple[CameraFit, tuple[tuple[str, float], ...]]:
-    """Fit a camera to pixels (n, 2) of points (n, 3) [m] with those ``groups`` of parameters that they determine.
+    """Fit a camera to pixels (n, 2) of points (n, 3) [m] with those ``groups`` of parameters that these determine.
 
     ``significance``: level of the F-test. Also returns the groups that joined, in order, and their p-values.
     """
@@ -103,7 +103,7 @@ def _best_group(
         trials.append((p_value, -gain, group, trial))
     if not trials:
         return None
-    # p-values of strong terms all underflow to zero: the larger gain decides
+    # the p-values of strong terms all underflow to zero; then the larger gain decides
     p_value, _, group, trial = min(trials, key=lambda t: t[:2])
     return p_value, group, trial
 

@@ -1,8 +1,8 @@
 """Find a wand's balls among the targets of one image.
 
-A straight wand's image is straight, up to the lens, and the position of an inner ball between the outer ones follows
-from the wand and from how much nearer one end is than the other. Three balls leave that ratio of distances free, so
-it must lie within what a wand can have before a camera; each further ball is a check (the cross-ratio).
+The image of a straight wand is straight, up to the lens. The position of an inner ball between the outer ones follows
+from the wand and from the ratio of the distances of its two ends. Three balls leave this ratio free, so it must be
+one that is possible for a wand before a camera; each further ball is a check (the cross-ratio).
 """
 
 import numpy as np
@@ -17,18 +17,18 @@ ALIKE_ENDS = 0.05
 
 
 LARGEST_DEPTH_RATIO = 1.6
-"""How many times farther than the near end the far end may be."""
+"""Largest ratio of the far end's distance to the near end's."""
 BEND, SLACK_PX = 0.02, 1.0
-"""How far from the line of the outer balls an inner one may be seen, as a share of their distance, and beyond; lenses
-bend lines a little."""
+"""Largest distance of an inner ball's image from the line of the outer ones: a share of the outer balls' distance,
+plus so many px; lenses bend lines a little."""
 LARGEST_DIAMETER_RATIO = 1.8
-"""Of the balls' images, beyond what their distances explain."""
+"""Largest ratio of the diameters of the balls' images beyond that explained by their distances."""
 CLEAR = 2.0
-"""How many times worse the second best choice must be."""
+"""Factor by which the second best choice must be worse than the best."""
 
 
 def read_wand(detections: Detections, wand: Wand, camera: int, frame: int) -> Part | None:
-    """Return the wand's balls in one image, or None where it is not seen whole or could be two ways.
+    """Return the wand's balls in one image, or None where it is not seen whole or is ambiguous.
 
     Rows are in their order along the wand; ``mark`` is their number, or -1 where the two ends cannot be distinguished
     (two balls, or a symmetric wand).
@@ -48,7 +48,7 @@ def read_wand(detections: Detections, wand: Wand, camera: int, frame: int) -> Pa
     if not found:
         return None
     found.sort()
-    # choices that share balls compete, others mean that two wands are seen
+    # choices that share balls are rivals; other choices mean that two wands are seen
     if len(found) > 1 and found[1][0] < CLEAR * max(found[0][0], 0.25):
         return None
     rows = np.array(found[0][1])
@@ -84,7 +84,7 @@ def _between(detections: Detections, first: int, second: int, along: Array) -> l
     limit = np.log(LARGEST_DIAMETER_RATIO)
     choices: list[tuple[int, ...]] = [()]
     for t in along[1:-1]:
-        # where the ball may lie with either end the nearer one
+        # range of the ball's position, with either end as the nearer one
         low, high = (t * k / (1 - t + t * k) for k in (np.exp(-most), np.exp(most)))
         fits = inner[(u[inner] >= low - off) & (u[inner] <= high + off)]
         choices = [(*one, int(k)) for one in choices for k in fits if not one or u[k] > u[one[-1]]]

@@ -1,4 +1,4 @@
-"""From the frames of a calibration session to sightings: every image is read for the target's marks."""
+"""Sightings from the frames of a calibration session: every image is searched for the target's marks."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
@@ -16,9 +16,9 @@ from mosca.synchronisation import assemble
 Progress = Callable[[int], None]
 
 SPREAD_SETS_BESIDE_OTHERS, SPREAD_SETS = 60, 300
-"""Sets without the target, spread evenly over a recording, after which it is refused: where other marks are seen in
-them, and in any case. A target that is in 5 % (1 %) of the sets is missed by all with 0.95^60 = 0.99^300 = 5 %, and
-never where one of its stretches is longer than 1/60 (1/300) of the recording."""
+"""Numbers of sets without the target, spread evenly over a recording, after which the recording is refused: the first
+if other marks are seen in them, the second in any case. A target that is in 5 % (1 %) of the sets is missed by all
+with 0.95^60 = 0.99^300 = 5 %, and never if one of its stretches is longer than 1/60 (1/300) of the recording."""
 
 
 class MarkReader(Protocol):
@@ -52,7 +52,7 @@ def check_shown(
 
     ``source`` is read up to the first set that shows it, and can be read again; ``reader`` makes a reader.
     ``n_frames``: of all cameras in the source, None where unknown. A recording of less than twice as many sets as
-    are examined, and one of unknown length, is not checked: reading it all tells as much.
+    are examined, or of unknown length, is not checked: reading all of it gives the same answer.
     """
     infos = source.cameras
     sets = 0 if n_frames is None else n_frames // len(infos) // max(every, 1)
@@ -73,7 +73,7 @@ def check_shown(
 def read_sightings(
     source: FrameSource, reader: MarkReader, every: int = 1, progress: Progress | None = None
 ) -> Sightings:
-    """Return what the frame sets of a source show of a target; each ``every``-th set is examined.
+    """Return the sightings of a target in the frame sets of a source; each ``every``-th set is examined.
 
     ``progress`` is called with the number of sets read. InputError where no image shows anything.
     """
@@ -95,7 +95,7 @@ def read_sightings(
 
 
 def _parts(frame_set: FrameSet, infos: Sequence[CameraInfo], reader: MarkReader, number: int) -> Iterator[Part]:
-    """Yield what each image of a set shows; ``number``: of the set."""
+    """Yield the marks that each image of a set shows; ``number``: of the set."""
     for camera, info in enumerate(infos):
         frame = frame_set.frames.get(info.name)
         if frame is None or frame.image is None:

@@ -21,14 +21,14 @@ from mosca.detection.detect import DetectionSettings, detect
 from mosca.errors import InputError
 
 LOOKED_FOR_OTHERS = 40
-"""Images without the target that are searched for other numbers, which takes as long as the search itself."""
+"""Images without the target that are searched for other numbers; this takes as long as the search itself."""
 MOST_TOLD = 8
 FEWEST = 6
-"""Targets that must be read before the colour of the plates is believed."""
+"""Number of targets that must be read before the colour of the plates is accepted."""
 
 
 def reader_of(target: CalibrationTarget, detection: DetectionSettings | None = None) -> MarkReader:
-    """Return what finds a target's marks in an image."""
+    """Return the reader that finds a target's marks in an image."""
     if isinstance(target, TestField):
         return FieldReader(target)
     if isinstance(target, Board):
@@ -50,7 +50,7 @@ def reader_of(target: CalibrationTarget, detection: DetectionSettings | None = N
 class FieldReader:
     """Finds the numbers of a test field or scale bar; marks are counted in the order of its targets.
 
-    White dots on black plates, or the other way round: whichever the first image with targets shows.
+    White dots on black plates, or the other way round; the first image with targets decides.
     """
 
     def __init__(self, target: TestField | ScaleBar) -> None:
@@ -114,7 +114,7 @@ class BoardReader:
         self._without: Counter[str] = Counter()
         """Images without the board, by camera."""
         self._looks: dict[str, dict[str, None]] = {}
-        """Keys with which it is found in some of these: the cameras, in order."""
+        """Keys with which the board is found in some of these images -> cameras, in order."""
 
     def read(self, image: Array, camera: str, bit_depth: int) -> Part:
         """Return the board's corners in an image (H, W)."""
@@ -122,7 +122,7 @@ class BoardReader:
         if found.refused:
             self._refusals[found.refused] += 1
             self._without[camera] += 1
-            # of n images the square root, spread over all of them: each takes three searches more
+            # only sqrt(n) of n images, spread over all of them, since each takes three more searches
             if math.isqrt(self._without[camera]) ** 2 == self._without[camera]:
                 keys = ", ".join(f"{key} = {value}".lower() for key, value in other_looks(image, self._board).items())
                 if keys:
@@ -134,7 +134,7 @@ class BoardReader:
         return "".join(f"; in {count} images: {why}" for why, count in self._refusals.items())
 
     def advice(self) -> str:
-        """Return with which keys of the target file the board would have been found."""
+        """Return the keys of the target file with which the board would have been found."""
         return "".join(
             f"; {', '.join(cameras)} would see the board with {keys} in the target file"
             for keys, cameras in self._looks.items()
@@ -152,7 +152,7 @@ class _WandReader:
         self._wand, self._detection = wand, detection
 
     def read(self, image: Array, camera: str, bit_depth: int) -> Part:
-        """Return the balls in an image (H, W), none where the wand is not seen whole or not alone."""
+        """Return the balls in an image (H, W), none where the wand is not seen whole and alone."""
         found = read_wand(detect(image, camera, self._detection, bit_depth), self._wand, 0, 0)
         if found is not None:
             return found

@@ -8,14 +8,14 @@ from mosca.data.sightings import Sightings
 LEAST_MOVE_PX = 0.35
 """Largest shake of a camera's body between two exposures: ten times the usual 0.03 px."""
 SIGMAS = 6.0
-"""Standard deviations of the mean position's noise from which a target has moved."""
+"""Motion from which a target has moved, in standard deviations of the noise of the mean position."""
 
 
 def stationary_intervals(sightings: Sightings) -> Array:
     """Return the stationary interval (frames,) of each frame set, counted from 0; -1 where nothing was seen.
 
     A new one begins where the marks of any camera moved by more than ``LEAST_MOVE_PX`` and their noise, against
-    the interval's first frame set: a slow creep is a motion, too.
+    the interval's first frame set: a slow creep is also a motion.
     """
     order = np.argsort(sightings.frame, kind="stable")
     bounds = np.searchsorted(sightings.frame[order], np.arange(sightings.frames + 1))

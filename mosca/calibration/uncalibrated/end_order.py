@@ -1,7 +1,7 @@
 """Order of a wand's ends where its balls do not determine it: two balls, or a symmetric wand.
 
-The middle of the balls' images is nearly the image of the wand's middle, whichever end is first: it gives rough
-epipolar lines, and these determine which ends belong together in two cameras. The balls then give sharper ones.
+The middle of the balls' images is nearly the image of the wand's middle, whichever end is first. It gives rough
+epipolar lines, which determine the ends that belong together in two cameras. The balls then give more accurate lines.
 """
 
 from collections.abc import Sequence
@@ -18,15 +18,15 @@ from mosca.data.sightings import Sightings
 from mosca.errors import InputError
 
 ROUNDS = 3
-# epipolar lines decide where the other order misses them by so many times more, and by so many typical misses
+# an order is sure where the other misses the epipolar lines by so many times more, and by so many typical misses
 TIMES_WORSE, CLEARLY = 4.0, 6.0
 
 
 def ordered(sightings: Sightings, balls: int, lenses: Sequence[Lens], rng: np.random.Generator) -> Sightings:
     """Return the sightings with unknown marks (-1) numbered along the wand, alike in all cameras of a frame.
 
-    The rows of an image are in their order along the line. Which end has number 0 is chance; images whose order
-    nothing decides have -1.
+    The rows of an image are in their order along the line. Which end has number 0 is arbitrary; images whose order
+    is undetermined have -1.
     """
     unknown = sightings.mark < 0
     if not unknown.any():
@@ -74,7 +74,7 @@ def _middles(sightings: Sightings, frame: Array, camera: Array, ends: Array, len
 
 
 def _flips(middles: PointViews, ends: Array, rng: np.random.Generator) -> Array:
-    """Return +1 or -1 (n,) of each image so that all of a frame agree, 0 where that is not known."""
+    """Return +1 or -1 (n,) for each image so that all images of a frame agree, 0 where unknown."""
     bend = common_bend(middles, rng)
     table, common = middles.table(), middles.common()
     votes = []

@@ -24,12 +24,12 @@ BASIC: dict[str, Free] = {
 }
 """Lens parameters that are always estimated, and held by the solver where the data are weak."""
 PIXEL_SHAPE = ("fx_px", "fy_px")
-"""Takes the place of the common focal length: pixels need not be square."""
+"""Parameters that replace the common focal length, since pixels need not be square."""
 EXTRA: dict[str, tuple[Free, ...]] = {
     "mosca": (("P1_per_mm", "P2_per_mm"), ("my_mm_per_px", "a"), ("K3_per_mm6",)),
     "opencv": (("p1", "p2"), PIXEL_SHAPE, ("k3",)),
 }
-"""Those that join, group by group for all cameras, where they lower the sum of squares significantly."""
+"""Lens parameters that join, group by group for all cameras, where they lower the sum of squares significantly."""
 FOCAL_NAME = {"mosca": "c_mm", "opencv": FOCAL}
 SIGNIFICANT = 1e-3
 """Significance level of the likelihood-ratio test for further lens parameters."""
@@ -87,7 +87,7 @@ def _joined(free: Free, groups: tuple[Free, ...]) -> Free:
 
 
 def _without_others(camera: Camera, only: Free) -> Camera:
-    """Return the camera without the distortion of its first lens that is not to be estimated."""
+    """Return the camera without those distortion parameters of its first lens that are not to be estimated."""
     radial = ("K1_per_mm2", "K2_per_mm4", "k1", "k2")
     none: dict[str, Any] = {name: 0.0 for name in radial if hasattr(camera.lens, name) and name not in only}
     return replace(camera, lens=replace(camera.lens, **none))
@@ -100,7 +100,7 @@ def _held_more(trial: Network, one: Network) -> bool:
 
 
 def _without_gross(one: Network) -> PointViews:
-    """Return the image points without those that lie far off."""
+    """Return the image points without gross blunders."""
     far = np.linalg.norm(one.residuals_px, axis=1) / one.tracks.sigma_px
     good = far <= GROSS_SIGMAS * max(one.spread, 1e-9)
     return one.tracks.only(good).of_cameras(one.cameras)

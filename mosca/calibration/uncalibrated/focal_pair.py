@@ -18,7 +18,7 @@ from mosca.data.rig import Pose
 GRID = 24
 # wands examined while trying
 MOST_WANDS = 60
-# points behind a camera weigh as much as a wand of so varying a length
+# cost of points behind a camera, as a relative variation of the wand's length
 BEHIND = 2.0
 
 
@@ -63,7 +63,7 @@ def pair_guesses(
 
 
 def motions(fundamental: Array, f1: Array, f2: Array) -> tuple[Array, Array]:
-    """Return both rotations (g, 2, 3, 3) second_from_first and the unit shift (g, 3) of each two focal lengths."""
+    """Return both rotations (g, 2, 3, 3) second_from_first and unit shift (g, 3) for each pair of focal lengths."""
     k1 = np.stack([f1, f1, np.ones_like(f1)], axis=1)
     k2 = np.stack([f2, f2, np.ones_like(f2)], axis=1)
     essential = k2[:, :, None] * fundamental * k1[:, None, :]

@@ -1,12 +1,13 @@
 """Image points of balls that their own wand hides in part.
 
-A bar that comes out of a ball towards the camera covers a part of its image, and the centre that is found lies up to
-a hundredth of the diameter away from the bar; a bar that goes away from the camera lies behind the ball. The error is
-alike in all frames with the wand at one tilt, so that it does not average out: it stretches the wand and with it the
-scale. Which bar a wand has is not known. The residuals tell it (additional parameters, Brown 1976): a shift along the
-bar, a piecewise linear function of the cosine between bar and line of sight, zero where the bar points away. What is
-hidden grows with the image, blur and pixels do not, so that the shift is in proportion to the image's size in part,
-and as many pixels at all sizes in part. What it leaves gives variances by the same cosine (Koch 1999, section 3.6).
+A bar that comes out of a ball towards the camera covers a part of the ball's image, and the centre found is shifted
+away from the bar by up to a hundredth of the diameter. A bar that goes away from the camera lies behind the ball. The
+error is the same in all frames with the wand at one tilt, so that it does not average out: it stretches the wand and
+with it the scale. The bar of a wand is not known; its effect is estimated from the residuals (additional parameters,
+Brown 1976): a shift along the bar, piecewise linear in the cosine between bar and line of sight, zero where the bar
+points away. The hidden part grows with the image, blur and pixels do not. So one part of the shift is proportional to
+the image's size, the other is the same number of pixels at all sizes. The remaining errors give variances by the same
+cosine (Koch 1999, section 3.6).
 """
 
 from collections.abc import Callable
@@ -23,16 +24,17 @@ from mosca.data.distributions import chi2
 KNOTS = 5
 """Knots of the shift above a cosine of 0, and classes of variances there."""
 LEAST_REDUNDANCY = 40
-"""Of a class that is judged by itself."""
+"""Least redundancy of a class with a variance of its own."""
 SIGNIFICANT = 1e-3
 """Level of the test whether bars shift image points."""
 ROUNDS, SETTLED = 40, 0.1
-"""Most adjustments; change of image points, in standard deviations, and of these, relative, at which they end."""
+"""Largest number of adjustments; change of image points, in standard deviations, and of these, relative, that ends
+them."""
 
 
 @dataclass(frozen=True, eq=False)
 class BarDirections:
-    """How the bar nearest to the line of sight lies at n image points.
+    """Direction of the bar nearest to the line of sight at n image points.
 
     ``cosine`` (n,): 1 where it points from its ball at the camera; ``along`` (n, 2) [px/m]: the image of a metre
     across the line of sight in the bar's direction. NaN where ball or wand have no position.
@@ -43,7 +45,7 @@ class BarDirections:
 
 
 def without_hidden(start: Network, adjusted: Callable[[Network, PointViews], Network]) -> Network:
-    """Return the network adjusted without what the wand's bars shift, the rest in the standard deviations.
+    """Return the network adjusted with the shifts by the wand's bars removed and the rest in the standard deviations.
 
     ``start``: with precision; ``adjusted``: adjusts a network again with other image points, with precision. A wand
     that hides nothing leaves the network as it is.
@@ -69,7 +71,7 @@ def without_hidden(start: Network, adjusted: Callable[[Network, PointViews], Net
 
 
 def bar_directions(one: Network) -> BarDirections:
-    """Return how the wand's bars lie at each image point of a network."""
+    """Return the directions of the wand's bars at each image point of a network."""
     tracks, points, rods = one.tracks, one.points, one.tracks.rods
     start = np.concatenate([rods.first, rods.second])
     bar = points[np.concatenate([rods.second, rods.first])] - points[start]
@@ -108,8 +110,8 @@ def _hats(cosine: Array) -> Array:
 def _designs(bars: BarDirections) -> Array:
     """Return the shifts (n, 2, 2 KNOTS) [px] of image points by a unit at each knot.
 
-    A unit is one pixel: of the first half where images are of median size, elsewhere in proportion to it; of the
-    second half everywhere.
+    A unit is one pixel. In the first half this holds for images of median size, and the shift is proportional to the
+    size; in the second half it holds for all sizes.
     """
     hats, along = _hats(bars.cosine)[:, None, :], bars.along[:, :, None]
     size = np.linalg.norm(along, axis=1, keepdims=True)
@@ -118,7 +120,7 @@ def _designs(bars: BarDirections) -> Array:
 
 
 def _shifts(one: Network, design: Array) -> tuple[Array, float]:
-    """Return the shift (2 KNOTS,) [px] that the residuals show, and by how much it lowers the sum of squares."""
+    """Return the shift (2 KNOTS,) [px] estimated from the residuals, and its decrease of the sum of squares."""
     residual = one.residuals_px / one.tracks.sigma_px[:, None]
     good = one.adjustment.used & np.isfinite(design).all(axis=(1, 2)) & np.isfinite(residual).all(axis=1)
     a = (design / one.tracks.sigma_px[:, None, None])[good].reshape(-1, design.shape[2])
@@ -128,15 +130,16 @@ def _shifts(one: Network, design: Array) -> tuple[Array, float]:
 
 
 def _variance_factors(one: Network, moved_px: Array, base: PointViews, cosine: Array) -> Array:
-    """Return the factor (n,) of the variances of ``base`` that makes them as right as where bars point away.
+    """Return the factor (n,) on the variances of ``base`` that makes them as right as where bars point away.
 
-    ``moved_px`` (n, 2): by how much the image points were moved since the network was adjusted, residuals less. What
-    is stated of a ball that a bar hides tells how badly a disc fits it, and no longer the error of its centre once
-    that is moved: each class gets one variance. Medians, since balls that nearly touch another's image are far off.
+    ``moved_px`` (n, 2): motion of the image points since the network was adjusted, subtracted from the residuals. The
+    stated variance of a ball hidden by a bar reflects the misfit of a disc, which is no longer the error of the
+    centre once that is moved. So each class gets one variance. Medians are used, since balls that nearly touch
+    another's image are far off.
     """
     assert one.adjustment.precision is not None
     stated = np.asarray(base.sigma_px) ** 2
-    # the adjustment leaves of an error what redundancy is there: little where few others are as good
+    # the redundancy is the share of an error left in the residuals: little where few others are as good
     left = one.adjustment.precision.redundancy_numbers.sum(axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
         squares = ((one.residuals_px - moved_px) ** 2).sum(axis=1) / left

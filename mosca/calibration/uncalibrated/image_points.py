@@ -61,24 +61,24 @@ class PointViews:
         )
 
     def table(self) -> Array:
-        """Return which image point (c, p) is a camera's of an object point, -1 where it did not see it."""
+        """Return each camera's image point (c, p), by index, of each object point; -1 where it did not see it."""
         out = np.full((len(self.names), self.points), -1, dtype=np.int64)
         out[self.camera, self.point] = np.arange(len(self))
         return out
 
     def common(self) -> Array:
-        """Return how many object points (c, c) each two cameras saw both."""
+        """Return the number (c, c) of object points that both cameras of each pair saw."""
         seen = (self.table() >= 0).astype(np.float64)
         return np.asarray(np.rint(seen @ seen.T).astype(np.int64))
 
     def of_cameras(self, cameras: Iterable[int]) -> "PointViews":
-        """Return the image points of some cameras whose object point a second of them saw."""
+        """Return those image points of some cameras whose object point a second one of these cameras saw."""
         chosen = np.isin(self.camera, list(cameras))
         rays = np.bincount(self.point[chosen], minlength=self.points)
         return self.only(chosen & (rays[self.point] >= 2))
 
     def thinned(self, most: int, rng: np.random.Generator) -> "PointViews":
-        """Return about ``most`` image points at the most, whole object points and rods, drawn by ``rng``."""
+        """Return at most about ``most`` image points: whole object points and rods, drawn by ``rng``."""
         if len(self) <= most:
             return self
         # points that rods join are drawn together

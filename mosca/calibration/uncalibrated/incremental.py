@@ -1,7 +1,7 @@
-"""A metric network grows by one camera at a time: resection on its points, or a wand's common view with one of it.
+"""Growth of a metric network by one camera at a time: resection on its points, or common views of a wand.
 
-The chain of zones: a camera need only share views with some calibrated camera. After each one all is
-adjusted (incremental reconstruction, Snavely et al. 2006).
+Zones can form a chain: a camera need only share views with some calibrated camera. After each camera the whole
+network is adjusted (incremental reconstruction, Snavely et al. 2006).
 """
 
 import numpy as np
@@ -55,7 +55,7 @@ def grow(start: Network, tracks: PointViews, bend: float, rng: np.random.Generat
 def with_next_camera(
     one: Network, tracks: PointViews, bend: float, rng: np.random.Generator
 ) -> tuple[Network | None, dict[int, CalibrationError]]:
-    """Return the network with one camera more, or None, and why cameras with views in common did not fit."""
+    """Return the network with one camera more, or None, and the reasons why cameras with common views did not fit."""
     points = trusted_points(one, tracks)
     links = np.bincount(tracks.camera[np.isfinite(points[tracks.point]).all(axis=1)], minlength=len(tracks.names))
     failures: dict[int, CalibrationError] = {}
@@ -102,7 +102,7 @@ def _resected(tracks: PointViews, k: int, points: Array, bend: float, rng: np.ra
 
 
 def _beside(one: Network, tracks: PointViews, k: int, bend: float, rng: np.random.Generator) -> Camera | None:
-    """Return a camera from its common wands with one camera of the network; None without enough."""
+    """Return a camera from the wands it shares with one camera of the network; None with too few."""
     common = tracks.common()[k].copy()
     common[[j for j in range(len(common)) if j not in one.cameras]] = 0
     other = int(np.argmax(common))
@@ -133,7 +133,7 @@ def _straight(tracks: PointViews, camera: Camera, k: int, points: Array) -> Arra
 
 
 def wand_ends(tracks: PointViews, points: Array, good: Array) -> Array:
-    """Return the rods (w, 3) both of whose ends are among the good ``points`` (m,): positions of both in it, rod."""
+    """Return the rods (w, 3) with both ends among the good ``points`` (m,): positions of the ends in it, and rod."""
     place = np.full(tracks.points, -1)
     place[points[good]] = np.flatnonzero(good)
     first, second = place[tracks.rods.first], place[tracks.rods.second]

@@ -21,7 +21,7 @@ from mosca.errors import CalibrationError
 PAIRS, GUESSES = 3, 3
 # guesses so much worse than the best are not examined
 WORSE_FACTOR, WORSE_BY = 3.0, 0.1
-# angle between the rays of a point beyond which it does not matter any more
+# angle between the rays of a point beyond which a larger one is no better
 WIDE_RAD = 0.6
 
 

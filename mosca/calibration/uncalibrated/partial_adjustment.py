@@ -23,18 +23,18 @@ from mosca.data.rig import Camera
 from mosca.errors import CalibrationError
 
 CLEANINGS, ROD_SIGMAS = 6, 10.0
-"""Most rounds of removing outliers; standard deviations from which a rod's length is one."""
+"""Largest number of rounds that remove outliers; standard deviations from which a rod's length is an outlier."""
 # residuals above so many robust standard deviations are left out while the network grows
 CLEAR_SIGMAS = 12.0
 FIRST = BundleSettings(loss="cauchy", loss_scale=3.0, tolerance=1.0, most_steps=20, hold_weak=True, precision=False)
 """The first adjustment, robust against wrong images."""
 SECOND = BundleSettings(tolerance=0.3, most_steps=20, precision=False)
-"""The second adjustment, of what is left: to convergence of a third of a unit of weight."""
+"""The second adjustment, of the remaining image points: to convergence of a third of a unit of weight."""
 
 
 @dataclass(frozen=True, eq=False)
 class Network:
-    """Cameras by index, the image points ``tracks`` that the adjustment had, and the adjustment itself.
+    """Cameras by index, the image points ``tracks`` of the adjustment, and the adjustment itself.
 
     ``points`` (p, 3): of all object points, NaN where unknown.
     """
@@ -57,7 +57,7 @@ class Network:
 
 
 def rough(tracks: PointViews, cameras: Mapping[int, Camera], free: tuple[str, ...]) -> Network:
-    """Adjust some cameras robustly from poor starting values; residuals of the size they start with are let in."""
+    """Adjust some cameras robustly from poor starting values; residuals as large as at the start are admitted."""
     usable = imaged(tracks.of_cameras(cameras), cameras)
     if len(np.unique(usable.camera)) < len(cameras):
         raise CalibrationError("few-views: a camera's points have no rays in the lens that was guessed")
@@ -99,21 +99,21 @@ def network(
 
 
 def rods_between(tracks: PointViews, inflate: float) -> Distances:
-    """Return the rods both of whose ends two cameras see, their standard deviations times ``inflate``.
+    """Return the rods with both ends seen by two cameras, their standard deviations times ``inflate``.
 
-    Far off the solution a rod must not be so much firmer than the rays that rounding errors outweigh these.
+    Far from the solution a rod's weight must not exceed that of the rays so much that rounding errors outweigh these.
     """
     rays = np.bincount(tracks.point, minlength=tracks.points)
     rods = tracks.rods
     both = (rays[rods.first] >= 2) & (rays[rods.second] >= 2)
-    # on one line a distance is the sum of others: each ball is joined to the first that is known
+    # distances on one line are sums of others: each ball is joined only to the first one that is known
     one = np.flatnonzero(both)
     one = one[np.unique(rods.second[one], return_index=True)[1]]
     return Distances(rods.first[one], rods.second[one], rods.length_m[one], rods.sigma_m[one] * inflate)
 
 
 def imaged(tracks: PointViews, cameras: Mapping[int, Camera]) -> PointViews:
-    """Return the image points that have a ray in the lens of their camera and a second camera that sees theirs."""
+    """Return the image points that have a ray in their camera's lens and whose object point a second camera sees."""
     good = np.zeros(len(tracks), dtype=bool)
     for k, camera in cameras.items():
         mine = tracks.camera == k
@@ -146,15 +146,15 @@ def intersected(tracks: PointViews, cameras: Mapping[int, Camera]) -> Array:
 def cleaned(tracks: PointViews, cameras: Mapping[int, Camera], limit: float) -> PointViews:
     """Return the image points without those that contradict these cameras by more than ``limit`` a-priori sigmas.
 
-    Of each object point the worst ray goes out, then the rest is intersected again; of two rays that do not meet
-    both go, since it is unknown which is wrong. So do both ends of a rod of quite another length than it has. Image
-    points of other cameras stay.
+    The worst ray of each object point is removed, then the others are intersected again. If two rays do not meet,
+    both are removed, since it is unknown which is wrong. Both ends of a rod of a very different length are also
+    removed. Image points of other cameras stay.
     """
     for _ in range(CLEANINGS):
         mine = np.isin(tracks.camera, list(cameras))
         points = intersected(tracks.only(mine), cameras)
         far = np.linalg.norm(residuals(tracks, cameras, points), axis=1) / tracks.sigma_px
-        # a point that is not imaged where its ray was is as wrong as can be
+        # a point with a ray that its camera does not image counts as infinitely wrong
         lost = mine & np.isfinite(points[tracks.point]).all(axis=1) & ~np.isfinite(far)
         far = np.where(lost, np.inf, np.where(np.isfinite(far), far, 0.0))
         worst = np.zeros(tracks.points)
@@ -170,7 +170,7 @@ def cleaned(tracks: PointViews, cameras: Mapping[int, Camera], limit: float) -> 
 
 
 def _of_wrong_length(tracks: PointViews, points: Array) -> Array:
-    """Return which points (p,) are ends of rods whose length is far from what it is, in robust sigmas of all."""
+    """Return which points (p,) are ends of rods with very different lengths, in robust sigmas of all rods."""
     rods, out = tracks.rods, np.zeros(tracks.points, dtype=bool)
     off = np.linalg.norm(points[rods.first] - points[rods.second], axis=1) / rods.length_m
     known = np.isfinite(off)
@@ -194,5 +194,5 @@ def residuals(tracks: PointViews, cameras: Mapping[int, Camera], points: Array) 
 def _misfit(tracks: PointViews, cameras: Mapping[int, Camera]) -> float:
     """Return the robust size of the residuals before an adjustment, in a-priori standard deviations."""
     far = np.linalg.norm(residuals(tracks, cameras, intersected(tracks, cameras)), axis=1) / tracks.sigma_px
-    # what is not imaged counts as far away, not as nothing
+    # points that are not imaged count as far away
     return SIGMA_BY_MEDIAN_2D * float(np.median(np.where(np.isfinite(far), far, np.nanmax([*far, 1.0]))))

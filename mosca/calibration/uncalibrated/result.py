@@ -122,9 +122,9 @@ def findings_of(one: Network, tracks: PointViews) -> tuple[Finding, ...]:
 def calibration_of(
     one: Network, tracks: PointViews, sightings: Sightings, scaled_by: str, scale_sigma: float
 ) -> Calibration:
-    """Return the report; each mark of its sightings is one point of the world, a mark of one frame.
+    """Return the calibration; in its sightings each mark of one frame is a point of the world, a mark of its own.
 
-    ``scale_sigma``: relative standard deviation of the length that scales.
+    ``scale_sigma``: relative standard deviation of the length that gives the scale.
     """
     adjusted, precision = one.adjustment, one.adjustment.precision
     assert precision is not None  # finished() asks for it
@@ -142,7 +142,7 @@ def calibration_of(
         covariance = covariance + scale_sigma**2 * _stretch(adjusted.parameters, one.cameras, one.points)
     sigma_px = np.column_stack([precision.sigma_x_px, precision.sigma_y_px])
     sigma_m = np.column_stack([precision.sigma_x_m, precision.sigma_y_m])
-    # a mark that nothing determines has no position: the last row
+    # an undetermined mark has no position: the last row
     places = np.vstack([one.points, np.full((1, 3), np.nan)])
     return Calibration(
         rig,
@@ -175,10 +175,10 @@ def _interior(camera: Camera) -> tuple[float, float]:
 
 
 def _shake(one: Network) -> tuple[float, float]:
-    """Return by how much whole images shake [px rms, an axis], and the factor by which that raises variances.
+    """Return the shake of whole images [px rms, an axis], and the factor by which it raises variances.
 
-    From the mean product of the residuals of different balls in one image. Errors that the k balls of an image
-    share wholly leave it the weight of one: variances rise by 1 + (k - 1) rho (Kish 1965).
+    It is estimated from the mean product of the residuals of different balls in one image. An image whose k balls
+    share all errors has the weight of one ball: variances rise by 1 + (k - 1) rho (Kish 1965).
     """
     adjusted = one.adjustment
     group = np.arange(one.tracks.points)
@@ -200,7 +200,7 @@ def _shake(one: Network) -> tuple[float, float]:
     if shared < 3 * doubt:
         return 0.0, 1.0
     own = float((r**2).mean())
-    # residuals are smaller than errors, both parts alike
+    # residuals are smaller than errors, by the same share in both parts
     precision = adjusted.precision
     assert precision is not None
     left = float(np.nanmean(precision.redundancy_numbers))

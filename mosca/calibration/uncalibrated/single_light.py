@@ -1,10 +1,10 @@
-"""A rig from a light that is waved through the volume, nothing of it known: neither lengths nor focal lengths.
+"""A rig from a light that is waved through the volume, with neither lengths nor focal lengths known.
 
-In the manner of MultiCamSelfCal (Svoboda, Martinec and Pajdla 2005). Two cameras leave their focal lengths open; a
-third one settles them. Focal lengths within reason, equal ones of the first two cameras, are tried: each gives a
-relative orientation (Longuet-Higgins 1981), on whose points a third camera is resected; all three are adjusted with
-their focal lengths free, and the network that fits best goes on. Axes are near those of one of the cameras; lengths
-are as the distance of two cameras is stated, or arbitrary.
+In the manner of MultiCamSelfCal (Svoboda, Martinec and Pajdla 2005). Two cameras do not determine their focal
+lengths; a third one does. Plausible focal lengths, equal for the first two cameras, are tried. Each gives a relative
+orientation (Longuet-Higgins 1981), on whose points a third camera is resected. All three are adjusted with free focal
+lengths, and the network that fits best is continued. Axes are near those of one of the cameras. The scale is that of
+the stated distance of two cameras, or arbitrary.
 """
 
 from collections.abc import Sequence
@@ -37,9 +37,9 @@ from mosca.data.wands import SingleLight
 from mosca.errors import CalibrationError, InputError
 
 FOCALS = 8
-"""Focal lengths that are tried in ``FOCAL_RANGE``, a factor of 1.7 apart: the adjustment finds those between."""
+"""Number of focal lengths tried in ``FOCAL_RANGE``, a factor of 1.7 apart: the adjustment finds those between."""
 PAIRS = 3
-"""Pairs of cameras, those with most common points, that are tried as the first."""
+"""Number of pairs of cameras, those with most common points, that are tried as the first pair."""
 FEWEST_CAMERAS = 3
 
 
@@ -52,9 +52,9 @@ def calibrate_light(
 ) -> Calibration:
     """Calibrate cameras of unknown focal length from sightings of one light a frame.
 
-    ``lenses``: one a camera; model and shape of the pixels count, all else is estimated. CalibrationError where
-    cameras are not joined by common views, or where the result cannot be a rig; InputError where ``light`` names
-    other cameras.
+    ``lenses``: one a camera; only model and shape of the pixels are used, all else is estimated. CalibrationError
+    where cameras are not joined by common views, or where the result cannot be a rig; InputError where ``light``
+    names other cameras.
     """
     if len(sightings.cameras) < FEWEST_CAMERAS:
         raise CalibrationError(

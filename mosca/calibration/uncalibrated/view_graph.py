@@ -1,4 +1,4 @@
-"""Common views of cameras: initial pairs, unconnected groups, and the radial distortion that their lenses share."""
+"""Common views of cameras: initial pairs, unconnected groups, and the common radial distortion of their lenses."""
 
 from collections.abc import Sequence
 
@@ -11,9 +11,9 @@ from mosca.data.arrays import Array
 from mosca.errors import CalibrationError
 
 FEWEST_COMMON = 20
-"""Object points that two cameras must have seen both to count as joined."""
+"""Fewest object points that both of two cameras must have seen to count as joined."""
 FEWEST_POINTS = 30
-"""Object points that a camera must share with others to be calibrated."""
+"""Fewest object points that a camera must share with others to be calibrated."""
 BENDS = (-0.35, -0.25, -0.16, -0.1, -0.05, -0.02, 0.0, 0.02, 0.06)
 """Bends of lenses that are tried (``PointViews.plain``): from a wide lens's barrel to a slight cushion."""
 LEAST_INLIERS = 0.5
@@ -65,9 +65,9 @@ def pair_geometry(
 
 
 def flat(x: Array, y: Array, found: Robust, rng: np.random.Generator) -> bool:
-    """Return whether a homography fits two cameras' points as well as their fundamental matrix does, nearly.
+    """Return whether a homography fits two cameras' points nearly as well as their fundamental matrix does.
 
-    Then the points lie in one plane, or the cameras at one position, and the fundamental matrix is chance.
+    Then the points lie in one plane, or the cameras are at one position, and the fundamental matrix is arbitrary.
     """
     parallax = plane_misfit(x[found.inliers], y[found.inliers], rng)
     return parallax < FLAT * max(found.median, LEAST_PARALLAX / FLAT)

@@ -1,4 +1,4 @@
-"""A rig from a wand that is waved through the volume: focal lengths found, scale from the wand's length."""
+"""A rig from a wand that is waved through the volume: focal lengths are estimated, the wand's length is the scale."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -24,7 +24,7 @@ from mosca.data.wands import Wand
 from mosca.errors import CalibrationError
 
 MOST_WHILE_GROWING = 1200
-"""Image points a camera that the start and the growth work with; the last adjustment has all."""
+"""Largest number of image points a camera for the start and the growth; the last adjustment uses all."""
 # relative standard deviation of a distance that is stated as exact
 EXACT = 1e-5
 # share by which one distance on a wand may be off against its length
@@ -40,9 +40,9 @@ def calibrate_wand(
 ) -> Calibration:
     """Calibrate cameras of unknown focal length from sightings of a wand.
 
-    ``sightings``: marks are the wand's balls; where its order is not known (-1), the rows of an image are in
-    their order along the line, from either end. ``lenses``: one a camera; model (mosca or opencv) and shape of the
-    pixels count, all else is estimated. ``free``: the lens parameters to estimate, with the focal length among them;
+    ``sightings``: marks are the wand's balls; where their order is not known (-1), the rows of an image are in order
+    along the line, from either end. ``lenses``: one a camera; only model (mosca or opencv) and shape of the pixels
+    are used, all else is estimated. ``free``: the lens parameters to estimate, including the focal length;
     None: those that the data determine. Lengths are the wand's; axes are near those of one of the cameras.
     CalibrationError where cameras are not joined by common views, or where the result cannot be a rig.
     """
@@ -74,9 +74,10 @@ def calibrate_wand(
 
 
 def _of_centres(tracks: PointViews, cameras: Mapping[int, Camera], radius_m: float) -> PointViews:
-    """Return the image points of the balls' centres: those of their outlines less the eccentricity.
+    """Return the image points of the balls' centres: those of their outlines minus the eccentricity.
 
-    It is a share (r / R)^2 of the distance from the principal point, R the ball's distance: rough cameras will do.
+    The eccentricity is a share (r / R)^2 of the distance from the principal point, with R the ball's distance, so
+    that rough cameras are sufficient.
     """
     points, xy = intersected(tracks, cameras), np.array(tracks.xy_px)
     for k, camera in cameras.items():
@@ -109,8 +110,8 @@ def _check_shape(tracks: PointViews, cameras: Mapping[int, Camera], wand: Wand) 
 def rods_of(wand: Wand, frames: int) -> Distances:
     """Return the distances of all balls of all frames; ball k of frame f is the object point f * balls + k.
 
-    What is wrong with the wand is wrong in all frames alike, and comes on top of the covariance; here it only
-    weights several distances on one wand against each other.
+    An error of the wand is the same in all frames and is added to the covariance separately. Here its standard
+    deviation only weights several distances on one wand against each other.
     """
     balls = len(wand.along_m)
     first, second = np.triu_indices(balls, 1)

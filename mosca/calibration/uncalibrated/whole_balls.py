@@ -1,7 +1,7 @@
-"""Which images of balls are of whole balls, and which are cut by what is before them.
+"""Distinction of images of whole balls from those that are cut by an object before the ball.
 
-Where a straight edge cuts off a depth b of a ball's image of radius r, the ellipse that fits best has a minor
-semi-axis and a centre that are off by b / 2: an ellipticity e beyond that of a whole ball tells of a shift up to e r.
+Where a straight edge cuts off a depth b of a ball's image of radius r, the best-fitting ellipse has a minor semi-axis
+and a centre that are off by b / 2: an ellipticity e beyond that of a whole ball indicates a shift of up to e r.
 """
 
 from collections.abc import Mapping
@@ -18,10 +18,11 @@ from mosca.data.sightings import Sightings
 
 
 def whole_balls(sightings: Sightings, tracks: PointViews, cameras: Mapping[int, Camera]) -> Array:
-    """Return which sightings (n,) are of whole balls, as far as the shapes of their images tell.
+    """Return which sightings (n,) are of whole balls, as far as the shapes of their images show.
 
-    ``cameras``: rough ones will do, they tell the ellipse that a whole ball makes. Those whose image is another are
-    not, unless most of their camera's are (blur by motion or lens), or where no position tells what to expect.
+    ``cameras``: rough ones are sufficient to predict the ellipse of a whole ball. Sightings with another ellipse are
+    not of whole balls, unless this holds for most of their camera's (blur by motion or lens), or where no position
+    gives a prediction.
     """
     points, whole = intersected(tracks, cameras), np.ones(len(sightings), dtype=bool)
     for k, camera in cameras.items():
@@ -34,7 +35,7 @@ def whole_balls(sightings: Sightings, tracks: PointViews, cameras: Mapping[int, 
         ball /= np.sqrt(np.linalg.det(outline))[:, None]
         found, sigma = sightings.ellipticity[row], sightings.ellipticity_sigma[row]
         beyond = np.square(found - ball).sum(axis=1) > ROUND_SIGMAS**2 * (sigma**2 + IMAGE_NOISE**2)
-        # zero: what was found is not significant
+        # an ellipticity of zero means that it is not significant
         cut = beyond & found.any(axis=1)
         if cut.sum() < len(mine) / 2:
             whole[row] = ~cut

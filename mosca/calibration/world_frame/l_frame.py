@@ -24,7 +24,7 @@ NEAR = 0.05
 WRONG_SCALE, DOUBTFUL_SCALE = 0.02, 0.001
 """Relative differences of the L-frame's lengths that are an error, and a warning."""
 UNITS = {1e3: "mm for m", 1e-3: "m for mm", 1e2: "cm for m", 1e-2: "m for cm", 39.37: "inch for m"}
-"""What a wrong factor of scale would come from."""
+"""Confusions of units that explain a wrong factor of scale."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +52,7 @@ class Axes:
 def world_from_l_frame(calibration: Calibration | Rig, detections: Mapping[str, Detections], l_frame: LFrame) -> Axes:
     """Return a rig in the axes of an L-frame that ``detections`` of each camera show.
 
-    With a ``Calibration`` its covariance counts in how well the size is known, with a ``Rig`` it does not.
+    With a ``Calibration`` its covariance is part of the size's uncertainty, with a ``Rig`` it is not.
     CalibrationError where its balls are not found in two cameras at least, in more than one way, or mirrored.
     """
     rig = calibration if isinstance(calibration, Rig) else calibration.rig
@@ -86,8 +86,8 @@ def world_from_l_frame(calibration: Calibration | Rig, detections: Mapping[str, 
 def in_axes(calibration: Calibration, axes: Axes) -> Calibration:
     """Return a calibration in the axes of ``axes``, its covariance carried along.
 
-    The covariance stays that of the network in itself: how well the L-frame was measured moves all cameras alike
-    and is not in it.
+    The covariance stays that of the network itself: errors in measuring the L-frame move all cameras alike and are
+    not in it.
     """
     rotation = axes.world_from_rig.rotation
     names, place = calibration.parameters, {name: k for k, name in enumerate(calibration.parameters)}

@@ -17,7 +17,7 @@ from mosca.triangulation.triangulate import triangulate
 MATCH_PX = 3.0
 """Gate of a ball's image about its projection."""
 MOST_SPOTS, MOST_DETECTIONS = 24, 200
-# of two readings of a figure the better one must fit so many times better
+# factor by which the better one of two assignments of a figure must fit better
 TIMES_BETTER = 3.0
 
 
@@ -25,7 +25,7 @@ TIMES_BETTER = 3.0
 class BallCandidates:
     """Positions (n, 3) [m] where rays of two cameras or more meet, with their covariances (n, 3, 3) from detection.
 
-    ``xy_px`` (n, c, 2): what each camera saw of them, NaN where nothing; ``sigma_px``: of such a coordinate.
+    ``xy_px`` (n, c, 2): each camera's image of them, NaN without any; ``sigma_px``: of an image coordinate.
     """
 
     places: Array
@@ -114,7 +114,7 @@ def best_match(places: Array, known: Array, fits: float, near: float | None) -> 
     """Return which of the positions (m, 3) are the points ``known`` (n, 3), or None.
 
     ``fits``: largest root mean square misfit over the figure's size; ``near``: how far the scale may be from 1,
-    None for any. CalibrationError where two readings fit alike.
+    None for any. CalibrationError where two assignments fit equally well.
     """
     between = np.linalg.norm(places[:, None] - places, axis=2)
     wanted = np.linalg.norm(known[:, None] - known, axis=2)
