@@ -53,7 +53,7 @@ class EndOfTake:
 
 
 def drained(end_ns: int, polling: Mapping[str, PollingTime], done: Collection[str]) -> bool:
-    """Return whether all frames have arrived.
+    """Return whether no more frames can arrive.
 
     ``end_ns``: host time when the pulses ended [ns]. ``done``: cameras that are lost, or delivered a later frame.
     """

@@ -24,7 +24,7 @@ class Trigger(Protocol):
         ...
 
     def pulse_of(self, camera: str, buffer: Grabbed, read: ExposureStart | None = None) -> StampPulse | None:
-        """Return the pulse of a frame of ``camera``, and how far from it the exposure began, where it waits.
+        """Return a frame's pulse and how far from it the exposure began, where each pulse waits for its frames.
 
         ``read``: when the exposure began by the camera's clock, where that is known.
         """

@@ -8,9 +8,10 @@ program gets the control by writing control_access with the key in the upper 16 
 ``src/arvgvcpprivate.h`` (capability); Wireshark, ``packet-gvcp.c`` (registers and fields); MATRIX VISION,
 mvBlueCOUGAR-X manual, "Using the primary application switchover functionality" (order of the steps).
 
-A running program never loses its camera. The controller keeps its key in a file of this user, which it locks while
-the camera is open: the kernel frees the lock when the process ends, however it ends. The key is used only where that
-lock is free, the camera's controller is still that of the file, and no program on this machine has its port.
+The camera of a running program is never taken over. The controller keeps its key in a file of this user, which it
+locks while the camera is open: the kernel frees the lock when the process ends, however it ends. The key is used only
+where that lock is free, the camera's controller is still that of the file, and no program on this machine has its
+port.
 """
 
 import contextlib

@@ -16,8 +16,8 @@ from hardware.pulse_numbers.free_running import FreeClock
 from hardware.pulse_numbers.trigger_counter import TriggerCounter
 
 BACKWARD_STEP, OFF_GRID_STEP = -0.2, 0.25
-"""Shares of a period: a stamp farther behind the last one than the first, or farther from whole periods after it than
-the second, shows that the clock jumped."""
+"""Shares of a period: a stamp farther behind the last one than ``BACKWARD_STEP``, or farther off whole periods from
+it than ``OFF_GRID_STEP``, shows that the clock jumped."""
 FEWEST_STAMPS = 3
 """Fewest stamps that show which is late: of two that are not whole periods apart, it may be either."""
 

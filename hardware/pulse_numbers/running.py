@@ -118,7 +118,7 @@ class Running:
         yield from self._found(camera, split, StampPulse(pulse, behind_ns))
 
     def _found(self, camera: CameraState, split: int, first: StampPulse) -> Iterator[NumberedBuffer]:
-        """Number the pending buffers; that at index ``split``, the first by the present clock, has ``first``."""
+        """Number the pending buffers; the first by the present clock, at index ``split``, is of pulse ``first``."""
         pulse = first.pulse
         before, camera.pending = camera.pending[:split], camera.pending[split:]
         by_line = self._by_line(camera, first)

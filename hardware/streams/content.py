@@ -127,7 +127,7 @@ class StreamContent:
     ) -> StreamFrame:
         """Return the frame of its ``markers`` (n,) and ``bodies`` (b,).
 
-        ``label``: (m,) labels of the first m markers, the only ones with labels.
+        ``label``: (m,) for the first m markers, the only ones that have a label.
         """
         position = markers["position"]
         named = 0

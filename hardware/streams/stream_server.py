@@ -24,8 +24,8 @@ class Outgoing:
 class StreamServer(ABC):
     """Serves the frames given to ``send``, from construction until ``close``; a context manager.
 
-    ``frames``: number sent, whoever received them. For faults on demand, ``offset_ns`` is added to the server's
-    clock, and ``lost`` is a line that carries nothing.
+    ``frames``: number sent, whoever received them. For faults on demand: ``offset_ns`` is added to the server's
+    clock; with ``lost`` the line carries nothing.
     """
 
     def __init__(self) -> None:
