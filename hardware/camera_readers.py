@@ -1,4 +1,4 @@
-"""Reading threads, one for each camera, so that none waits for another and buffers are free at once."""
+"""Reading threads, one for each camera, so that no camera waits for another and buffers are freed at once."""
 
 import logging
 import queue
@@ -18,7 +18,7 @@ REOPEN_S = 1.0
 SILENT_S = 0.5
 """After this polling time without a frame a camera no longer holds back the others."""
 QUEUED_BYTES = 1 << 30
-"""Images that may wait in the queue; what comes after is dropped, and counted."""
+"""Most bytes of images in the queue; further images are dropped and counted."""
 log = logging.getLogger("mosca.hardware.readers")
 
 
@@ -76,7 +76,7 @@ class CameraReaders:
         self._queue.put((name, None))
 
     def get(self) -> tuple[str, Grabbed | None] | None:
-        """Return the next buffer and its camera, no buffer after ``wake``, None when nothing came for a poll."""
+        """Return the next camera and its buffer (None after ``wake``), or None when nothing came during a poll."""
         try:
             name, buffer = self._queue.get(timeout=POLL_S)
         except queue.Empty:

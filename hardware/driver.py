@@ -1,9 +1,9 @@
 """Interface of the camera drivers, one for each vendor's software.
 
 A driver opens one camera, configures it, arms it and returns the buffers it grabbed, with the camera's block id and
-device clock. It does not group, repair or guess: what the device cannot do is in its ``Capabilities``; a setting that
-it did not accept is refused by ``configure``. Names are GenICam's (SFNC). A driver is used by one thread at a time,
-except ``software_trigger``, ``clock`` and ``close``, which may be called from another.
+device clock. It does not group, repair or guess: ``Capabilities`` states what the device cannot do, and ``configure``
+refuses a setting that the device did not accept. Names are GenICam's (SFNC). A driver is used by one thread at a
+time, except ``software_trigger``, ``clock`` and ``close``, which may be called from another.
 """
 
 from collections.abc import Mapping
@@ -17,7 +17,7 @@ from mosca.data.frames import StampEvent
 from mosca.errors import MoscaError
 
 REFUSED = "refused packets of"
-"""Begins the names of those of a driver's counts that say who else sent to a camera's ports."""
+"""Prefix of the names of those counts of a driver that show who else sent to a camera's ports."""
 
 
 class DeviceError(MoscaError):
@@ -26,7 +26,7 @@ class DeviceError(MoscaError):
 
 @dataclass(frozen=True)
 class Capabilities:
-    """Capabilities of a device, read from it or known of its kind; False or None where unknown."""
+    """Capabilities of a device, read from it or known for its kind; False or None where unknown."""
 
     device_clock: bool = False
     """Time stamps of the camera's own clock."""
@@ -130,7 +130,7 @@ class CameraDriver(Protocol):
         ...
 
     def software_trigger(self) -> int:
-        """Fire one exposure where ``capabilities.software_trigger``; return this machine's time [ns] then."""
+        """Fire one exposure where ``capabilities.software_trigger``; return this machine's time of it [ns]."""
         ...
 
     def clock(self) -> ClockReading | None:
@@ -138,7 +138,7 @@ class CameraDriver(Protocol):
         ...
 
     def disarm(self) -> None:
-        """Stop; buffers that are still under way are dropped."""
+        """Stop; buffers that are still being transferred are dropped."""
         ...
 
     def statistics(self) -> Mapping[str, int]:
@@ -158,4 +158,4 @@ class Device:
     model: str
     serial: str
     address: str
-    """Whatever the driver opens it by."""
+    """Address by which the driver opens it."""

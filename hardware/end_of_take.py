@@ -1,4 +1,4 @@
-"""The end of a take: when all pulses wanted were made, and when their frames have arrived."""
+"""The end of a take: when all wanted pulses were made, and when their frames have arrived."""
 
 import time
 from collections.abc import Collection, Mapping
@@ -8,16 +8,16 @@ from hardware.silence import PollingTime
 from hardware.trigger import Trigger
 
 DRAIN_S = 0.3
-"""After the last pulse each camera is polled for so long without a frame before the take ends."""
+"""Time for which each camera is polled without a frame after the last pulse before the take ends."""
 LONGEST_DRAIN_S = 60.0
 MARGIN_S = 0.05
-"""The pulses go on for so long after the last one wanted: a busy machine makes and sees them late."""
+"""Time for which the pulses go on after the last one wanted, since a busy machine makes and sees them late."""
 
 
 class EndOfTake:
-    """Ends a take after ``pulses`` pulses at ``rate_hz``; None never does.
+    """End of a take after ``pulses`` pulses at ``rate_hz``; with None it never ends.
 
-    ``wait_s``: a take of ``pulses`` ends when so long nothing has come from which pulses could be counted.
+    ``wait_s``: a take of ``pulses`` ends when nothing from which pulses could be counted has come for this long.
     """
 
     def __init__(self, pulses: int | None, rate_hz: float, wait_s: float) -> None:
@@ -33,7 +33,7 @@ class EndOfTake:
         return self._pulses is not None and pulse >= self._pulses
 
     def none_came(self, trigger: Trigger, numbers: PulseNumbers, now_ns: int, silent_s: float) -> bool:
-        """Return whether no more pulses are waited for: no frame has come for so long, and none was numbered yet."""
+        """Return whether to wait no longer for pulses: no frame has come for so long, and none was numbered yet."""
         if self._pulses is None or silent_s <= self._wait_s:
             return False
         return trigger.pulse_at(now_ns) is None and numbers.pulse_at(now_ns) is None
@@ -53,7 +53,7 @@ class EndOfTake:
 
 
 def drained(end_ns: int, polling: Mapping[str, PollingTime], done: Collection[str]) -> bool:
-    """Return whether no frame is under way any more.
+    """Return whether no more frames can arrive.
 
     ``end_ns``: host time when the pulses ended [ns]. ``done``: cameras that are lost, or delivered a later frame.
     """

@@ -1,4 +1,4 @@
-"""Makes frames of numbered buffers."""
+"""Frames made from numbered buffers."""
 
 from collections.abc import Mapping
 
@@ -11,8 +11,8 @@ from mosca.data.frames import Frame, StampEvent
 class FrameMaker:
     """Frames in pulse time: pulse k is at k periods, plus the deviation of the camera's stamp.
 
-    ``events``: what the stamps of each camera mark. ``reports``: the size of its frames. ``shared``: the rate, and
-    what is accepted without doubt.
+    ``events``: the event that the stamps of each camera mark. ``reports``: the size of its frames. ``shared``: the
+    rate, and which frames are accepted without doubt.
     """
 
     def __init__(
@@ -40,7 +40,7 @@ class FrameMaker:
         )
 
     def _doubt(self, one: NumberedBuffer) -> str:
-        """Return what is not certain about the pulse or the time of a frame, "" where both are known."""
+        """Return a text of what is uncertain about the pulse or the time of a frame, "" where both are known."""
         if one.found == "arrival" and not self._accept_unproven:
             return "its pulse is known by its arrival alone"
         if one.error_ns > self._time_error_ns:

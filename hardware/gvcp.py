@@ -7,17 +7,17 @@ GVCP_PORT = 3956
 GVCP_KEY = 0x42
 """First byte of every command."""
 HEADER = struct.Struct(">BBHHH")
-"""Of a command: key, flags, command, bytes that follow, number of the request."""
+"""Header of a command: key, flags, command, bytes that follow, number of the request."""
 ACK_HEADER = struct.Struct(">HHHH")
-"""Of an acknowledgement: status, command, bytes that follow, number of the request."""
+"""Header of an acknowledgement: status, command, bytes that follow, number of the request."""
 SCHEDULED = 0x80
 """Flag of ACTION: a time follows."""
 
 PRIVILEGE_REGISTER = 0x0A00
-"""Control Channel Privilege (CCP): the bits below, and the switchover key of who asks in the upper 16."""
+"""Control Channel Privilege (CCP): the bits below, and in the upper 16 the switchover key of a requester."""
 EXCLUSIVE_ACCESS, CONTROL_ACCESS, SWITCHOVER_ENABLE = 0x1, 0x2, 0x4
 SWITCHOVER_CAPABILITY = 1 << 21
-"""Of the GVCP Capability register: another program may take the control over (primary application switchover)."""
+"""Bit of the GVCP Capability register: another program may take over control (primary application switchover)."""
 KEY_BITS = 16
 
 

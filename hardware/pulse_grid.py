@@ -1,7 +1,7 @@
-"""The grid of the pulses that this computer sends: one a period, on time or not at all.
+"""The grid of the pulses that this computer sends: one in each period, on time or not at all.
 
 A pulse that cannot be sent in the first part of its period is skipped and counted; the next one is on the grid. So
-pulse k is always near k periods, whatever held up this computer, and no frame of it can be taken for another's.
+pulse k is always near k periods, whatever delays this computer, and none of its frames can be taken for another's.
 """
 
 import threading
@@ -13,9 +13,9 @@ LATEST_START = 0.25
 """Share of a period by which a pulse may be late; with half of it a busy machine skips more of them, with double of
 it a frame may be nearer to the next pulse."""
 LATEST_TIME = 0.45
-"""A frame's time is its pulse's plus this share of a period at most: readers take the pulse that is nearest."""
+"""Largest difference of a frame's time from its pulse's, as a share of a period: readers take the nearest pulse."""
 UNREAD_PULSES = 100_000
-"""So many pulses are remembered for a recording that does not read them."""
+"""Most pulses that are kept for a recording that does not read them."""
 
 
 class HostClock:
@@ -43,7 +43,7 @@ class SentPulse(NamedTuple):
 
 
 class PulseGrid:
-    """Which pulse is due when; begun by ``begin``. ``rate_hz``: of the grid [1/s]."""
+    """Numbers and times of due pulses, from ``begin`` on. ``rate_hz``: rate of the grid [1/s]."""
 
     def __init__(self, rate_hz: float, clock: HostClock) -> None:
         self.period_ns = 1e9 / rate_hz
@@ -71,7 +71,7 @@ class PulseGrid:
         return round(number * self.period_ns)
 
     def await_next(self, stop: threading.Event) -> int | None:
-        """Wait until a pulse is due and return its number, None once ``stop`` is set; skip those that are over."""
+        """Wait until a pulse is due and return its number, None once ``stop`` is set; skip pulses that are over."""
         while not stop.is_set():
             late_ns = self.clock.now_ns() - self.begin_ns - self.nominal_ns(self._next)
             over = -int((LATEST_START * self.period_ns - late_ns) // self.period_ns)

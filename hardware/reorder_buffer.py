@@ -2,7 +2,7 @@
 
 On a busy machine one camera's reading thread may run for seconds while another waits. Frame grouping waits for a few
 pulses only, and a frame that is delivered later is lost to its frame set although it was received in time. So frames
-wait here until every camera that delivers has come as far; a camera that is silent or lost is not waited for.
+wait here until every camera that delivers has reached their pulse; a silent or lost camera is not waited for.
 """
 
 import heapq
@@ -32,7 +32,7 @@ class ReorderBuffer:
         self._bytes += 0 if frame.image is None else frame.image.nbytes
 
     def release(self, active: Collection[str]) -> Iterator[tuple[Frame, NumberedBuffer]]:
-        """Yield the frames of the pulses that all ``active`` cameras have reached, and what exceeds the capacity."""
+        """Yield the frames of the pulses that all ``active`` cameras have reached, and those beyond the capacity."""
         reached = min((self._newest[name] for name in active), default=None)
         while self._heap and (reached is None or self._heap[0][0] <= reached or self._bytes > self._capacity):
             _, _, frame, buffer = heapq.heappop(self._heap)

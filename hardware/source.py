@@ -44,7 +44,7 @@ class HardwareSource:
     rig
         The hardware tables of the rig file.
     pulses
-        End after so many; None goes on until ``stop``.
+        Number of pulses after which the take ends; None: it goes on until ``stop``.
     opener, trigger_opener
         Other ways to open the devices, for tests.
     """
@@ -141,7 +141,7 @@ class HardwareSource:
             self._disarm()
 
     def stop(self) -> None:
-        """End the iteration after what is under way; may be called from another thread."""
+        """End the iteration after the last pulse that all cameras have reached; may be called from another thread."""
         self._stop.set()
 
     def session_ns(self, host_ns: int) -> int | None:
@@ -244,7 +244,7 @@ class HardwareSource:
         self.statistics.log_summary()
 
     def _stop_trigger(self) -> None:
-        """Stop the pulses; a trigger that is gone makes none, and what came before is kept."""
+        """Stop the pulses; a trigger that is gone makes none, and earlier frames are kept."""
         try:
             self._trigger.stop()
         except DeviceError as error:
@@ -283,7 +283,7 @@ class HardwareSource:
                     return
 
     def _pulses_over(self, numbers: PulseNumbers) -> bool:
-        """Return whether no more pulses are waited for; note where none came."""
+        """Return whether to wait no longer for pulses; add a note where none came."""
         now_ns = time.monotonic_ns()
         if self._end.pulses_over(self._trigger, numbers, now_ns):
             return True

@@ -21,7 +21,7 @@ class BufferCounts:
     relocked: int = 0
     """How often its device clock jumped and was aligned again."""
     unproven: int = 0
-    """Frames whose pulses only arrival times tell, which is not certain (``hardware.pulse_numbers.counting``)."""
+    """Frames whose pulses follow from arrival times alone, uncertainly (``hardware.pulse_numbers.counting``)."""
     untimed: int = 0
     """Frames whose times are known less well than ``time_error_ms`` of the rig file allows."""
     unreached: int = 0

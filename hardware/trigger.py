@@ -24,9 +24,9 @@ class Trigger(Protocol):
         ...
 
     def pulse_of(self, camera: str, buffer: Grabbed, read: ExposureStart | None = None) -> StampPulse | None:
-        """Return the pulse of a frame of ``camera``, and how far from it its exposure began, where it waits.
+        """Return a frame's pulse and how far from it the exposure began, where each pulse waits for its frames.
 
-        ``read``: when its exposure began by its camera's clock, where that is known.
+        ``read``: when the exposure began by the camera's clock, where that is known.
         """
         ...
 
@@ -59,7 +59,7 @@ class Trigger(Protocol):
         ...
 
     def report(self) -> dict[str, object]:
-        """Return what is known of the pulses so far, for the recording: ``pulses`` made, rate, fit."""
+        """Return a report on the pulses so far, for the recording: ``pulses`` made, rate, fit."""
         ...
 
     def close(self) -> None:
@@ -68,9 +68,9 @@ class Trigger(Protocol):
 
 
 class External:
-    """Pulses from outside that do not wait for frames: never stopped, nothing is known of them.
+    """Pulses from outside that do not wait for frames: they are never stopped, and nothing is known of them.
 
-    Base class of triggers under control of this machine whose pulses do not wait either.
+    Base class of those triggers controlled by this machine whose pulses do not wait either.
     """
 
     def stop(self) -> None:

@@ -1,6 +1,6 @@
 """libaravis-0.8 by ctypes: the calls that the gige driver needs, with GLib's errors as exceptions.
 
-A C library that any distribution packages needs no build and no bindings of its own. Names are the library's
+Any distribution packages this C library, so that no build and no bindings are needed. Names are the library's
 without ``arv_``; https://aravisproject.github.io/aravis/ documents them.
 """
 
@@ -16,7 +16,7 @@ from typing import Any
 
 log = logging.getLogger("mosca.hardware.drivers")
 
-# another file than the system's libaravis
+# names another file than the system's libaravis
 LIBRARY_VARIABLE = "MOSCA_ARAVIS"
 LIBRARIES = {"darwin": "libaravis-0.8.dylib", "win32": "libaravis-0.8-0.dll"}
 
@@ -193,7 +193,7 @@ class Aravis:
         return value.value
 
     def strings(self, name: str, *arguments: Any) -> tuple[str, ...]:
-        """Return the texts of a call that fills a count and returns an array of texts that it keeps."""
+        """Return the texts of a call that fills a count and returns an array; the texts stay the library's."""
         count = c_uint(0)
         array = self(name, *arguments, ctypes.byref(count))
         if not array:
@@ -204,7 +204,7 @@ class Aravis:
         return found
 
     def unref(self, instance: int) -> None:
-        """Give up an object."""
+        """Release this program's reference to an object."""
         self._glib.g_object_unref(instance)
 
 

@@ -1,8 +1,8 @@
 """Control of a GigE Vision camera that another program holds, or held when it was killed.
 
-A camera obeys one program, its controller. One that ends without giving the control back (``kill -9``, a crash) keeps
-it until the camera has had no sign of life of it for the heartbeat time-out, unless the camera can be taken over
-(``hardware.drivers.control_switchover``).
+A camera obeys one program, its controller. A controller that ends without giving the control back (``kill -9``, a
+crash) keeps it until the camera has received no sign of life from it for the heartbeat time-out, unless the camera
+can be taken over (``hardware.drivers.control_switchover``).
 """
 
 import errno
@@ -16,11 +16,11 @@ from hardware.drivers.control_switchover import Controller, ControlSwitchover
 
 log = logging.getLogger("mosca.hardware.drivers")
 
-# bootstrap registers: heartbeat time-out [ms], the controller's port and its address (optional: 0 where not told)
+# bootstrap registers: heartbeat time-out [ms], the controller's port and its address (optional: 0 where not stated)
 HEARTBEAT_REGISTER, PORT_REGISTER, ADDRESS_REGISTER = 0x0938, 0x0A04, 0x0A14
-# no longer than that is waited for; half of it would not do for some cameras' own time-outs, twice of it looks hung
+# longest wait; half of it is too short for some cameras' own time-outs, twice of it looks hung
 LONGEST_WAIT_S = 30.0
-# cameras look at the time only now and then
+# cameras check the time only at intervals
 MARGIN_S = 2.0
 AGAIN_S = 0.2
 
@@ -28,14 +28,14 @@ AGAIN_S = 0.2
 def wait_for_control(aravis: Aravis, device: int, camera: str, switchover: ControlSwitchover) -> None:
     """Take the control of a camera as soon as the program that holds it has been silent for the heartbeat time-out.
 
-    At once where that was killed on this machine and left the key for it.
+    Control is taken at once where that program was killed on this machine and left its key.
 
     Parameters
     ----------
     aravis
         The library.
     device
-        Its device, which is not the camera's controller.
+        The library's device, which does not control the camera.
     camera
         The camera in words, for the messages.
     switchover
@@ -44,7 +44,7 @@ def wait_for_control(aravis: Aravis, device: int, camera: str, switchover: Contr
     Raises
     ------
     DeviceError
-        The program that holds it is alive, or the camera would keep to it for longer than ``LONGEST_WAIT_S``.
+        The controlling program is alive, or the camera would wait for it for longer than ``LONGEST_WAIT_S``.
     """
     holder = controller_of(aravis, device)
     who = "another program" if holder is None else f"another program ({holder[0]}:{holder[1]})"
@@ -89,7 +89,7 @@ def _taken(aravis: Aravis, device: int) -> bool:
 
 
 def controller_of(aravis: Aravis, device: int) -> Controller | None:
-    """Return address and port of the controller; None where the camera does not tell."""
+    """Return address and port of the controller; None where the camera does not state them."""
     port, address = (aravis.register(device, one) for one in (PORT_REGISTER, ADDRESS_REGISTER))
     if not port or not address:
         return None

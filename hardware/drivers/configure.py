@@ -1,8 +1,8 @@
-"""The order in which a GenICam camera is set, the same for every library: what a setting moves comes before it.
+"""The order in which a GenICam camera is set, the same for every library: settings that change others come first.
 
-Triggers off; what changes the sensor's geometry (user sets, binning); window; pixel format; exposure and gain with
-their automatics off; packet size; the features of the rig file; the trigger last. At the end all is read again: a
-later setting may have moved an earlier one.
+Triggers off; the sensor's geometry (user sets, binning); window; pixel format; exposure and gain with their
+automatics off; packet size; the features of the rig file; the trigger last. At the end all settings are read again,
+since a later setting may have changed an earlier one.
 """
 
 from collections.abc import Mapping
@@ -28,11 +28,11 @@ OWN_KEYS = {
     "Height": "window",
     "GevSCPSPacketSize": "packet_bytes",
 }
-# they change what windows there are, so they go before the window
 # entries of ChunkSelector that are a count of pulses on a line, and the chunks they switch on
 COUNTER_CHUNKS = {"CounterValue": "ChunkCounterValue", "Triggerinputcounter": "ChunkTriggerinputcounter"}
+# they change which windows are possible, so they go before the window
 EARLY = ("UserSet", "Binning", "Decimation", "Sensor", "RegionSelector", "RegionMode")
-# not set, but reported beside what was
+# not set, but reported beside the settings
 FACTS = (
     "DeviceVendorName",
     "DeviceVersion",
@@ -66,12 +66,12 @@ class _Setter:
     def put(self, name: str, value: Feature) -> None:
         taken = put(self.features, self.camera, name, value, OWN_KEYS.get(name, ""))
         if self.features.kind(name) != "command":
-            # written again: it counts as written now, after what came between
+            # a repeated write moves to the end, after what was written in between
             self.taken.pop(name, None)
             self.taken[name] = taken
 
     def put_where_present(self, name: str, value: Feature) -> None:
-        """Set it where the device has it and lets it be set; an enumeration only where it has the entry."""
+        """Set a feature where the device has it and allows that; an enumeration only where it has the entry."""
         features = self.features
         kind = features.kind(name)
         if kind is None or not features.writable(name):
@@ -122,7 +122,7 @@ def exposure_ns(features: Features, settings: CameraHardware) -> int:
 
 
 def capabilities_of(features: Features, device_clock: bool | None = None) -> Capabilities:
-    """Return a device's capabilities by its GenICam feature tree; ``device_clock`` overrides that of the tree."""
+    """Return a device's capabilities from its GenICam feature tree; ``device_clock`` overrides that of the tree."""
     sources = features.entries("TriggerSource") if features.kind("TriggerSource") == "enumeration" else ()
     clock = any(features.kind(name) is not None for name in CLOCKS)
     return Capabilities(
@@ -215,7 +215,7 @@ def _window(setter: _Setter, settings: CameraHardware) -> None:
 
 def _largest(features: Features, side: str) -> int:
     low, high, step = features.limits(side)
-    # the sensor may be larger than what is lit, and its size need not be a whole number of steps
+    # the sensor may be larger than its lit part, and its size need not be a whole number of steps
     high = min(high, number(features, f"{side}Max") or high)
     return int(high - (high - low) % step) if step else int(high)
 

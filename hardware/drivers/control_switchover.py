@@ -1,16 +1,17 @@
-"""Takes a GigE Vision camera over from a program of this user and machine that was killed, without waiting.
+"""Take-over of a GigE Vision camera from a killed program of this user and machine, without waiting.
 
 The standard's *primary application switchover* (GigE Vision 1.1 and later, optional): bit 21 of the GVCP Capability
-register (0x0934; bits counted from the least significant) says that a camera has it. Its controller writes a key of
+register (0x0934; bits counted from the least significant) shows that a camera has it. Its controller writes a key of
 16 bits to the Control Switchover Key register (0x095C, write-only), and control_access (bit 1) with
 control_switchover_enable (bit 2) to the Control Channel Privilege register (CCP, 0x0A00). From then on another
 program gets the control by writing control_access with the key in the upper 16 bits to CCP. Sources: Aravis,
 ``src/arvgvcpprivate.h`` (capability); Wireshark, ``packet-gvcp.c`` (registers and fields); MATRIX VISION,
 mvBlueCOUGAR-X manual, "Using the primary application switchover functionality" (order of the steps).
 
-A program that runs is never taken over. The controller keeps its key in a file of this user, which it locks while the
-camera is open: the kernel frees the lock when the process ends, however it ends. The key is used where that lock is
-free, the camera's controller is still the one of the file, and that one's port is nobody's on this machine.
+The camera of a running program is never taken over. The controller keeps its key in a file of this user, which it
+locks while the camera is open: the kernel frees the lock when the process ends, however it ends. The key is used only
+where that lock is free, the camera's controller is still that of the file, and no program on this machine has its
+port.
 """
 
 import contextlib
@@ -28,11 +29,11 @@ log = logging.getLogger("mosca.hardware.drivers")
 MAC_REGISTERS = (0x0008, 0x000C)
 CAPABILITY_REGISTER, KEY_REGISTER, STREAM_PORT_REGISTER = 0x0934, 0x095C, 0x0D00
 Controller = tuple[str, int]
-"""Address and UDP port of the program that controls a camera, as the camera tells them."""
+"""Address and UDP port of the program that controls a camera, as the camera states them."""
 
 
 class ControlSwitchover:
-    """The key of one camera: ``take_over`` uses the last controller's, ``enable`` sets this one's, until ``close``.
+    """The key of one camera: ``take_over`` uses the last controller's key, ``enable`` sets a new one until ``close``.
 
     Without the capability, or without a place for the key, both do nothing.
     """
@@ -42,9 +43,9 @@ class ControlSwitchover:
         self._file: TextIO | None = None
 
     def take_over(self, controller: Controller) -> bool:
-        """Take the control from ``controller``, whose port is nobody's any more; return whether that worked.
+        """Take the control from ``controller``, whose port no program has any more; return whether that worked.
 
-        The acquisition that it left running is stopped, and its stream closed.
+        An acquisition that it left running is stopped, and its stream closed.
         """
         file = self._locked()
         key = None if file is None else _key(file, controller)
@@ -60,7 +61,7 @@ class ControlSwitchover:
             log.debug("control switchover refused: %s", error)
             self.close()
             return False
-        # a camera that does not acquire may refuse the one, and have no use for the other
+        # a camera that does not acquire may refuse the first, and does not need the second
         with contextlib.suppress(AravisError):
             aravis("device_execute_command", device, b"AcquisitionStop")
         with contextlib.suppress(AravisError):
@@ -83,11 +84,11 @@ class ControlSwitchover:
             aravis("device_write_register", device, KEY_REGISTER, key)
             aravis("device_write_register", device, PRIVILEGE_REGISTER, CONTROL_ACCESS | SWITCHOVER_ENABLE)
         except (OSError, AravisError) as error:
-            # the lock is kept: the camera may have understood all the same
+            # the lock is kept: the camera may have accepted the key all the same
             log.debug("no control switchover: %s", error)
 
     def close(self) -> None:
-        """Give the file back; may be called twice."""
+        """Release the file; may be called twice."""
         file, self._file = self._file, None
         if file is not None:
             with contextlib.suppress(OSError):  # what could not be written before
@@ -102,7 +103,7 @@ class ControlSwitchover:
             return None
         try:
             import fcntl
-        except ImportError:  # Windows: without flock nothing tells whether the last controller runs
+        except ImportError:  # Windows: without flock nothing shows whether the last controller runs
             return None
         try:
             folder = _folder()
@@ -133,7 +134,7 @@ def _private(path: str, flags: int) -> int:
 
 
 def _key(file: TextIO, controller: Controller) -> int | None:
-    """Return the key that ``controller`` left; None where the file is another's, or damaged."""
+    """Return the key that ``controller`` left; None where the file is another controller's, or damaged."""
     file.seek(0)
     try:
         key, address, port = file.read().split()

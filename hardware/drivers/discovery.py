@@ -1,6 +1,6 @@
-"""Checks what answered to a discovery by broadcast: anything may answer, with any content and in any name.
+"""Check of the answers to a broadcast discovery: any machine may answer, with any content and name.
 
-Each device is asked again at the address that it gave, by a socket that receives from there only.
+Each device is queried again at the address that it gave, by a socket that receives from there only.
 """
 
 import ipaddress
@@ -18,10 +18,10 @@ log = logging.getLogger("mosca.hardware.drivers")
 _REQUEST = 0x5A5A
 _QUESTION = HEADER.pack(GVCP_KEY, 0x01, Command.DISCOVERY, 0, _REQUEST)
 CONTENT_BYTES = 248
-"""The bootstrap registers from 0 on; the address and the serial number stand at 36 and 216."""
+"""Bytes of the bootstrap registers from 0 on; the address and the serial number are at 36 and 216."""
 _ADDRESS, _SERIAL = slice(36, 40), slice(216, 232)
 WAIT_S, ASK_AGAIN_S = 1.0, 0.2
-"""How long a device may take, as long as the library listens to broadcasts; a packet may be lost."""
+"""Longest wait for an answer, as long as the library listens to broadcasts; query interval, as packets get lost."""
 
 
 def confirmed(found: Sequence[Device]) -> list[Device]:
@@ -73,7 +73,7 @@ def _asking(address: str) -> socket.socket:
 def _send(asking: socket.socket) -> None:
     try:
         asking.send(_QUESTION)
-    except OSError as error:  # nothing is there: the wait ends without an answer, which is told
+    except OSError as error:  # nothing is there: the wait ends without an answer, which is reported
         log.debug("discovery of %s: %s", asking, error)
 
 

@@ -1,4 +1,4 @@
-"""A camera's features by their GenICam names, whichever library reads them: set, read back, refused in one line."""
+"""Access to a camera's features by their GenICam names, through any library: set, read back, one-line errors."""
 
 import difflib
 from collections.abc import Sequence
@@ -9,7 +9,7 @@ from hardware.settings import Feature
 
 Kind = Literal["integer", "float", "boolean", "enumeration", "string", "command"]
 
-# a device rounds a time or a gain to its own steps; more than this is another value
+# a device rounds a time or a gain to its own steps; a larger relative difference is another value
 FLOAT_SHARE = 0.005
 # limits beyond this mean that there are none
 BOUNDLESS = 1e18
@@ -74,7 +74,7 @@ def put(features: Features, camera: str, name: str, value: Feature, key: str = "
     where = f"camera '{camera}': {name}" + (f" ({key})" if key else "")
     fitting = _fitting(features, where, name, kind, value)
     if not features.writable(name):
-        # a feature that is fixed at the very value that is wanted is no trouble
+        # a feature that is fixed at the requested value is no error
         held = features.read(name)
         if agrees(features, name, fitting, held):
             return held
@@ -113,7 +113,7 @@ def agrees(features: Features, name: str, asked: Feature, taken: Feature) -> boo
 
 
 def allowed(features: Features, name: str) -> str:
-    """Return in words what a feature allows just now."""
+    """Return a text of what a feature allows just now."""
     kind = features.kind(name)
     if kind == "enumeration":
         return ", ".join(features.entries(name))

@@ -20,7 +20,7 @@ from hardware.drivers.opened import GenICamCamera, chosen, claim, described, not
 from hardware.drivers.pixels import whole_image
 from hardware.settings import CameraHardware
 
-# at most so many buffers, and so many bytes in them
+# most and fewest buffers, and most bytes in all of them
 BUFFERS, LEAST_BUFFERS, BUFFER_BYTES = 32, 8, 1 << 27
 # a fetch of no length at all would wait for ever in harvesters
 LEAST_FETCH_S = 0.001
@@ -33,7 +33,7 @@ def load() -> ModuleType:
         warnings.simplefilter("ignore", DeprecationWarning)
         from harvesters import core
 
-    # what it writes to the terminal comes back as an exception, or is counted; its logger has a level of its own
+    # its messages on the terminal also come as exceptions, or are counted; its logger has a level of its own
     logging.getLogger(core.__name__).setLevel(logging.CRITICAL)
     module: ModuleType = core
     return module
@@ -50,8 +50,8 @@ def devices(producer: str = "") -> Sequence[Device]:
 
 
 def open_camera(name: str, settings: CameraHardware) -> "GentlCamera":
-    """Open the camera with the serial number, or the producer's own name for it as address, of ``settings``."""
-    # another update of the device list, by a thread that opens another camera, would close what is opened here
+    """Open the camera that ``settings`` name by serial number, or by the producer's own name for it as address."""
+    # an update of the device list, by a thread that opens another camera, would close the camera opened here
     with _loading:
         used = _producer(settings.producer, f"camera '{name}'")
         used.update()
@@ -72,7 +72,7 @@ def open_camera(name: str, settings: CameraHardware) -> "GentlCamera":
 
 
 def _acquirer(producer: "Producer", info: Any, where: str) -> Any:
-    # harvesters takes Ctrl-C for itself; that is for the program to decide
+    # harvesters handles Ctrl-C itself; that is for the program to decide
     in_main = threading.current_thread() is threading.main_thread()
     handler = signal.getsignal(signal.SIGINT) if in_main else None
     try:
@@ -95,7 +95,7 @@ def _errors() -> tuple[type[Exception], ...]:
 
 
 class Producer:
-    """One loaded .cti: a process may initialise each only once, and an update of its device list closes open ones."""
+    """One loaded .cti: a process may initialise each only once; an update of its device list closes open devices."""
 
     def __init__(self, path: str) -> None:
         self.harvester: Any = load().Harvester()
@@ -147,8 +147,8 @@ def _counting(camera: "GentlCamera") -> Any:
 class GentlCamera(GenICamCamera):
     """One camera behind a GenTL producer.
 
-    GenTL leaves open what a stamp marks; the start of exposure is assumed. harvesters gives incomplete buffers back
-    to the producer before anyone can read their number, so that those come without a ``block_id``.
+    GenTL does not define which event a stamp marks; the start of exposure is assumed. harvesters gives incomplete
+    buffers back to the producer before their number can be read, so that they come without a ``block_id``.
     """
 
     def __init__(self, name: str, device: Device, producer: Producer, acquirer: Any) -> None:
@@ -176,7 +176,7 @@ class GentlCamera(GenICamCamera):
     def _fetch(self, timeout_s: float) -> Grabbed | None:
         if self._fetched is None:
             self._fetched = self._next(timeout_s)
-        # what harvesters passed over came before the buffer that it gave
+        # buffers that harvesters skipped came before the one that it returned
         if self.incomplete > self._reported:
             self._reported += 1
             return Grabbed(None, None, time.monotonic_ns(), self._exposure_ns, None, "INCOMPLETE")

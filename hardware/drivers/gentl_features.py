@@ -12,7 +12,7 @@ NOT_IMPLEMENTED, NOT_AVAILABLE, WRITE_ONLY, READ_ONLY, READ_WRITE = range(5)
 
 
 def first_line(error: BaseException) -> str:
-    """Return an error's text without where in GenICam's source it was thrown."""
+    """Return an error's text without its location in GenICam's source."""
     return " ".join(str(error).split(" : ")[0].split())
 
 

@@ -37,22 +37,22 @@ log = logging.getLogger("mosca.hardware.drivers")
 PROTOCOL = "GigEVision"
 # the library has one list for all
 _discovery = threading.RLock()
-# the socket of a camera's control channel is known by being new
+# the socket of a camera's control channel is recognised as the new one
 _opening = threading.Lock()
-# a camera that is busy may answer later than the library listens, which is for a second
+# a busy camera may answer after the library has stopped listening, which it does for a second
 LOOKS = 3
 # buffers hold a second at 100 Hz, and no more than a quarter of a gigabyte
 BUFFERS, LEAST_BUFFERS, BUFFER_BYTES = 100, 8, 1 << 28
-# without a sign of life for so long a camera lets go of its program; 3 s as they come. A machine that is held up for
+# time without a sign of life after which a camera releases its program; 3 s by default. A machine that stalls for
 # some seconds must not lose all its cameras
 HEARTBEAT_MS = 10_000
-# bootstrap register of the camera's port that it streams from; it may be absent, and read 0
+# bootstrap register with the port that the camera streams from; it may be absent, and read 0
 STREAM_SOURCE_REGISTER = 0x0D1C
 STREAM_PROPERTIES: tuple[tuple[str, str, float], ...] = (
-    # what the kernel may keep while this program waits for a core (net.core.rmem_max allows how much)
+    # bytes that the kernel may keep while this program waits for a core (net.core.rmem_max limits them)
     ("socket-buffer-size", "int", 1 << 23),
     ("packet-resend", "int", 1),
-    # a frame that is not whole so long after its last packet is given up [us]
+    # time after its last packet at which an incomplete frame is given up [us]
     ("frame-retention", "uint", 200_000),
     # the share of a frame's packets that may be requested again; the library's default, a quarter, gives up frames
     # that lost a burst
@@ -120,7 +120,7 @@ def _one(found: Sequence[Device], name: str, settings: CameraHardware) -> Device
 
 
 def _opened(aravis: Aravis, name: str, device: Device, settings: CameraHardware, tries: int = LOOKS) -> "GigeCamera":
-    """Open a camera, again where it does not answer but is there."""
+    """Open a camera, with further tries where it does not answer but is there."""
     try:
         return GigeCamera(aravis, name, device)
     except _NoAnswer:
@@ -183,7 +183,7 @@ class GigeCamera(GenICamCamera):
                 wait_for_control(aravis, self._device, f"camera '{name}': {described(device)}", self._switchover)
             super().__init__(name, device, AravisFeatures(aravis, self._device))
             self._tie_control(made.values())
-            # one that refuses keeps its own time, and is as good as before
+            # a camera that refuses keeps its own time-out, and works as before
             with contextlib.suppress(AravisError):
                 aravis("device_write_register", self._device, HEARTBEAT_REGISTER, HEARTBEAT_MS)
             self._switchover.enable(controller_of(aravis, self._device))
@@ -206,7 +206,7 @@ class GigeCamera(GenICamCamera):
             self._switchover.close()
 
     def _tie_control(self, made: Collection[Address]) -> None:
-        """Take answers from the camera only; ``made``: the sockets that came with it."""
+        """Accept answers from the camera only; ``made``: the sockets that were opened with it."""
         device, aravis = self._device, self._aravis
         here = aravis.ipv4(aravis("gv_device_get_interface_address", device))
         self._peer = aravis.ipv4(aravis("gv_device_get_device_address", device))
@@ -217,7 +217,7 @@ class GigeCamera(GenICamCamera):
         self._control_socket = tied((here, port), (self._peer, GVCP_PORT), f"camera '{self.name}', control")
 
     def _tie_stream(self) -> None:
-        """Take the stream from the camera's source port only."""
+        """Accept the stream from the camera's source port only."""
         aravis = self._aravis
         source = (aravis.register(self._device, STREAM_SOURCE_REGISTER) or 0) & 0xFFFF
         local = (self._here, aravis("gv_stream_get_port", self._arv_stream))
@@ -235,12 +235,12 @@ class GigeCamera(GenICamCamera):
         chunk = counter_chunk(self.features) if settings.trigger_counter else None
         self._counter = None if chunk is None else COUNTER_CHUNKS[chunk].encode()
         if settings.packet_bytes is not None:
-            # else the library shrinks packets that do not come through, without notice
+            # else the library silently shrinks packets that do not come through
             self._aravis("camera_gv_set_packet_size_adjustment", self._camera, PACKET_SIZE_ADJUSTMENT_NEVER)
         return report
 
     def _start(self) -> None:
-        # a stream of its own for each start: an old one takes ids that begin anew for late blocks and drops them
+        # a new stream for each start: an old one would take restarted ids for late blocks and drop them
         aravis = self._aravis
         try:
             # as root, packet sockets receive other programs' streams, with ids like ours, until a filter is set
@@ -309,7 +309,7 @@ class GigeCamera(GenICamCamera):
         )
 
     def _triggers(self, buffer: int) -> int | None:
-        """Return the camera's count of pulses that came with a frame, None without one."""
+        """Return the camera's count of pulses that came with a frame; None where none came."""
         if self._counter is None or not self._chunks:
             return None
         try:

@@ -23,7 +23,7 @@ _claiming = threading.Lock()
 
 
 def claim(device: Device, camera: str) -> None:
-    """Take a device for ``camera``; DeviceError where this program has it open already.
+    """Reserve a device for ``camera``; DeviceError where this program has it open already.
 
     Not every library refuses a second opening, and two grabbers would share the frames between them.
     """
@@ -150,7 +150,7 @@ class OpenCamera(ABC):
             return self._read_clock() if self._open else None
 
     def disarm(self) -> None:
-        """Stop; buffers that are still under way are dropped."""
+        """Stop; buffers that are still being transferred are dropped."""
         with self._control:
             self._leaving = True
             with self._stream:
@@ -249,7 +249,7 @@ class GenICamCamera(OpenCamera):
 
     def _configured(self, settings: CameraHardware) -> DeviceReport:
         taken = configure(self.features, settings, self.name)
-        # rates and windows that there are depend on the settings
+        # the possible rates and windows depend on the settings
         self._capabilities = self._asked()
         self._latch = latch_of(self.features) if self._capabilities.device_clock else None
         model, serial = model_and_serial(self.features)

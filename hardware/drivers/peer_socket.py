@@ -1,9 +1,9 @@
-"""Ties a library's UDP socket to one peer, so that no other program's packets reach it; names the others.
+"""Tying of a library's UDP socket to one peer, so that no other program's packets reach it; others are named.
 
 The protocols of GigE Vision are not authenticated, and Aravis reads what comes to its ports. A connected UDP socket
-receives from its peer only: the kernel does it, at no cost per packet. A second socket at the same address and port
-receives what everyone else sends there, to be counted. A program that forges the peer's address and port is beyond
-this: it takes a network of the cameras' own.
+receives from its peer only: the kernel filters, at no cost per packet. A second socket at the same address and port
+receives all other packets, which are counted. A program that forges the peer's address and port is not stopped; that
+needs a separate network for the cameras.
 """
 
 import ctypes
@@ -21,9 +21,9 @@ log = logging.getLogger("mosca.hardware.drivers")
 Address = tuple[str, int]
 DESCRIPTORS = "/proc/self/fd"
 LOOK_S, LOOK_PACKETS = 1.0, 2000
-"""How often refused packets are counted, and how many at most: a flood costs a few ms a second."""
+"""Interval at which refused packets are counted, and most packets each time: a flood costs a few ms a second."""
 MOST_NAMED = 16
-"""Addresses that are counted by name; a stranger may invent any number of them."""
+"""Most addresses that are counted by name, since a stranger may invent any number of them."""
 _ATTACH_FILTER, _MEMINFO, _MEMINFO_WORDS, _DROPS = 26, 55, 9, 8
 """Linux' SO_ATTACH_FILTER and SO_MEMINFO, whose ninth word counts the packets for which a socket had no room."""
 _SOURCE_ADDRESS = 0xFFF00000 + 12
@@ -89,7 +89,7 @@ class PeerSocket:
         return counts
 
     def close(self) -> None:
-        """Watch no more."""
+        """Stop watching."""
         if self._watch is not None:
             self._watch.close()
             self._watch = None
@@ -138,7 +138,7 @@ def merged(sockets: Iterable[PeerSocket | None]) -> dict[str, int]:
 
 
 def _tied(library: socket.socket, local: Address, peer: Address) -> socket.socket:
-    """Connect the library's socket; return one at the same address and port that receives what others send."""
+    """Connect the library's socket; return another at the same address and port that receives all other packets."""
     library.connect(peer)
     library.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     watch = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -156,7 +156,7 @@ def _tied(library: socket.socket, local: Address, peer: Address) -> socket.socke
 
 
 def _accept_address(library: socket.socket, host: str) -> None:
-    """Have the kernel drop what does not come from ``host``: load the source, compare, accept or drop."""
+    """Let the kernel drop packets not from ``host``, by a filter: load the source, compare, accept or drop."""
     address = int.from_bytes(socket.inet_aton(host), "big")
     code = [(0x20, 0, 0, _SOURCE_ADDRESS), (0x15, 0, 1, address), (0x06, 0, 0, 0xFFFFFFFF), (0x06, 0, 0, 0)]
     program = ctypes.create_string_buffer(b"".join(struct.pack("=HBBI", *line) for line in code))

@@ -4,11 +4,11 @@ Names and codes are the Pixel Format Naming Convention's (PFNC) and GigE Vision'
 uint16 with their value in the low bits. Colours become mono:
 
 * **Bayer mosaics**: every pixel becomes the mean of its 3 x 3 neighbourhood, weighted 1 2 1 / 2 4 2 / 1 2 1 by 16.
-  At each pixel of any of the four mosaics that is red / 4 + green / 2 + blue / 4, so the order of the colours does
-  not matter. The image keeps its size, and the kernel is symmetric: the centroid of a marker is the centroid of
+  At each pixel of all four mosaics this gives red / 4 + green / 2 + blue / 4, so the order of the colours does not
+  matter. The image keeps its size, and the kernel is symmetric: the centroid of a marker is the centroid of
   the raw pixels, whereas a mean over 2 x 2 would shift it by half a pixel.
   Borders are mirrored without the border pixel, which keeps the colours' order.
-* **Colour pixels**: luma of ITU-R BT.601, (9798 R + 19235 G + 3735 B + 16384) / 32768 in integers. Of YUV the Y.
+* **Colour pixels**: luma of ITU-R BT.601, (9798 R + 19235 G + 3735 B + 16384) / 32768 in integers. YUV gives its Y.
 """
 
 from collections.abc import Callable
@@ -27,7 +27,7 @@ class PixelFormat:
     """A pixel format of the Pixel Format Naming Convention (PFNC)."""
 
     code: int
-    """PFNC's 32 bits."""
+    """The format's PFNC code of 32 bits."""
     bits: int
     """Significant bits of a pixel."""
     packing: Packing
@@ -36,7 +36,7 @@ class PixelFormat:
 
     @property
     def bits_in_memory(self) -> int:
-        """Bits that a pixel takes in the buffer; PFNC codes hold it."""
+        """Bits that a pixel takes in the buffer, as contained in its PFNC code."""
         return (self.code >> 16) & 0xFF
 
 
@@ -81,7 +81,7 @@ _BY_CODE = {pixel_format.code: pixel_format for pixel_format in FORMATS.values()
 
 
 def whole_image(buffer: Array, code: int, width: int, height: int, line_padding: int = 0) -> tuple[Array | None, str]:
-    """Return the mono image (height, width) in ``buffer`` and "", or None and why there is none.
+    """Return the mono image (height, width) in ``buffer`` and "", or None and the reason why there is none.
 
     ``buffer``: (n,) uint8, read and never kept; ``code``: PFNC; ``line_padding``: bytes after each line.
     """
@@ -106,7 +106,7 @@ def whole_image(buffer: Array, code: int, width: int, height: int, line_padding:
 
 def bayer_to_mono(mosaic: Array, bits: int) -> Array:
     """Return a Bayer mosaic (H, W) of ``bits`` as mono of its size and type; see the rule above."""
-    # 16 times 12 bits, and the half that rounds, just fit into 16
+    # 16 times a 12-bit value, and the half that rounds, just fit into 16 bits
     framed = np.pad(mosaic.astype(np.uint16 if bits <= 12 else np.uint32), 1, mode="reflect")
     across = framed[:, 1:-1] << 1
     across += framed[:, :-2]

@@ -1,7 +1,7 @@
 """Basler cameras of any interface, through pylon (pypylon), and pylon's camera emulator.
 
 The environment variable PYLON_CAMEMU is the number of emulated cameras. They show test images or files,
-can only be triggered by software, ignore triggers that come too early without a word, and have no clock.
+can only be triggered by software, silently ignore triggers that come too early, and have no clock.
 """
 
 import time
@@ -156,8 +156,8 @@ class PylonCamera(GenICamCamera):
     """One Basler camera.
 
     Its stamps count ticks of its own clock: of GevTimestampTickFrequency where it has that (ace GigE: 8 ns), else
-    of 1 ns. By Basler's manuals the stamp is "generated when frame acquisition was triggered"; with one
-    exposure a trigger that is the start of exposure, but for the trigger's own delay of some microseconds.
+    of 1 ns. By Basler's manuals the stamp is "generated when frame acquisition was triggered". With one exposure
+    per trigger this is the start of exposure, except for the trigger's own delay of some microseconds.
     """
 
     def __init__(self, pylon: ModuleType, name: str, device: Device, camera: Any, emulated: bool) -> None:
@@ -238,7 +238,7 @@ class PylonCamera(GenICamCamera):
         )
 
     def _await_ready(self) -> None:
-        # the device ignores a trigger that comes too early, without notice
+        # the device silently ignores a trigger that comes too early
         camera = self._camera
         try:
             # in polls: time in which this process was stalled does not count

@@ -48,7 +48,7 @@ def devices(producer: str = "") -> Sequence[Device]:
 
 
 def open_camera(name: str, settings: CameraHardware) -> "Webcam":
-    """Open the device number, or the video file, that ``address`` names."""
+    """Open the device number, or the video file, given by ``address``."""
     cv2 = load()
     if settings.serial:
         raise DeviceError(
@@ -90,7 +90,7 @@ class Webcam(OpenCamera):
 
     @property
     def capabilities(self) -> Capabilities:
-        """Nothing but to run free."""
+        """No capability but to run free."""
         return Capabilities(stamp_event="readout", real_time=self._number is not None)
 
     def _opened(self) -> Any:
@@ -231,7 +231,7 @@ class _Reader:
 
 
 def _mono(picture: Array) -> tuple[Array | None, str]:
-    """Return OpenCV's picture as (H, W) uint8 in memory of its own, or None and why."""
+    """Return OpenCV's picture as (H, W) uint8 in memory of its own and "", or None and the reason."""
     if picture.dtype == np.uint8 and picture.ndim == 2:
         return np.ascontiguousarray(picture), ""
     if picture.dtype == np.uint8 and picture.ndim == 3 and picture.shape[2] == 3:

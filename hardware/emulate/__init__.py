@@ -1,4 +1,4 @@
-"""A source of frames on the network as GigE Vision cameras: each camera a device of its own at an address of its own.
+"""GigE Vision cameras emulated from a source of frames: each camera is a device with its own address on the network.
 
 - ``serve``: puts a source's cameras on addresses; a device is a ``camera`` with two channels
 - ``control`` (GVCP) takes commands; ``stream`` (GVSP) sends images; ``gige_vision``: numbers and datagrams

@@ -18,7 +18,7 @@ from hardware.emulate.stream import ImageLayout, chunk
 PtpStatus = Literal["Disabled", "Listening", "Uncalibrated", "Slave"]
 LISTENING_NS = 200_000_000
 LOCKING_NS = 500_000_000
-"""Time from PTP on until a device is listening to its master, and until it is locked to it."""
+"""Times after PTP is switched on: until a device listens to its master, and until it is locked to it."""
 
 _COMMON_MINUS_MONOTONIC = time.time_ns() - time.monotonic_ns()
 
@@ -30,7 +30,7 @@ def common_ns(mono_ns: int) -> int:
 
 @dataclass(frozen=True)
 class ClockJump:
-    """The clock is ``by_ns`` further from the monotonic time ``mono_ns`` on."""
+    """A jump of the clock: it is ``by_ns`` further ahead from the monotonic time ``mono_ns`` on."""
 
     mono_ns: int
     by_ns: int
@@ -95,11 +95,11 @@ class SensorExposure:
     start_ns: int
     """Start of exposure [ns]."""
     out_ns: int
-    """When it has ended and is read out [ns]."""
+    """Time when it has ended and is read out [ns]."""
 
 
 class Shutter:
-    """Opens on triggers that come when it is ready."""
+    """A shutter that opens on triggers that come when it is ready."""
 
     def __init__(self) -> None:
         self._ready_ns = 0
@@ -122,34 +122,34 @@ class Shutter:
 
 SECOND = 1_000_000_000
 PULSE_WIDTH_NS = 100_000
-"""Length of a line pulse: its falling edge comes so much after its rising one."""
+"""Length of a line pulse: the time from its rising to its falling edge."""
 EXPOSURES_WAITING = 128
-"""Images that a camera keeps while the machine it runs on is held up; a trigger beyond them is lost and counted."""
+"""Most images that a camera keeps while its machine is stalled; further triggers are lost and counted."""
 ACTIONS_WAITING = 16
 LONGEST_ARREARS_NS = SECOND
-"""A camera that runs free and was held up takes at most what it missed in this time."""
+"""Longest time whose missed images a free-running camera makes up for after it was stalled."""
 Source = Literal["Software", "Line1", "Action1"]
 
 
 @dataclass(frozen=True)
 class PendingImage:
-    """An exposure with what was set when it began: everything that its image depends on."""
+    """An exposure with the settings at its begin: everything that its image depends on."""
 
     exposure: SensorExposure
     block: int
     device_ns: int
     layout: ImageLayout
     session: int
-    """Counts the stops of acquisition; an image of an earlier one is not sent any more."""
+    """Number of stops of acquisition before it; an image of an earlier session is not sent any more."""
     chunks: bytes | None = None
     """Chunk data behind the image, or None."""
 
 
 class Acquisition:
-    """Begins exposures by the settings ``values`` (by feature name); not to be used by two threads at a time.
+    """Exposures according to the settings ``values`` (by feature name); not to be used by two threads at a time.
 
-    ``stamp``: the device's clock at a monotonic time. ``full_readout_ns``: of an image of ``sensor_height`` rows.
-    ``first_block``: number of the first block of each acquisition. ``counts``: what became of the triggers.
+    ``stamp``: the device's clock at a monotonic time. ``full_readout_ns``: readout time of ``sensor_height`` rows.
+    ``first_block``: number of the first block of each acquisition. ``counts``: triggers by outcome.
     """
 
     def __init__(
@@ -180,7 +180,7 @@ class Acquisition:
         self._shutter.reset()
 
     def stop(self) -> None:
-        """Take no more triggers, and drop what waits."""
+        """Take no more triggers, and drop waiting images."""
         self.active = False
         self.session += 1
         self._waiting.clear()
@@ -221,7 +221,7 @@ class Acquisition:
         return max(min(due) - now_ns, 0) / SECOND if due else None
 
     def shortest_period_ns(self) -> int:
-        """Return the time between two images at least, as exposure and height are set."""
+        """Return the shortest time between two images at the set exposure and height."""
         return max(self._readout_ns(), self._exposure_ns())
 
     def _take(self, source: Source, number: int, time_ns: int) -> bool:
@@ -277,7 +277,7 @@ class Acquisition:
 
 
 def payload_bytes(values: Mapping[str, Value]) -> int:
-    """Return the size of an image and the chunks behind it, as a camera's settings have them."""
+    """Return the size of an image and the chunks behind it under a camera's settings."""
     image = int(values["Width"]) * int(values["Height"]) * (int(values["PixelFormat"]) >> 16 & 0xFF) // 8
     if not values["ChunkModeActive"]:
         return image

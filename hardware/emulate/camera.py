@@ -1,4 +1,4 @@
-"""One emulated camera without its sockets: its settings, what they allow and cause, and its supply."""
+"""One emulated camera without its sockets: its settings with their limits and effects, and its power supply."""
 
 import time
 from collections import Counter
@@ -32,15 +32,15 @@ from hardware.emulate.registers import Privilege, Register, RegisterFile, Value
 from hardware.emulate.stream import Destination, Stream
 
 RESET_AFTER_NS = 20_000_000
-"""DeviceReset is acknowledged before the camera goes."""
+"""Delay of a reset, so that DeviceReset is acknowledged before the camera disappears."""
 SMALLEST_PACKET, LARGEST_PACKET = 576, 16000
 
 
 class EmulatedCamera:
     """A camera of ``identity``; the lock of ``changed`` guards all of it, and waits for images use it.
 
-    ``stream``: where test packets go out, and whose memory is lost with the supply. ``first_block``: number of the
-    first block of an acquisition. ``counts``: what became of the triggers; on the line
+    ``stream``: sends test packets; its memory is lost with the supply. ``first_block``: number of the first block of
+    an acquisition. ``counts``: triggers by outcome; on the line
     pulses = withheld + unarmed + ignored + overrun + exposures.
     """
 
@@ -77,7 +77,7 @@ class EmulatedCamera:
         )
         self._boot(time.monotonic_ns())
 
-    # what happens to it; all but next_image may come from any thread
+    # events; all but next_image may come from any thread
 
     def pulse(self, number: int, time_ns: int) -> None:
         """Take line pulse ``number``, which rises at the monotonic time ``time_ns``."""
@@ -95,8 +95,8 @@ class EmulatedCamera:
     def act(self, action: ActionCommand) -> Status:
         """Take an action command: it triggers at once, or at its time in the device's clock.
 
-        One for other keys is not for this camera, and is acknowledged all the same. A camera without PTP goes by its
-        own clock, and reports that it has no common time.
+        A command with other keys is not for this camera, and is acknowledged all the same. A camera without PTP uses
+        its own clock, and reports that it has no common time.
         """
         with self.changed:
             values, now = self._values, time.monotonic_ns()
@@ -121,7 +121,7 @@ class EmulatedCamera:
             self._lose_supply(time.monotonic_ns())
 
     def release(self) -> None:
-        """Do what the end of control brings: the stream closes and acquisition stops."""
+        """Carry out the effects of the end of control: the stream closes and acquisition stops."""
         with self.changed:
             self.privilege.drop()
             self._values["StreamPort"] = 0
@@ -132,7 +132,7 @@ class EmulatedCamera:
         """Return the next image to send, else the seconds until one may be due, else None; hold ``changed``."""
         return self._acquisition.next_image(time.monotonic_ns())
 
-    # what it is like now
+    # present state
 
     @property
     def armed(self) -> bool:
@@ -146,12 +146,12 @@ class EmulatedCamera:
 
     @property
     def packet_bytes(self) -> int:
-        """Size of stream packets, as SCPS has it."""
+        """Size of stream packets, as set in SCPS."""
         return int(self._values["StreamPacketSize"]) & 0xFFFF
 
     @property
     def switchover_key(self) -> int | None:
-        """Key with which another client may take the control over; None without that capability."""
+        """Key with which another client may take over the control; None without that capability."""
         return int(self._values["SwitchoverKey"]) & 0xFFFF if self.identity.switchover else None
 
     def destination(self) -> Destination | None:
@@ -162,7 +162,7 @@ class EmulatedCamera:
         return ".".join(map(str, int(self._values["StreamDestination"]).to_bytes(4, "big"))), port
 
     def linked(self, now_ns: int) -> bool:
-        """Return whether anything reaches the camera or leaves it; let what is due with its supply happen."""
+        """Return whether anything reaches the camera or leaves it; carry out due changes of its supply."""
         with self.changed:
             self._supply(now_ns)
             if now_ns < self._returns_ns:
@@ -174,7 +174,7 @@ class EmulatedCamera:
             return not silent_at <= since_s < silent_at + self.faults.silent_for_s
 
     def _live(self) -> dict[str, Callable[[], Value]]:
-        """Return what is worked out at each reading."""
+        """Return the functions of the values that are computed at each reading, by name."""
 
         def now(name: str) -> int:
             return int(self.registers.values[name])
@@ -194,7 +194,7 @@ class EmulatedCamera:
             "PrimaryIP": lambda: int(IPv4Address(privilege.holder[0])) if privilege.holder else 0,
         }
 
-    # what a write causes
+    # effects of writes
 
     def _write(self, register: Register, value: Value) -> None:
         name = register.name

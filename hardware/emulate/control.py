@@ -1,7 +1,7 @@
 """Control channel of a device (GVCP): receives commands, checks the privilege, and acknowledges.
 
-Whatever arrives, the device goes on: a datagram that is no command is not answered; an unknown or impossible command
-is answered with the standard's status for it.
+Whatever arrives, the device keeps working: a datagram that is no command is not answered; an unknown or impossible
+command is answered with the standard's status for it.
 """
 
 import errno
@@ -27,7 +27,7 @@ from mosca.errors import InputError
 TICK_S = 0.05
 """Interval at which heartbeat and supply are checked when nothing arrives."""
 STALLED_NS, GRACE_NS = 500_000_000, 2_000_000_000
-"""After this thread was stalled for so long it cannot judge heartbeats; clients then get the grace time."""
+"""Stall of this thread after which it cannot judge heartbeats, and grace time that clients get then."""
 DISCOVERY_BYTES = 0xF8
 LARGEST_READ = LARGEST_GVCP_PAYLOAD - 4
 ADDRESS = {register.name: register.address for register in BOOTSTRAP}
@@ -113,7 +113,7 @@ class Control:
         try:
             self._unicast.sendto(answer, client)
         except OSError:
-            # a sender that this address has no way to, such as another network's or port 0: it gets no answer
+            # a sender that this address cannot reach, such as another network's or port 0, gets no answer
             self._camera.counts["unanswerable"] += 1
 
     def answer(self, datagram: bytes, client: Client, broadcast: bool = False) -> bytes:
@@ -147,7 +147,7 @@ class Control:
             return gige_vision.acknowledge(request, status=refusal.status)
 
     def _describe(self) -> bytes:
-        """Return what a discovery is answered with: the first 248 bytes of the registers, gaps as zeros."""
+        """Return the answer to a discovery: the first 248 bytes of the registers, gaps as zeros."""
         registers = self._camera.registers
         found = bytearray(DISCOVERY_BYTES)
         for register in BOOTSTRAP:
@@ -212,9 +212,9 @@ class Control:
 
 
 def control_sockets(identity: Identity) -> tuple[socket.socket, ...]:
-    """Return the socket for what is sent to the device's control port, then those for what is sent to everyone.
+    """Return the socket of the device's own control port, then those for broadcasts to it.
 
-    Raises InputError where its address is not to be had, or serves another device.
+    Raises InputError where its address is not available, or serves another device.
     """
     address = identity.address
     unicast = _unicast(identity.name, address)

@@ -8,7 +8,7 @@ from mosca.errors import InputError
 
 SHARES = ("packet_loss", "resend_refused", "withheld")
 STREAMS = {"packet_loss": 1, "resend_refused": 2, "withheld": 3, "resent_loss": 4}
-"""Each kind of trouble draws from numbers of its own, so that one moves no other."""
+"""Random streams: each kind of fault draws from its own, so that one does not change another."""
 
 
 @dataclass(frozen=True)
@@ -26,13 +26,14 @@ class Faults:
     drift_ppm: float = 0.0
     """Drift of the device clock."""
     jump_at_s: float | None = None
-    """The device clock jumps by ``jump_ns`` then."""
+    """Time at which the device clock jumps by ``jump_ns``."""
     jump_ns: int = 0
     reboot_at_s: float | None = None
-    """The camera loses its supply for ``reboot_gone_s``; settings, control, clock and block numbers start anew."""
+    """Time at which the camera loses its supply for ``reboot_gone_s``; settings, control, clock and block numbers
+    start anew."""
     reboot_gone_s: float = 2.0
     silent_at_s: float | None = None
-    """For ``silent_for_s`` nothing reaches the camera or leaves it, though it works on: a pulled cable."""
+    """Time from which for ``silent_for_s`` nothing reaches or leaves the working camera, as with a pulled cable."""
     silent_for_s: float = 1.0
     seed: int = 0
     """Seed of the random draws."""

@@ -91,7 +91,7 @@ class Feature:
     register: str = ""
     """Its bootstrap register; "" gives the feature one of its own."""
     bits: tuple[int, int] | None = None
-    """First and last bit of the register that are meant, counted from the most significant."""
+    """First and last bit of the value in the register, counted from the most significant."""
     command: int = 1
     signed: bool = False
     length: int = 4

@@ -132,7 +132,7 @@ def _port(feature: Feature) -> str:
 
 
 def _at(node: Xml.Element, register: Register, feature: Feature) -> None:
-    # no value is cached: many follow from others, and a reading must see what the device took
+    # no value is cached: many depend on others, and a reading must show what the device accepted
     _say(
         node,
         Address=f"0x{register.address:x}",

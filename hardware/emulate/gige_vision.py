@@ -41,7 +41,7 @@ EXTENDED_ID = 0x10
 LEADER, TRAILER, PAYLOAD = 1, 2, 3
 IMAGE_PAYLOAD = 0x0001
 EXTENDED_CHUNKS = 0x4000
-"""Of the payload's type: chunks follow the image."""
+"""Flag of the payload's type: chunks follow the image."""
 IMAGE_CHUNK, COUNTER_CHUNK = 0x0000C001, 0x0000C002
 CHUNK_TAIL_BYTES = 8
 """Trailer of a chunk, behind its data: id and length."""
@@ -68,7 +68,7 @@ RANGE = struct.Struct(">IHH")
 
 @dataclass(frozen=True)
 class GvcpCommand:
-    """A command as it came. ``command`` need not be one that is known."""
+    """A command as received; ``command`` may be unknown."""
 
     flags: int
     command: int
@@ -78,7 +78,7 @@ class GvcpCommand:
 
 @dataclass(frozen=True)
 class ActionCommand:
-    """An action command: keys, mask, and when, in the device's clock [ns]; None: at once."""
+    """An action command: keys, mask, and its time in the device's clock [ns] (None: at once)."""
 
     device_key: int
     group_key: int

@@ -52,7 +52,7 @@ class Identity:
     model: str = "Twin"
     firmware: str = "1.0"
     switchover: bool = False
-    """Whether another client may take the control over with a key; many cameras have no such capability."""
+    """Whether another client may take over the control with a key; many cameras have no such capability."""
 
 
 def boot_values(identity: Identity, xml_bytes: int, source_port: int) -> dict[str, Value]:

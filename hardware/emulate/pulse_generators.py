@@ -34,7 +34,7 @@ class TriggerLine:
 
     A pulse carries the time at which it is due. A busy machine delivers it late, but the cameras expose at the due
     time, as with a real generator; ``stop`` first makes the pulses that were due before it.
-    ``ended``: called before each pulse; whether the pulses end before it.
+    ``ended``: called with the number of each pulse before it is made; True ends the pulses before it.
     """
 
     def __init__(self, cameras: Iterable[Triggered], ended: Callable[[int], bool] = lambda number: False) -> None:
@@ -61,7 +61,7 @@ class TriggerLine:
             camera.pulse(number, time_ns)
 
     def start(self, rate_hz: float) -> None:
-        """Begin with pulse 0; InputError for a rate that cannot be."""
+        """Begin with pulse 0; InputError for an impossible rate."""
         if not 0.0 < rate_hz <= FASTEST_HZ:
             raise InputError(f"trigger line: {rate_hz:g} Hz given; above 0 and at most {FASTEST_HZ:g} is wanted")
         with self._lock:
@@ -128,7 +128,7 @@ class PulseBox:
         return self._made
 
     def answer(self, line: str) -> str:
-        """Return what the box answers to a line, and do it."""
+        """Carry out a line, and return the box's answer to it."""
         words = line.split()
         match words:
             case ["V"]:
@@ -146,7 +146,7 @@ class PulseBox:
             case ["S", "0"]:
                 with self._changed:
                     if self._begin is not None:
-                        # the pulses until now are made, however late this machine is with them
+                        # pulses due until now are still made, however late this machine makes them
                         self._until = time.monotonic()
                         self._changed.notify_all()
                         self._changed.wait_for(lambda: self._begin is None)
@@ -157,7 +157,7 @@ class PulseBox:
         return "E not understood, or not now"
 
     def close(self) -> None:
-        """Stop the pulses and take the port away; may be called twice."""
+        """Stop the pulses and remove the port; may be called twice."""
         if self._closed:
             return
         with self._changed:

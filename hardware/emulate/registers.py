@@ -1,4 +1,4 @@
-"""The register file: addresses, access and encoding of values; and the control privilege, which allows to write."""
+"""The register file: addresses, access and encoding of values; and the control privilege, which permits writing."""
 
 import struct
 from bisect import bisect_right
@@ -132,7 +132,7 @@ MILLION = 1_000_000
 
 
 class Privilege:
-    """Held by at most one client, which is an address and a port; anyone may read unless access is exclusive."""
+    """Control privilege of at most one client (address and port); anyone may read unless access is exclusive."""
 
     def __init__(self) -> None:
         self.holder: Client | None = None
@@ -147,7 +147,7 @@ class Privilege:
         client
             Who asks.
         value
-            Access in the lower bits; in the upper 16 the key with which the control is taken over.
+            Access in the lower bits; in the upper 16 bits the key with which the control is taken over.
         now_ns
             Time of this machine's monotonic clock [ns].
         key
@@ -181,7 +181,7 @@ class Privilege:
             raise Refused(Status.ACCESS_DENIED)
 
     def heartbeat(self, client: Client, now_ns: int) -> None:
-        """Take note that ``client`` is alive: each command of the holder counts as a heartbeat."""
+        """Register that ``client`` is alive: each command of the holder counts as a heartbeat."""
         if client == self.holder:
             self._heard_ns = now_ns
 

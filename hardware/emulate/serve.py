@@ -81,7 +81,7 @@ class EmulatedDevice:
             self._take(found)
 
     def _take(self, shot: PendingImage) -> None:
-        """Wait until the image is read out and send it, unless something came between."""
+        """Wait until the image is read out, and send it; where that cannot be done, count why."""
         self._stop.wait(max(shot.exposure.out_ns - time.monotonic_ns(), 0) / SECOND)
         frame = self._frames(shot.exposure.number)
         with self.camera.changed:
@@ -98,7 +98,7 @@ class EmulatedDevice:
             return
         pixels = pixels_of(frame, shot.layout, self.identity.bit_depth)
         packets = image_packets(shot.block, shot.device_ns, shot.layout, pixels, packet_bytes, shot.chunks)
-        # what the source has as damaged arrives damaged: its end is missing and is not to be had again
+        # a frame that is damaged in the source arrives damaged: its end is missing and cannot be requested again
         packets = packets if frame.status == "ok" else packets[:-1]
         self._images["frames" if frame.status == "ok" else "corrupt"] += 1
         self._stream.send(shot.block, packets, to)
@@ -126,7 +126,7 @@ SLOWEST_SENSOR_HZ = 200.0
 EXPOSURE_US = 1000.0
 LOOPBACK_BITS, LAN_BITS = 8, 24
 SERIAL_BYTES = 16
-"""With the zero at its end."""
+"""Length of a serial number with the zero at its end."""
 
 
 class Served:
@@ -210,7 +210,7 @@ def served(
     first_block
         Block id of an acquisition's first frame.
     switchover
-        Whether another client may take the control over with a key (a capability that many cameras lack).
+        Whether another client may take over the control with a key (a capability that many cameras lack).
     progress
         Called with pulses done and to do while frames are read ahead.
     """
@@ -253,7 +253,7 @@ def interface(text: str) -> IPv4Interface:
 
 
 def serial_at(place: IPv4Interface) -> str:
-    """Return the serial number of the camera at index ``place``: clients identify cameras by it, across servers."""
+    """Return the serial number of the camera at address ``place``: clients identify cameras by it, across servers."""
     return f"TWIN{int(place.ip):08X}"
 
 

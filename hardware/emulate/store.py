@@ -1,4 +1,4 @@
-"""The frames that cameras are served from: read ahead of the pulses, held in a bounded part of memory."""
+"""Frames for emulated cameras: read ahead of the pulses, held in a bounded part of memory."""
 
 import time
 from collections.abc import Callable
@@ -8,21 +8,21 @@ from mosca.data.frames import CameraInfo, Frame, FrameSource
 from mosca.errors import InputError
 
 MISSING_AFTER = 8
-"""A frame is held for lost when the source has given frames of so many later pulses."""
+"""A frame counts as lost when the source has given frames of this many later pulses."""
 WAIT_S = 30.0
-"""Time-out of a camera for a frame that is not there yet."""
+"""Time-out of a camera's wait for a frame that has not been read yet."""
 POLL_INTERVAL_S = 0.5
 
 
 class FrameStore:
     """Frames of ``source`` by camera and pulse, at most ``ahead`` pulses of them (and as many requested ones).
 
-    A source that fits is kept, and looped or restarted without reading it again; of a longer one frames are read
-    while pulses pass, and a restart iterates over it anew. ``loop``: after the last pulse comes the first.
+    A source that fits is kept, and looped or restarted without reading it again. Frames of a longer source are read
+    while pulses pass, and a restart iterates over it anew. ``loop``: the first pulse follows the last.
 
-    Where the source is in the session's clock (twin, captures, folders of images), a camera's first frame belongs to
-    the pulse of its index, later ones to the pulses of their time stamps. With other clocks the pulse follows from
-    the time since the camera's previous frame.
+    Where the source uses the session's clock (twin, captures, folders of images), a camera's first frame belongs to
+    the pulse of its index, and later frames to the pulses of their time stamps. With other clocks the pulse follows
+    from the time since the camera's previous frame.
     """
 
     def __init__(self, source: FrameSource, ahead: int, loop: bool = False) -> None:
@@ -49,13 +49,13 @@ class FrameStore:
 
     @property
     def last_pulse(self) -> int | None:
-        """The pulse that is the last with frames, None where there is none or it is not known."""
+        """The last pulse with frames, None where there is none or it is not known."""
         return None if self._loop or self._length is None else self._length - 1
 
     def fill(self, progress: Callable[[int, int | None], None] | None = None) -> None:
-        """Wait until ``ahead`` pulses are there, or all of them; raise what the source raised.
+        """Wait until ``ahead`` pulses, or all of them, are in memory; raise what the source raised.
 
-        ``progress``: called with pulses done and to do; at the end both are those that are there.
+        ``progress``: called with pulses done and to do; at the end both are the number in memory.
         """
         with self._changed:
             while self._failed is None and self._length is None and self._newest < self._ahead - 1:
@@ -72,7 +72,7 @@ class FrameStore:
             raise self._failed
 
     def first(self, camera: str) -> Frame | None:
-        """Return the earliest frame of ``camera`` that is there."""
+        """Return the earliest frame of ``camera`` in memory."""
         with self._changed:
             numbers = [number for name, number in self._frames if name == camera]
             return self._frames[camera, min(numbers)] if numbers else None
@@ -109,7 +109,7 @@ class FrameStore:
             self._changed.notify_all()
 
     def close(self) -> None:
-        """Stop reading; the source is its owner's to close."""
+        """Stop reading; the source must be closed by its owner."""
         with self._changed:
             self._closed = True
             self._changed.notify_all()
@@ -131,7 +131,7 @@ class FrameStore:
         self._ended = self._forgot = False
 
     def _read_once(self) -> bool:
-        """Read the source to its end or until it is to be read anew; return whether it is."""
+        """Read the source to its end, or until it must be read anew; return whether it must."""
         with self._changed:
             this_round = self._wanted_round
             self._start_round()
@@ -171,7 +171,7 @@ class FrameStore:
         return self._closed or self._wanted_round != this_round
 
     def _forget(self) -> None:
-        """Let go of what lies too far behind, unless the whole source is kept."""
+        """Drop frames that lie too far behind, unless the whole source is kept."""
         if self._whole:
             return
         oldest = self._asked - self._ahead

@@ -31,7 +31,7 @@ Packet = bytes | memoryview
 
 @dataclass(frozen=True)
 class ImageLayout:
-    """Image fields of the leader: pixel format, and which part of the sensor it is [px]."""
+    """Image fields of the leader: pixel format, and the part of the sensor [px]."""
 
     pixel_format: int
     width: int
@@ -52,7 +52,7 @@ def image_packets(
 
     ``pixels``: (H, W) uint8 or uint16, sent row by row, two-byte pixels little-endian. ``packet_bytes``: size of a
     packet with IP and UDP headers; the last payload packet may be shorter. ``device_ns``: the device's stamp.
-    ``chunks``: what follows the image, which is a chunk itself then; None without chunk data.
+    ``chunks``: data after the image, which is a chunk itself then; None without chunk data.
     """
     data = np.ascontiguousarray(pixels, dtype=pixels.dtype.newbyteorder("<")).reshape(-1).view(np.uint8)
     kind = IMAGE_PAYLOAD
@@ -118,10 +118,10 @@ def _trailer(block: int, packet: int, height: int, kind: int) -> bytes:
 
 
 KEPT_BLOCKS = 100
-"""A second at 100 Hz: a busy client requests packets late."""
+"""Blocks kept for resending: a second at 100 Hz, since a busy client requests packets late."""
 SEND_BUFFER = 4 << 20
 LARGEST_RESEND = 2048
-"""Packets that one request is answered with at most."""
+"""Most packets in the answer to one request."""
 _IP_MTU_DISCOVER, _MAY_FRAGMENT, _DO_NOT_FRAGMENT = 10, 0, 2
 Destination = tuple[str, int]
 
@@ -142,7 +142,7 @@ class Stream:
         self.source_port: int = self._socket.getsockname()[1]
 
     def send(self, block: int, packets: Sequence[Packet], to: Destination) -> None:
-        """Send ``packets``, which are those of ``block``, but for those drawn as lost; keep them all."""
+        """Send the ``packets`` of ``block`` except those drawn as lost; keep all of them."""
         with self._lock:
             self._kept.pop(block, None)
             self._kept[block] = packets
@@ -156,7 +156,7 @@ class Stream:
         self._count("packets_lost", len(lost))
 
     def resend(self, wanted: ResendRequest, to: Destination) -> None:
-        """Send kept packets again, or the status that they are not available."""
+        """Send kept packets again, or the status packet that states that they are not available."""
         with self._lock:
             kept = self._kept.get(wanted.block, ())
         refused = self._draws.refused()
@@ -177,12 +177,12 @@ class Stream:
                 self._count("packets_resent")
 
     def fire_test_packet(self, packet_bytes: int, to: Destination) -> None:
-        """Send one packet of the size that SCPS has now, so that a client can see whether it arrives."""
+        """Send one packet of the present size in SCPS, so that a client can see whether it arrives."""
         self._send(probe(packet_bytes), to)
         self._count("test_packets")
 
     def fragment(self, may: bool) -> None:
-        """Let the network cut packets that are too large for it, or not."""
+        """Set whether the network may fragment packets that are too large for it."""
         how = _MAY_FRAGMENT if may else _DO_NOT_FRAGMENT
         self._socket.setsockopt(socket.IPPROTO_IP, _IP_MTU_DISCOVER, how)
 
@@ -201,7 +201,7 @@ class Stream:
         try:
             self._socket.sendto(packet, to)
         except OSError:
-            # a client may name a destination that is none, or a size that the network does not carry: counted
+            # counted: a client may name an invalid destination, or a size that the network does not carry
             self._count("packets_unsent")
 
     def _count(self, what: str, by: int = 1) -> None:

@@ -12,7 +12,7 @@ A program file (TOML) lists commands with their times, and the sources of events
     name = "imu"
     kind = "udp"                    # datagrams received at address; "tcp": lines from that server
     address = "192.168.7.1:7001"     # of the interface that they come to
-    sender = "192.168.7.30"         # whose datagrams are taken; without it everyone's, and the notes say so
+    sender = "192.168.7.30"         # whose datagrams are taken; without it everyone's, which the notes state
 
     [[program]]
     at_s = 1.0                      # from the first pulse on
@@ -154,14 +154,14 @@ class CommandTarget:
         return Reply(sent_ns, line.came_ns, line.text)
 
     def unasked(self) -> list[tuple[int, str]]:
-        """Return the lines that came without a question, with their times; late answers are among them."""
+        """Return the lines that came without a command, with their times; late answers are among them."""
         lines = []
         while (line := self._lines.read(0.0)) is not None:
             lines.append((line.came_ns, line.text))
         return lines
 
     def close(self) -> None:
-        """Hang up; may be called twice."""
+        """Disconnect; may be called twice."""
         self._lines.close()
 
 
@@ -187,7 +187,7 @@ class EventSource:
         return None if line is None else (line.came_ns, line.text)
 
     def notes(self) -> list[str]:
-        """Return whose datagrams were refused, or that everyone's were taken from a network."""
+        """Return lines on whose datagrams were refused, or that everyone's were taken from a network."""
         if self._udp is None:
             return []
         if self.table.sender is None and not self._udp.on_loopback:

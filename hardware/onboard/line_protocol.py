@@ -1,4 +1,4 @@
-"""Lines of text over TCP, UDP and serial ports, each stamped when it was whole."""
+"""Lines of text over TCP, UDP and serial ports, each stamped when it was complete."""
 
 import os
 import select
@@ -15,12 +15,12 @@ CONNECT_S = 3.0
 LONGEST_LINE = 1 << 16
 MOST_BYTES = 1 << 16
 MOST_STRANGERS = 8
-"""Addresses whose refused datagrams are counted apart; they may be forged, any number of them."""
+"""Most addresses whose refused datagrams are counted separately; any number of addresses may be forged."""
 
 
 @dataclass(frozen=True)
 class Line:
-    """A line without its end, and this machine's monotonic time when it was whole [ns]."""
+    """A line without its end, and this machine's monotonic time when it was complete [ns]."""
 
     text: str
     came_ns: int
@@ -34,16 +34,16 @@ class Lines(Protocol):
         ...
 
     def read(self, timeout_s: float) -> Line | None:
-        """Return the next line, or None when none was whole within ``timeout_s``."""
+        """Return the next line, or None when none was complete within ``timeout_s``."""
         ...
 
     def close(self) -> None:
-        """Hang up; may be called twice."""
+        """Disconnect; may be called twice."""
         ...
 
 
 class _Cutter:
-    """Cuts what comes into lines; a line longer than LONGEST_LINE is cut there."""
+    """Splits received bytes into lines; a line longer than LONGEST_LINE is cut there."""
 
     def __init__(self) -> None:
         self._rest = b""
@@ -99,7 +99,7 @@ class TcpLines:
         return line
 
     def close(self) -> None:
-        """Hang up."""
+        """Disconnect."""
         self._socket.close()
 
     def _gone(self, error: OSError) -> DeviceError:

@@ -1,7 +1,7 @@
 """State of one camera while its buffers are numbered by pulse, and what a run of pending buffers shows together.
 
-A buffer whose pulse is not known yet is *pending*. Pending buffers together give the arrival time of the first of
-them had it been as quick as the quickest, and whether the device clock jumped between them.
+A buffer whose pulse is not known yet is *pending*. Together, pending buffers show when the first of them would have
+arrived with the shortest delay among them, and whether the device clock jumped between them.
 """
 
 import statistics
@@ -16,17 +16,17 @@ from hardware.pulse_numbers.free_running import FreeClock
 from hardware.pulse_numbers.trigger_counter import TriggerCounter
 
 BACKWARD_STEP, OFF_GRID_STEP = -0.2, 0.25
-"""Shares of a period: a stamp that lies farther behind the last one, or farther off whole periods from it, is of a
-clock that jumped."""
+"""Shares of a period: a stamp farther behind the last one than ``BACKWARD_STEP``, or farther off whole periods from
+it than ``OFF_GRID_STEP``, shows that the clock jumped."""
 FEWEST_STAMPS = 3
-"""Of two stamps that are off whole periods neither is known to be the late one."""
+"""Fewest stamps that show which is late: of two that are not whole periods apart, it may be either."""
 
 
 Found = Literal["trigger", "clock", "stamp", "count", "arrival", "neighbours", "free", "played"]
-"""How a frame's pulse was found: the command that this computer sent and whose frame was waited for; the camera's
-clock, which is read; its time stamps, whose first pulse the arrivals decided; its counter, confirmed by arrivals; its
-arrival, which is not certain; the frames beside it; the pulse nearest to a free-running camera's frame; its place in
-a file that is played."""
+"""How a frame's pulse was found, in this order: by the command that this computer sent, waiting for its frame; by
+readings of the camera's clock; by its time stamps, whose first pulse the arrivals decided; by its counter, confirmed
+by arrivals; by its arrival, which is not certain; by the frames beside it; as the pulse nearest to a free-running
+camera's frame; by its place in a file that is played."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +42,7 @@ class NumberedBuffer:
     found: Found
     """How the number was found."""
     error_ns: float = 0.0
-    """How far off the time may be, where it was measured by commands or readings of clocks [ns]."""
+    """Largest error of the time, where it was measured by commands or readings of clocks [ns]."""
 
 
 @dataclass
@@ -88,7 +88,7 @@ class CameraState:
 
 
 def earliest_arrival_ns(pending: Sequence[Grabbed], period_ns: float) -> float:
-    """Return when the first of ``pending`` would have arrived had it been as quick as the quickest of them [ns]."""
+    """Return when the first of ``pending`` would have arrived with the shortest delay among them [ns]."""
     stamps = [(b, b.device_ns) for b in pending]
     first = next((stamp for _, stamp in stamps if stamp is not None), None)
     if first is None:

@@ -1,9 +1,9 @@
 """Device clock and pulses: which pulse a time stamp belongs to, and when the clock jumped; when pulses arrive.
 
 A camera exposes once a pulse, so its stamps lie on a line ``a + b k`` in its own clock; ``b`` is the period of the
-pulses as this clock counts it, off by its drift. The line is followed by an alpha-beta filter (Bar-Shalom, Li &
-Kirubarajan 2001, section 6.5). A stamp between two pulses, or behind the last one, is of a clock that was set or that
-began anew.
+pulses in this clock, which differs by its drift. The line is followed by an alpha-beta filter (Bar-Shalom, Li &
+Kirubarajan 2001, section 6.5). A stamp between two pulses, or behind the last one, shows that the clock was set or
+restarted.
 """
 
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ PERIOD_GAIN = 0.0005
 LARGEST_DRIFT = 2e-3
 """Largest relative deviation of a camera's clock from the nominal rate; quartz keeps 1e-4."""
 LARGEST_RESIDUAL, RESIDUAL_PER_STEP, RESIDUAL_AT_MOST = 0.1, 1e-4, 0.2
-"""Gate of a stamp about its pulse, as a share of a period; over missed pulses drift adds to it."""
+"""Gate of a stamp about its pulse, what drift adds to it for each pulse, and the largest gate; shares of a period."""
 LONGEST_GAP = 2000
 """Over more missed pulses than this a drift of 1e-4 could hide a pulse."""
 
@@ -22,7 +22,7 @@ LONGEST_GAP = 2000
 EARLY_SHARE = 0.3
 """An arrival that is early by more than this share of a period moves the pulse times at once."""
 ARRIVAL_PHASE_GAIN, ARRIVAL_PERIOD_GAIN = 0.3, 0.05
-"""Gains of the pulse times against the earliest arrival of a second."""
+"""Gains with which the pulse times follow the earliest arrival of each second."""
 FEWEST_ARRIVALS = 8
 
 
@@ -34,7 +34,7 @@ class StampPulse:
     residual_ns: float
     """Deviation of the stamp from the line of pulses [ns]."""
     error_ns: float = 0.0
-    """How far off the time may be, where it was measured by commands or readings of clocks [ns]."""
+    """Largest error of the time, where it was measured by commands or readings of clocks [ns]."""
     certain: bool = True
     """Whether it is certainly this pulse."""
 
@@ -52,7 +52,7 @@ class ExposureStart(NamedTuple):
 
 
 class DeviceClock:
-    """Stamps of one camera in its own clock [ns] to pulses; ``period_ns`` is the nominal one.
+    """Conversion of one camera's stamps in its own clock [ns] to pulses; ``period_ns`` is the nominal period.
 
     Times are kept as integers from the last stamp on, so that nothing is lost in 64-bit epochs.
     """
@@ -66,7 +66,7 @@ class DeviceClock:
         self._offset_ns = 0.0
 
     def lock(self, pulse: int, stamp_ns: int, residual_ns: float = 0.0) -> None:
-        """Begin anew: ``stamp_ns`` is of ``pulse``, and so much behind its line; the learned rate is kept."""
+        """Restart: ``stamp_ns`` is of ``pulse``, ``residual_ns`` behind its line; the learned rate is kept."""
         self.locked = True
         self._pulse, self._stamp_ns, self._offset_ns = pulse, stamp_ns, -residual_ns
 
@@ -127,7 +127,7 @@ class HostPulseTimes:
     def take(self, pulse: int, time_ns: float) -> None:
         """Take the arrival of a pulse into account; once a second the earliest one moves the line.
 
-        One that is early by a good part of a period moves it at once: the first arrivals were all late.
+        An arrival that is early by a good part of a period moves the line at once: the first ones were all late.
         """
         delay = time_ns - self.at(pulse)
         if delay < -EARLY_SHARE * self.period_ns:
@@ -148,6 +148,6 @@ class HostPulseTimes:
 
 
 def _limited_drift(period_ns: float, nominal_ns: float) -> float:
-    """Return the period, no farther from the nominal one than a clock may drift."""
+    """Return the period, limited to the largest drift from the nominal one."""
     reach = LARGEST_DRIFT * nominal_ns
     return min(max(period_ns, nominal_ns - reach), nominal_ns + reach)

@@ -1,7 +1,7 @@
 """Polls the device clocks, each in a thread of its own: no frame waits for an answer.
 
-A clock is read a few times before its camera's first frame; then again each few seconds, so that drift adds little,
-and whenever a frame's pulse depends on it.
+A clock is read a few times before its camera's first frame. It is read again every few seconds, so that drift adds
+little, and whenever a frame's pulse depends on it.
 """
 
 import logging
@@ -14,8 +14,8 @@ from hardware.driver import CameraDriver, ClockReading, DeviceError
 from hardware.pulse_numbers.numbering import PulseNumbers
 
 FIRST_READINGS, QUICK_NS, POLL_INTERVAL_S = 5, 500_000, 2.0
-"""At most so many first readings; they end with one whose error is below ``QUICK_NS``. In the interval a clock may
-drift by 0.2 ms; half of it gains 0.1 ms for twice the questions, double of it costs 0.2 ms, of 1 ms."""
+"""Most first readings, which end with one whose error is below ``QUICK_NS``; interval of later ones. In the interval
+a clock may drift by 0.2 ms; half of it gains 0.1 ms for twice the queries, double of it costs 0.2 ms, of 1 ms."""
 ASK_AGAIN_NS = 100_000_000
 log = logging.getLogger("mosca.hardware.clocks")
 
@@ -33,7 +33,7 @@ class ClockPoller:
         self._threads: list[threading.Thread] = []
 
     def start(self) -> None:
-        """Read each clock for the first time, and go on reading those that can be."""
+        """Read each clock for the first time, and continue with those that can be read."""
         for name in self._drivers:
             if not self.begin(name):
                 continue

@@ -1,8 +1,8 @@
-"""Device clock against host clock by reading it: its time between request and answer (Cristian 1989).
+"""Device clock against host clock: a reading gives the device's time between request and answer (Cristian 1989).
 
-Late arrivals on a busy machine do not show when frames were exposed. A recent reading of the device clock does, to
-half the round trip: a fraction of a millisecond on a quiet machine, and a slow answer is known to be one. A reading
-from before a clock was set does not hold after it; contradicting readings show that.
+Late arrivals on a busy machine do not show when frames were exposed. A recent reading of the device clock does, with
+an error of half the round trip: a fraction of a millisecond on a quiet machine, and larger for a slow answer. A
+reading from before a clock was set does not hold after that; contradicting readings show it.
 """
 
 from collections import Counter, deque
@@ -18,8 +18,8 @@ DRIFT = 1e-4
 SLACK_NS = 200_000
 """Allowance for a device's processing time."""
 LARGEST_ERROR, PULSE_GATE, PRECISE = 0.3, 0.35, 0.1
-"""Shares of a period: a time with a larger error gives no pulse; one farther from a pulse belongs to none; only one
-with a smaller error than the last adjusts the pulse times."""
+"""Shares of a period: a time with an error above the first gives no pulse; a time farther from a pulse than the
+second belongs to none; only a time with an error below the third adjusts the pulse times."""
 LONGEST_DELAY_NS = 10_000_000_000
 START_SLACK = 0.25
 """The start command is timed half-way between request and answer: pulse 0 may be somewhat later, or earlier."""
@@ -119,7 +119,7 @@ class ClockPulses:
     def begin(self, first: Mapping[str, Grabbed], start_ns: int | None) -> FirstPulses | None:
         """Return the pulses of the cameras' first frames, and begin the pulse times; None where they are not known.
 
-        The earliest is of the first pulse, unless ``start_ns``, when the pulses began, shows that all missed it.
+        The earliest frame is the first pulse's, unless ``start_ns``, when the pulses began, shows that all missed it.
         """
         taken = {name: self.host_time(name, buffer) for name, buffer in first.items()}
         known = {name: found[0] for name, found in taken.items() if found is not None}
@@ -134,7 +134,7 @@ class ClockPulses:
     def pulse(self, name: str, buffer: Grabbed) -> StampPulse | None:
         """Return a frame's pulse; None where its device clock was not read since it arrived, or it fits no pulse.
 
-        Its deviation from the pulse is known as well as the readings and the pulse times are: a few ms.
+        Its deviation from the pulse is as accurate as the readings and the pulse times: a few ms.
         """
         if self._times is None or name not in self._clocks or self.checked_ns(name) < buffer.host_ns:
             return None

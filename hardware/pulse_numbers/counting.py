@@ -1,13 +1,13 @@
 """Pulses of a triggered camera whose frames have no time stamps: counted, and checked by when they arrive.
 
-A counter alone does not show a pulse that the camera missed, an arrival alone may be late by periods. Together they
+A counter alone does not show a pulse that the camera missed; an arrival alone may be late by periods. Together they
 bound a frame's pulse: from below by the count since the last frame, from above because no frame can arrive before its
-pulse. Where both give the same pulse it is known. A frame that is late for its count waits for the next ones: one of
-them on time shows that it was merely late; where all are late by whole periods the camera missed as many pulses, as
-far as arrivals can tell, and a note says so. When it was exposed is known as well as it arrived on time.
+pulse. Where both bounds agree, the pulse is known. A frame that is late for its count waits for the next ones. If one
+of them is on time, the frame was merely late. If all are late by whole periods, the camera missed as many pulses, as
+far as arrivals show, and a note states that. The time of exposure is as uncertain as the arrival is late.
 
-At the start the count says that the first frame is of the first pulse, since cameras are armed before the pulses
-begin. Where its arrival says something else the pulse is not known; a note names the camera and what to do.
+At the start the first frame is counted as that of the first pulse, since cameras are armed before the pulses begin.
+Where its arrival contradicts that, the pulse is not known; a note names the camera and what to do.
 """
 
 import math
@@ -19,16 +19,16 @@ from hardware.pulse_numbers.clock_model import EARLY_SHARE, HostPulseTimes
 from hardware.pulse_numbers.settings import NumberingSettings
 
 OFF_PULSE = 0.6
-"""Share of a period: a frame that arrives farther off than this is not of the supposed pulse."""
+"""Share of a period: a frame that arrives farther from a pulse's time than this does not belong to that pulse."""
 CLEAR = 0.35
-"""Share of a period: first frames that arrive farther than this from a pulse could as well be of the next one."""
+"""Share of a period: first frames that arrive farther from a pulse than this could as well belong to the next one."""
 REMEDY = "use trigger = 'Software', a lower rate_hz, or a camera with time stamps"
 
 
 class CountedPulses:
     """Numbers the buffers of cameras without time stamps.
 
-    ``pulse_times``: when each pulse's frames arrive. ``usual_delay_ns``: of the other cameras' frames, by their
+    ``pulse_times``: when each pulse's frames arrive. ``usual_delay_ns``: delay of the other cameras' frames, by their
     stamps [ns].
     """
 
@@ -46,7 +46,7 @@ class CountedPulses:
         self._notes, self._follows = notes, follows
 
     def begin(self, camera: CameraState, earliest_ns: float) -> Iterator[NumberedBuffer]:
-        """Number what is pending; its first buffer would have arrived at ``earliest_ns`` had it been quick."""
+        """Number the pending buffers; with the shortest delay the first would have arrived at ``earliest_ns``."""
         if camera.played:
             pulse = 0
         else:
@@ -95,7 +95,7 @@ class CountedPulses:
         yield from self.settle(camera, final=False)
 
     def _find_again(self, camera: CameraState) -> Iterator[NumberedBuffer]:
-        """Number what is pending of a camera that came late, or restarted: its arrivals are all that is known."""
+        """Number the pending buffers of a camera that came late, or restarted, by their arrivals alone."""
         earliest = earliest_arrival_ns(camera.pending, self._settings.period_ns) - camera.latency_ns
         at = (earliest - self._usual_delay_ns(camera) - self._times.at(0)) / self._settings.period_ns
         pulse = max(round(at), camera.last_pulse + 1)
@@ -109,7 +109,7 @@ class CountedPulses:
         yield from self._begin_at(camera, pulse)
 
     def _recount(self, camera: CameraState, counted: int, missed: int) -> None:
-        """Count that the arrivals contradict the count; note it the first time."""
+        """Register that the arrivals contradict the count; add a note the first time."""
         camera.relocks += 1
         camera.proven = False
         if camera.recounted:
@@ -143,7 +143,7 @@ class CountedPulses:
             yield NumberedBuffer(camera.name, pulse, 0.0, buffer, found, late_ns)
 
     def _learn(self, pulse: int, arrival_ns: float) -> None:
-        # a frame that is early was counted too far: it says nothing of the pulse times
+        # an early frame was counted too far, and does not show the pulse times
         if self._follows and arrival_ns - self._times.at(pulse) > -EARLY_SHARE * self._settings.period_ns:
             self._times.take(pulse, arrival_ns)
 

@@ -14,7 +14,7 @@ from hardware.driver import Grabbed
 WINDOW_S = 2.0
 """Clocks 50 ppm apart drift by 0.1 ms in this time, less than the scatter of arrivals."""
 JUMP_NS = 1_000_000_000
-"""A clock that is off by more than this against the last frame's was set, or its camera restarted."""
+"""A clock that changed by more than this since the last frame was set, or its camera restarted."""
 
 
 class FreeClock:
@@ -25,7 +25,7 @@ class FreeClock:
         self._last_ns: int | None = None
 
     def at(self, buffer: Grabbed) -> int:
-        """Return the host time [ns] of the frame's stamp; of its arrival without one."""
+        """Return the host time [ns] of the frame's stamp, or of its arrival where it has none."""
         if buffer.device_ns is None:
             return buffer.host_ns
         ahead = buffer.host_ns - buffer.exposure_ns - buffer.device_ns

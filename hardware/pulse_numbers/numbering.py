@@ -44,7 +44,7 @@ class PulseNumbers:
     start_ns
         Host time when the pulses began [ns], None where that is not known.
     start_wait_s
-        How long after the first arrival cameras may still be silent before the rest begins without them.
+        How long after the first arrival cameras may be silent before the others begin without them.
     free
         Free-running cameras; each of their frames belongs to the pulse nearest to it, so a pulse may have two of
         them, or none.

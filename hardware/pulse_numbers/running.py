@@ -20,7 +20,7 @@ from hardware.pulse_numbers.free_running import FreeClock
 from hardware.pulse_numbers.settings import NumberingSettings
 
 STALL_NS = 100_000_000
-"""A frame may be so late, with the stamps in order, before its device clock is suspected; none can be early."""
+"""Largest delay of a frame, with the stamps in order, before its device clock is suspected; none can be early."""
 
 
 class Running:
@@ -51,12 +51,12 @@ class Running:
         return self._clocks is not None and self._clocks.trusted(name)
 
     def begin_by_clock(self, camera: CameraState, pulse: int) -> list[NumberedBuffer]:
-        """Number what is pending; its first buffer is of ``pulse``."""
+        """Number the pending buffers; the first belongs to ``pulse``."""
         camera.latency_ns = self._delay_ns(camera.pending[0], pulse)
         return list(self._lock(camera, StampPulse(pulse, 0.0)))
 
     def begin_by_arrival(self, camera: CameraState, earliest_ns: float) -> list[NumberedBuffer]:
-        """Number what is pending; its first buffer would have arrived at ``earliest_ns`` had it been quick."""
+        """Number the pending buffers; with the shortest delay the first would have arrived at ``earliest_ns``."""
         if camera.free is not None:
             pending, camera.pending = camera.pending, []
             return [self._nearest(camera, camera.free, buffer) for buffer in pending]
@@ -77,9 +77,9 @@ class Running:
             yield from self._follow(camera, buffer)
 
     def settle(self, camera: CameraState, final: bool = False) -> Iterator[NumberedBuffer]:
-        """Number what is pending once it can be: by a reading of the device clock, else by a vote.
+        """Number the pending buffers once that is possible: by a reading of the device clock, else by a vote.
 
-        ``final``: now, since no more frames or readings come.
+        ``final``: number them now, since no more frames or readings come.
         """
         if camera.stampless:
             yield from self._counting.settle(camera, final)
@@ -105,7 +105,7 @@ class Running:
         return earliest - self.pulse_times.at(pulse) < -OFF_PULSE * self._period_ns
 
     def _vote(self, camera: CameraState, final: bool) -> Iterator[NumberedBuffer]:
-        """Number what is pending once enough frames have voted; all of it when ``final``."""
+        """Number the pending buffers once enough frames have voted; all of them when ``final``."""
         votes = self._settings.votes
         if not camera.pending or (len(camera.pending) < votes and not final):
             return
@@ -118,7 +118,7 @@ class Running:
         yield from self._found(camera, split, StampPulse(pulse, behind_ns))
 
     def _found(self, camera: CameraState, split: int, first: StampPulse) -> Iterator[NumberedBuffer]:
-        """Number what is pending: buffer ``split``, the first of the clock as it runs now, is of pulse ``first``."""
+        """Number the pending buffers; the first by the present clock, at index ``split``, is of pulse ``first``."""
         pulse = first.pulse
         before, camera.pending = camera.pending[:split], camera.pending[split:]
         by_line = self._by_line(camera, first)
@@ -144,9 +144,9 @@ class Running:
         yield from self._follow_all(camera, pending[1:])
 
     def _by_line(self, camera: CameraState, first: StampPulse) -> StampPulse | None:
-        """Return the first pending stamp's place by the camera's own line, which is the more precise one.
+        """Return the first pending stamp's pulse by the camera's own line, which is more precise than ``first``.
 
-        None where its clock did not run on: the line is farther from ``first`` than that is uncertain.
+        None where its clock did not run on: the line is farther from ``first`` than the uncertainty of ``first``.
         """
         stamp = camera.pending[0].device_ns
         if stamp is None or not camera.clock.locked:
@@ -257,9 +257,9 @@ class Running:
         return None if block is None or last is None or block <= last else camera.last_pulse + block - last
 
     def _by_arrival(self, camera: CameraState, buffer: Grabbed) -> NumberedBuffer:
-        """Number a buffer whose stamp says nothing: by its block id after the last one, else by its arrival.
+        """Number a buffer whose stamp gives no pulse: by its block id after the last one, else by its arrival.
 
-        With a stamp that fits no pulse it was exposed at another time than its pulse's.
+        A buffer with a stamp that fits no pulse was not exposed at the time of its pulse.
         """
         by_block = self._by_block(camera, buffer)
         if by_block is not None:
@@ -286,6 +286,6 @@ class Running:
 
 
 def _on_grid(first: StampPulse) -> StampPulse:
-    """Return a place that a reading gave, on its pulse where the reading does not exclude that."""
+    """Return a pulse given by a reading, with residual 0 where the reading does not exclude that."""
     off_ns = abs(first.residual_ns)
     return StampPulse(first.pulse, 0.0, off_ns) if off_ns <= first.error_ns else first

@@ -7,7 +7,7 @@ VOTE_S, START_S = 0.3, 0.5
 machine, but not in all of its frames."""
 FEWEST_VOTES, MOST_VOTES = 2, 100
 READING_WAIT_S = 1.0
-"""A frame waits so long for a reading of its device clock; then its stamp counts, unless frames come too early."""
+"""Longest wait of a frame for a reading of its device clock; then its stamp is used, unless frames come too early."""
 
 
 class NumberingSettings(NamedTuple):

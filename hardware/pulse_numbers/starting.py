@@ -11,7 +11,7 @@ from hardware.pulse_numbers.settings import NumberingSettings
 
 
 class Started(NamedTuple):
-    """The next phase, and what was pending, numbered, in order of pulses."""
+    """The next phase, and the buffers that were pending, numbered and in order of pulses."""
 
     running: Running
     numbered: list[NumberedBuffer]
@@ -68,7 +68,7 @@ class Starting:
         return _sorted(running, numbered)
 
     def _start_by_clocks(self) -> Started | None:
-        """Begin by readings of the device clocks; where they do not fit, arrivals are to vote: None."""
+        """Begin by readings of the device clocks; None where they do not fit, so that arrivals vote."""
         first = {c.name: c.pending[0] for c in self._cameras.values() if c.pending}
         begun = self._clocks.begin(first, self._settings.start_ns)
         if begun is None:

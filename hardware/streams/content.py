@@ -1,10 +1,10 @@
-"""Tracks and poses of bodies as stream frames: who has which number, what is labelled, which axis points up.
+"""Tracks and poses of bodies as stream frames: numbers, labels, and the axis that points up.
 
-Numbers: bodies count from 1 in the order given; labels that belong to no body are members of one more asset,
-"markers". A labelled marker's number is 65536 times its asset's plus its place in it, from 1 on, as Motive's are.
-Marker sets hold all their markers in each frame: one that is not seen keeps its last position, (0, 0, 0) before it is
-first seen, and the list of labelled markers leaves it out. A body without a pose keeps its last one and is not
-``TRACKED``.
+Bodies are numbered from 1 in the order given; labels that belong to no body are members of one more asset,
+"markers". A labelled marker's number is 65536 times its asset's number plus its place in the asset, counted from 1,
+as in Motive. Marker sets hold all their markers in each frame. A marker that is not seen keeps its last position
+((0, 0, 0) before it is first seen), and the list of labelled markers leaves it out. A body without a pose keeps its
+last one and is not ``TRACKED``.
 """
 
 from collections.abc import Iterator, Sequence
@@ -44,7 +44,7 @@ class StreamContent:
     """Makes frames of markers and bodies; keeps the last positions.
 
     ``bodies``: their names, or definitions, whose markers are streamed too. ``labels``: those that may occur.
-    ``size_m``: diameter stated of each marker; 0: not known. ``model``: what to send as definitions.
+    ``size_m``: diameter stated for each marker; 0: not known. ``model``: the definitions to send.
     """
 
     def __init__(
@@ -96,7 +96,7 @@ class StreamContent:
         """Return records (n,) MARKER of positions ``xyz`` (n, 3) [m, world, Z up], of one frame or of many.
 
         ``label``: (n,) index into ``labels``, -1 without one; ``track``: (n,) number of those without a label;
-        ``params``: (n,) flags; ``residual``: (n,) [m]. Left out: no labels, counted, seen, not known.
+        ``params``: (n,) flags; ``residual``: (n,) [m]. Defaults: no labels, numbers from 1, ``SEEN``, 0 (not known).
         """
         n = len(xyz)
         label = np.full(n, -1) if label is None else label
@@ -127,7 +127,7 @@ class StreamContent:
     ) -> StreamFrame:
         """Return the frame of its ``markers`` (n,) and ``bodies`` (b,).
 
-        ``label``: (m,) of the first m markers, which are those that have one.
+        ``label``: (m,) for the first m markers, the only ones that have a label.
         """
         position = markers["position"]
         named = 0
@@ -150,8 +150,8 @@ class StreamContent:
 class TakeFrames:
     """The frames of a take, in order: all its tracks and the poses of ``bodies`` (definitions, or the poses' names).
 
-    ``joints``, ``angles``: of a person, streamed as a skeleton and as joint angles. ``times_ns``: (f,) of the frames,
-    which all of these are part of. ``names``: what numbers in frames stand for. Iterate once or more.
+    ``joints``, ``angles``: of a person, streamed as a skeleton and as joint angles. ``times_ns``: (f,) times of the
+    frames, which are those of all parts. ``names``: the meaning of numbers in frames. Iterate once or more.
     """
 
     def __init__(

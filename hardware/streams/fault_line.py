@@ -1,4 +1,4 @@
-"""Faults carried out: on a frame's content, on its messages' way, and on the server."""
+"""Execution of faults: on a frame's content, on the way of its messages, and on the server."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -21,13 +21,13 @@ from hardware.streams.values import (
 from mosca.data.arrays import Array
 
 GHOSTS = 60_000
-"""Markers that are not there are numbered from this on."""
+"""First number of ghosts, markers that do not exist."""
 
 
 class FaultLine:
-    """What a stream goes through; ``accounts``: what was made of each fault.
+    """The faults that a stream passes through; ``accounts``: a record of each fault.
 
-    ``numbers``: the marker number of each label (``StreamContent.numbers``). InputError for a name that is not there.
+    ``numbers``: the marker number of each label (``StreamContent.numbers``). InputError for a name that is unknown.
     """
 
     def __init__(self, faults: StreamFaults, model: StreamModel, numbers: Mapping[str, int]) -> None:
@@ -49,7 +49,7 @@ class FaultLine:
         self._held: list[tuple[float, Outgoing]] = []
 
     def steer(self, server: StreamServer, at_s: float) -> None:
-        """Set the server's clock, line and life as they are at ``at_s`` [s] from the first frame on."""
+        """Set the server's clock and line, and stop or start it, as due ``at_s`` [s] after the first frame."""
         offset_ns, lost, down = 0, False, False
         for k, account in enumerate(self.accounts):
             fault = account.fault
@@ -78,7 +78,7 @@ class FaultLine:
         server.set_line(offset_ns, lost)
 
     def changed(self, frame: StreamFrame, at_s: float) -> StreamFrame:
-        """Return the frame with its content as faults leave it."""
+        """Return the frame with its content as changed by faults."""
         if self._base is None:
             self._base = frame.number
         if self._base:
@@ -110,7 +110,7 @@ class FaultLine:
     def routed(self, outgoing: Outgoing, at_s: float, period_s: float) -> list[tuple[float, Outgoing]]:
         """Return the messages to deliver now, in order, each with its delay [s].
 
-        ``period_s``: time between frames, which tells how many frames have gone by since a fault began.
+        ``period_s``: time between frames, for the number of frames that have passed since a fault began.
         """
         copies, delay, swaps = 1, 0.0, False
         for account, random in zip(self.accounts, self._random, strict=True):

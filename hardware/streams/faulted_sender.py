@@ -10,9 +10,9 @@ from hardware.streams.values import StreamFrame
 
 
 class FaultedSender:
-    """Sends frames to ``server`` as the faults of ``line`` have it; None: as they are.
+    """Sends frames to ``server`` as changed by the faults of ``line``; None: as they are.
 
-    What is delayed waits here until ``deliver_due`` is called at its time.
+    Delayed messages wait here until ``deliver_due`` is called at their time.
     """
 
     def __init__(self, server: StreamServer, line: FaultLine | None = None) -> None:
@@ -43,13 +43,13 @@ class FaultedSender:
         self.deliver_due()
 
     def deliver_due(self) -> int | None:
-        """Deliver what is due; return when the next one is, in the monotonic clock [ns], None: nothing waits."""
+        """Deliver due messages; return when the next is due, in the monotonic clock [ns], None where none waits."""
         while self._waiting and self._waiting[0][0] <= time.monotonic_ns():
             self._server.deliver(heapq.heappop(self._waiting)[2])
         return self._waiting[0][0] if self._waiting else None
 
     def release(self) -> int | None:
-        """Let go what a fault holds back until its successor comes; return when the last one is due [ns]."""
+        """Release messages that a fault holds back until their successor comes; return when the last is due [ns]."""
         for delay_s, outgoing in () if self._line is None else self._line.rest():
             self._push(delay_s, outgoing)
         return max((at_ns for at_ns, _, _ in self._waiting), default=None)

@@ -1,8 +1,8 @@
-"""Faults on demand in a stream: what they are called, when they act, and what was made of them.
+"""Faults on demand in a stream: their names, the times at which they act, and records of their action.
 
 A file of faults lists them over time, as a program file lists commands::
 
-    seed = 1                    # of what is drawn
+    seed = 1                    # of the random draws
 
     [[program]]
     at_s = 5.0                  # from the first frame on, on the take's clock
@@ -95,12 +95,12 @@ class StreamFault(Table):
 
     @property
     def amount(self) -> float:
-        """How much: ``value``, or the kind's own."""
+        """Amount of the fault: ``value``, or the default of its kind."""
         return KINDS[self.fault].value if self.value is None else self.value
 
     @property
     def until_s(self) -> float:
-        """When it ends [s]; infinity: with the stream."""
+        """Time at which it ends [s]; infinity: with the stream."""
         lasts = self.for_s or KINDS[self.fault].for_s
         return float("inf") if lasts is None else self.at_s + lasts
 
@@ -153,7 +153,7 @@ def ordered_faults(named: Sequence[str], file: Path | None, seed: int | None) ->
 
 @dataclass
 class FaultAccount:
-    """What was made of a fault: how many frames it acted on, and the stream's time of the first and the last."""
+    """Record of a fault: how many frames it acted on, and the stream's times of the first and the last."""
 
     fault: StreamFault
     count: int = 0

@@ -20,10 +20,10 @@ from mosca.errors import InputError
 WORLD = "world"
 POINT = np.dtype([("position", "<f4", 3), ("id", "<u4"), ("params", "<u4")])
 MARKER_M = 0.02
-"""Size of a marker's sphere in the scene: what it is in life is not streamed."""
+"""Size of a marker's sphere in the scene: the real size is not streamed."""
 BODY_M = 0.05
 RETURNS_S = 10.0
-"""For so long a restart tries to have its port again: the SDK leaves it some time after it is told to."""
+"""Longest time for which a restart tries to get its port again, since the SDK releases it with a delay."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ def foxglove() -> Any:
 class FoxgloveServer(StreamServer):
     """Serves ``/markers``, ``/bodies``, ``/scene``, ``/tf``, ``/joint_angles`` and ``/frame``.
 
-    Raises InputError where foxglove-sdk is missing or the port cannot be had.
+    Raises InputError where foxglove-sdk is missing or the port is not available.
     """
 
     def __init__(self, model: StreamModel, names: StreamNames, settings: FoxgloveSettings | None = None) -> None:
@@ -151,7 +151,7 @@ class FoxgloveServer(StreamServer):
         self._number.log(times, log_time=log_ns)
 
     def lines(self) -> list[str]:
-        """Return frames and subscriptions; what a slow client lost the SDK does not tell."""
+        """Return frames and subscriptions; the SDK does not report what a slow client lost."""
         return [f"Foxglove: {self.frames} frames, {self.listener.told()}"]
 
     def _cloud(self, frame: StreamFrame, stamp: Any) -> Any:

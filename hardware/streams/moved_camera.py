@@ -1,9 +1,9 @@
-"""A camera that has turned, as its stream shows it: points in its view are displaced by its share in them.
+"""The effect of a turned camera on a stream: points in its view are displaced by its share in them.
 
-The camera stands beside the volume, along x, and is turned about the streamed z by an angle w: in its pictures that
-is as if each point p were displaced by ``w z x (p - c)``, c its centre. Of a point that four cameras see with equal
-weight a quarter of that remains (least squares; the other three hold it). In view is the nearer half of the volume,
-so that distances between points of both halves change. What remains shows in residuals too.
+The camera stands beside the volume, along x, and is turned about the streamed z by an angle w. In its images this is
+as if each point p were displaced by ``w z x (p - c)``, c being its centre. For a point that four cameras see with
+equal weight, a quarter of that remains (least squares; the other three hold it). The nearer half of the volume is in
+view, so that distances between points of both halves change. The remaining displacement shows in residuals, too.
 """
 
 from dataclasses import replace
@@ -29,7 +29,7 @@ class MovedCamera:
         self._quaternion: Array = np.array([np.cos(self._turn / 2), 0.0, 0.0, np.sin(self._turn / 2)])
 
     def seen(self, frame: StreamFrame) -> StreamFrame:
-        """Return a frame as it is measured with the camera where it is now."""
+        """Return a frame as it is measured with the turned camera."""
         markers = frame.markers.copy()
         away = self._displaced(markers["position"])
         markers["position"] += away

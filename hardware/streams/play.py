@@ -1,4 +1,4 @@
-"""A take at its own pace into a server, through faults, until it ends or is stopped."""
+"""Playing of a take into a server at its own pace, through faults, until it ends or is stopped."""
 
 import itertools
 import threading
@@ -17,15 +17,15 @@ SHORT_S = 0.05
 AHEAD = 8
 """Frames that are encoded together: half the work of one by one."""
 REST, WORK = 0.5, 0.25
-"""Shares of a period: from a frame until later ones are encoded, so that clients have the processor; encoding."""
+"""Shares of a period: pause after a frame, in which clients have the processor; then, encoding of later ones."""
 MOST_KEPT = 100_000
-"""Frames whose lateness is kept."""
+"""Most frames whose lateness is kept."""
 
 
 class StreamPlayer:
     """Plays frames into ``server``; a frame is due at its time stamp, ``speed`` times as fast (None: at once).
 
-    ``late_s``: how much later than due the newest frames were handed over. ``played``: frames until now.
+    ``late_s``: delay of the newest frames, from due to handed over. ``played``: number of frames until now.
     """
 
     def __init__(self, server: StreamServer, line: FaultLine | None = None, speed: float | None = 1.0) -> None:
@@ -90,7 +90,7 @@ class StreamPlayer:
     def _wait(self, until_ns: int) -> bool:
         """Wait until a time, delivering what is due before it; False where it was stopped."""
         while True:
-            now = time.monotonic_ns()  # before what is due is delivered: nothing due until then stays behind
+            now = time.monotonic_ns()  # taken before deliveries, so that nothing due until then stays behind
             waits_ns = self._sender.deliver_due()
             next_ns = until_ns if waits_ns is None else min(until_ns, waits_ns)
             if now >= until_ns:
@@ -118,7 +118,7 @@ def looped(frames: Iterable[StreamFrame], period_s: float) -> Iterator[StreamFra
 
 
 def account_lines(player: StreamPlayer, seconds: float, line: FaultLine | None = None) -> list[str]:
-    """Return what became of a stream: frames, each client's, commands, faults."""
+    """Return lines on what became of a stream: frames, those of each client, commands, faults."""
     server = player.server
     late = player.late_s
     told = (

@@ -14,9 +14,9 @@ from mosca.data.joint_motion import JOINTS, JointMotion
 from mosca.data.rotations import rotation_from_quaternion
 
 NUMBER = 1
-"""Of the skeleton: there is one."""
+"""Number of the only skeleton."""
 MOST_INSTANTS = 500
-"""Of which a bone's offset is the median: it is a length of the fitted model, alike in all."""
+"""Number of instants whose median is a bone's offset, a length of the fitted model that is equal in all of them."""
 _SEGMENTS = {
     "pelvis": "pelvis", "lumbar": "thorax", "neck": "head", "hip": "thigh", "knee": "shank", "ankle": "foot",
     "shoulder": "upper_arm", "elbow": "forearm", "wrist": "hand",
@@ -32,7 +32,7 @@ _ABOVE = {
 class SkeletonPoses:
     """Bones of ``motion`` with the axis ``up`` upward; ``model``: their definitions.
 
-    ``frames`` (n,) and ``time_ns`` (n,): of the poses. Joints whose joint above is missing are left out.
+    ``frames`` (n,) and ``time_ns`` (n,): those of the poses. Joints whose joint above is missing are left out.
     """
 
     def __init__(self, motion: JointMotion, up: UpAxis = "z", name: str = "person") -> None:

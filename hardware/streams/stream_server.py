@@ -1,4 +1,4 @@
-"""What every stream has: a server that takes frames and waits for no client, and frames on their way to it."""
+"""Common base of all streams: a server that takes frames and waits for no client, and frames on their way to it."""
 
 import time
 from abc import ABC, abstractmethod
@@ -12,7 +12,7 @@ from hardware.streams.values import StreamFrame
 class Outgoing:
     """A frame on its way, with its times in the server's clock [ns].
 
-    ``encoded``: what a server made of the frame before it is due, under a key of the server's.
+    ``encoded``: the frame as a server encoded it before it is due, under a key of that server.
     """
 
     def __init__(self, frame: StreamFrame) -> None:
@@ -22,10 +22,10 @@ class Outgoing:
 
 
 class StreamServer(ABC):
-    """Serves what ``send`` is given, from construction until ``close``; a context.
+    """Serves the frames given to ``send``, from construction until ``close``; a context manager.
 
-    ``frames``: sent to whomever there was. ``offset_ns`` and ``lost``: for faults on demand, added to the server's
-    clock and a line that carries nothing.
+    ``frames``: number sent, whoever received them. For faults on demand: ``offset_ns`` is added to the server's
+    clock; with ``lost`` the line carries nothing.
     """
 
     def __init__(self) -> None:
@@ -35,7 +35,7 @@ class StreamServer(ABC):
 
     @abstractmethod
     def where(self) -> str:
-        """Return where the stream is to be found, its units and axes, as a line."""
+        """Return the stream's address, units and axes as a line."""
 
     @abstractmethod
     def connected(self) -> int:

@@ -19,14 +19,14 @@ MARKER = np.dtype([("id", "<u4"), ("position", "<f4", 3), ("size", "<f4"), ("par
 TRACKED = 0x01
 """Flag of a body: it has a pose in this frame."""
 OCCLUDED, SEEN, FROM_MODEL, HAS_MODEL, UNLABELLED = 0x01, 0x02, 0x04, 0x08, 0x10
-"""Flags of a marker. ``SEEN``: position from rays of this frame; ``FROM_MODEL``: from what is known of the motion."""
+"""Flags of a marker. ``SEEN``: position from rays of this frame; ``FROM_MODEL``: from a model of the motion."""
 NO_BODIES, NO_MARKERS = np.empty(0, BODY), np.empty(0, MARKER)
 NO_POINTS, NO_ANGLES = np.empty((0, 3), "<f4"), np.empty(0)
 
 
 @dataclass(frozen=True, eq=False)
 class StreamFrame:
-    """Everything that one frame tells, whatever the protocol's version."""
+    """Content of one frame, for any version of a protocol."""
 
     number: int
     timestamp_s: float
@@ -79,9 +79,9 @@ class StreamedSkeleton:
 
 @dataclass(frozen=True)
 class StreamNames:
-    """What numbers and columns of frames stand for, where a protocol does not take it from its model.
+    """Meaning of the numbers and columns of frames, where a protocol does not take it from its model.
 
-    ``numbers``: of each label's marker; ``angles``: names of the joint angles, in their order.
+    ``numbers``: number of each label's marker; ``angles``: names of the joint angles, in their order.
     """
 
     numbers: Mapping[str, int] = field(default_factory=dict)

@@ -1,4 +1,4 @@
-"""Carries detections, health and clock between the PCs of a rig; one engine a file, imported when opened."""
+"""Transport of detections, health and clock between the PCs of a rig; one engine a file, imported when opened."""
 
 import ipaddress
 from collections.abc import Sequence
@@ -9,7 +9,7 @@ from hardware.transport.transport import JAM_S, Transport, TransportError, check
 
 
 class Trust(NamedTuple):
-    """Whose messages are taken: who signs with ``key`` (32 bytes), everyone's with ``insecure``, else this PC's."""
+    """Whose messages are taken: those signed with ``key`` (32 bytes), all with ``insecure``, else this PC's."""
 
     key: bytes | None = None
     insecure: bool = False
@@ -20,9 +20,9 @@ def open_transport(
 ) -> Transport:
     """Open the engine; TransportError where it is not installed or an endpoint cannot be used.
 
-    ``connect``, ``listen``: endpoints such as ``tcp/192.168.7.1:7447``. The one that listens may come later.
+    ``connect``, ``listen``: endpoints such as ``tcp/192.168.7.1:7447``. The listening end may start later.
     ``jam_s``: how long a message may wait for the network before it is dropped. ``trust``: without a key, only
-    endpoints of this PC (loopback) can be used, unless it is said to be insecure.
+    endpoints of this PC (loopback) can be used, unless it is ``insecure``.
     """
     trust = trust or Trust()
     for endpoint in (*connect, *listen):

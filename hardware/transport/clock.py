@@ -1,8 +1,8 @@
-"""Another PC's clock beside this one's, from questions and answers.
+"""Another PC's clock against this one's, from queries and answers.
 
-The answer was given between question and receipt: half-way, give or take half the round trip (Cristian 1989). The
-quickest round trips are the most certain ones; a line through the quicker half gives offset and skew. What remains is
-the asymmetry of the ways there and back, far below half of the quickest round trip where both ways are one cable.
+The answer was given between query and receipt: half-way, with an error of at most half the round trip (Cristian
+1989). The quickest round trips are the most certain; a line through the quicker half gives offset and skew. The
+remaining error is the asymmetry of the two ways, far below half of the quickest round trip where both are one cable.
 """
 
 from collections import deque
@@ -11,9 +11,9 @@ import numpy as np
 
 PINGS = 150
 FEWEST = 5
-"""Answers from which the clock is believed."""
+"""Number of answers from which on the clock is used."""
 SPAN_NS = 2e9
-"""From pings over a shorter time the skew is not taken: their scatter would be most of it."""
+"""From pings over a shorter time the skew is not estimated, since scatter would dominate it."""
 LARGEST_SKEW = 1e-3
 
 
@@ -32,7 +32,7 @@ class RemoteClock:
         return len(self._pings) >= FEWEST
 
     def certain(self, error_ns: float) -> bool:
-        """Return whether the clock is known to ``error_ns``, or as well as it will ever be: all answers are slow."""
+        """Return whether the clock is known to ``error_ns``, or cannot be known better since all answers are slow."""
         return self.ready and (self.error_ns <= error_ns or len(self._pings) == PINGS)
 
     @property
@@ -49,7 +49,7 @@ class RemoteClock:
         )
         quick = pings[pings[:, 2] <= np.median(pings[:, 2])]
         there, offset = quick[:, 1], quick[:, 0] - quick[:, 1]
-        # a question that took twice as long is a quarter as certain
+        # a query that took twice as long has a quarter of the weight
         weight = 1 / quick[:, 2].clip(min=1e3)
         skew = self.skew
         if there.max() - there.min() > SPAN_NS:

@@ -1,7 +1,7 @@
 """State of the reconstructing station: which stations are present, pulse alignment, and merged sets.
 
-Everything comes in order through ``take``; no threads and no network are known here. What happens to a station is
-passed on and kept (``events``); a lost station costs its cameras, no more.
+All input comes in order through ``take``; this module uses no threads and no network. Events of a station are passed
+on and kept (``events``); a lost station costs only its cameras.
 """
 
 import logging
@@ -22,7 +22,7 @@ from hardware.transport.station_state import Event, ReceiverSettings, StationSta
 
 log = logging.getLogger("mosca.hardware.stations")
 COUNTDOWN_NS = 500_000_000
-"""From the moment when all stations are ready to the start that is ordered: the order has to reach them all."""
+"""Time from when all stations are ready to the ordered start, since the order has to reach them all."""
 
 MOST_QUIET_NS = 50_000_000
 """Largest silence that one check adds to a station: a longer interval means that this process was stalled, and it
@@ -69,7 +69,7 @@ class Listener:
         return self.rate_hz is not None and self.states[station].timed(1e9 / self.rate_hz)
 
     def received_to_end(self, station: str, epoch: int) -> bool:
-        """Return whether nothing more is expected of a station's start ``epoch``, or it is none that was named."""
+        """Return whether nothing more is expected of a station's start ``epoch``, or the station was not named."""
         state = self.states.get(station)
         return state is None or state.received_to_end(epoch)
 
@@ -118,7 +118,7 @@ class Listener:
     def _of_this_start(self, state: StationState, epoch: int, received_ns: int, answer: bool = False) -> bool:
         """Note that the station sends; False for a message of an earlier start, or of one that is not confirmed.
 
-        Only an ``answer`` to a query of its clock begins a start: a message may be forged, or be sent again.
+        Only an ``answer`` to a query of its clock begins a start, since a message may be forged or sent again.
         """
         quiet = received_ns - state.confirmed_ns > self.settings.silence_s * 1e9
         if epoch in state.earlier and not (answer and quiet):
@@ -275,7 +275,7 @@ class Listener:
             if state.heard_ns is None or state.silent or state.ended:
                 state.quiet_ns = 0
                 continue
-            # what was taken since the last check, not when it arrived: this thread may be behind
+            # counts messages taken since the last check, not arrival times: this thread may be behind
             state.quiet_ns = 0 if state.heard else state.quiet_ns + min(passed_ns, MOST_QUIET_NS)
             state.heard = False
             if state.quiet_ns > self.settings.silence_s * 1e9:

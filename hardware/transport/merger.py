@@ -1,7 +1,7 @@
 """Merges detections of many stations to sets, pulse by pulse; pure: times are arguments.
 
-A set waits for its cameras, at most ``deadline_s`` from its first message, but not for cameras that cannot come any
-more: a later pulse of the camera was received (each camera's messages come in order), or its station is away.
+A set waits for its cameras, at most ``deadline_s`` from its first message, but not for a camera whose message cannot
+come any more: a later pulse of it was received (each camera's messages come in order), or its station is away.
 Messages after their set was closed, or older than ``oldest_s``, are counted and dropped.
 """
 
@@ -52,7 +52,7 @@ class MergedSet:
     detections: Mapping[str, Detections]
     """Camera -> detections, in the rig's order."""
     missing: Mapping[str, str]
-    """Each other camera -> why."""
+    """Each other camera -> why it is missing."""
     merged_ns: int
     """Host time when the set was complete [ns]."""
     arrived_ns: Mapping[str, int]
@@ -92,7 +92,7 @@ class MergeStatistics:
     sets: int = 0
     complete: int = 0
     unseen: int = 0
-    """Pulses between sets of which nothing came at all."""
+    """Pulses between sets for which no message came at all."""
     cameras: dict[str, CameraMerge] = field(default_factory=dict)
 
 
@@ -112,7 +112,7 @@ class Merger:
         self._next: int | None = None
 
     def take(self, item: Arrived) -> None:
-        """Put a message of one of the cameras into its set, or count why not."""
+        """Put a message of one of the cameras into its set, or count the reason why that is not possible."""
         name = item.detections.camera
         count = self.statistics.cameras[name]
         self._newest[name] = max(self._newest[name], item.pulse)
@@ -145,7 +145,7 @@ class Merger:
         return sets
 
     def rest(self, now_ns: int) -> list[MergedSet]:
-        """Return what is left when no more messages come."""
+        """Return the remaining sets when no more messages come."""
         return [self._close(pulse, now_ns) for pulse in sorted(self._open)]
 
     def next_deadline_ns(self) -> int | None:

@@ -219,7 +219,7 @@ def pack_heard(station: str, epoch: int) -> bytes:
 
 
 def unpack_heard(data: bytes) -> tuple[str, int]:
-    """Return station and epoch of such a question; MessageError for anything else."""
+    """Return station and epoch of such a query; MessageError for anything else."""
     if len(data) < _EPOCH.size:
         raise MessageError(f"heard: {len(data)} bytes given, {_EPOCH.size} are the least")
     return data[_EPOCH.size :].decode(errors="replace"), _EPOCH.unpack_from(data)[0]

@@ -1,16 +1,16 @@
-"""Which pulse is which: stations count for themselves, and only pulse numbers cross PCs.
+"""Alignment of the stations' pulse counts: each counts for itself, and only pulse numbers cross PCs.
 
 All cameras share one trigger cable, so a pulse's frames arrive at all stations at about the same time. The counts of
 two stations differ by a whole number, the *shift*, and the time of arrival, in one clock
 (``hardware.transport.clock``), shows it: the earliest of some arrivals, since frames come late, never early.
 
-- Start: the earliest station's pulse 0 is the session's. A station that counts from another pulse is noted, and
-  counted on from there.
+- Start: the earliest station's pulse 0 is the session's. A station that counts from another pulse is noted, and its
+  count is shifted.
 - A station that starts later, or again, is aligned to the pulses that the others have followed.
 - Arrivals of two stations must agree to a quarter of a period: a station that lies between pulses is left out, and
   noted. Cameras that deliver later by whole periods than the others' cannot be distinguished from a wrong count.
 - A station whose frames come before their pulse counts too far ahead, and is aligned again. One whose frames come
-  late may be slow or count wrongly: that is noted, and no more.
+  late may be slow or count wrongly: that is only noted.
 """
 
 from collections.abc import Sequence
@@ -46,9 +46,9 @@ class _Alignment:
 
 
 class StationPulses:
-    """Shifts of ``stations``, from arrivals; ``notes``: what happened, (station, text) each.
+    """Shifts of ``stations``, from arrivals; ``notes``: events, each as (station, text).
 
-    ``start_wait_s``: how long after the first arrival stations may be silent before the rest begins without them.
+    ``start_wait_s``: how long after the first arrival stations may be silent before the others begin without them.
     """
 
     def __init__(self, stations: Sequence[str], rate_hz: float, start_wait_s: float) -> None:
@@ -71,7 +71,7 @@ class StationPulses:
         return None if self._times is None else round(self._times.at(0))
 
     def shift(self, station: str) -> int | None:
-        """Return what is added to the station's count; None while that is not known."""
+        """Return the number that is added to the station's count; None while it is not known."""
         return self._alignments[station].shift
 
     def take(self, station: str, epoch: int, pulse: int, local_ns: int) -> None:
@@ -103,7 +103,7 @@ class StationPulses:
         first_ns = min(min(state.votes.values()) for state in ready)
         if len(ready) < len(self._alignments) and now_ns - first_ns < self._start_wait_ns:
             return
-        # each station's own pulse 0, had it come as quickly as the quickest
+        # arrival of each station's own pulse 0 with the shortest delay
         zeros = {
             name: min(at - k * self.period_ns for k, at in state.votes.items())
             for name, state in self._alignments.items()

@@ -32,15 +32,15 @@ BURST, BURST_S = 10, 0.02
 ASK_S = 0.5
 LOOK_NS = 20_000_000
 LINGER_S = 0.2
-"""After the last station has ended, its last messages may be under way for so long."""
+"""Longest time for which last messages may be under way after the last station has ended."""
 INBOX = 20_000
 
 
 class Receiver:
     """Merged sets of ``cameras`` (name -> width, height) as ``stations`` see them; iterate once.
 
-    ``rig``: text of the rig file that answers queries for that of this station, called ``name``. ``rate_hz``: of
-    the pulses; None takes the stations' word. Ends the transport when it is closed.
+    ``rig``: text of this station's rig file, the answer to queries for it; ``name``: this station's. ``rate_hz``: of
+    the pulses; None: as the stations state it. Ends the transport when it is closed.
     """
 
     def __init__(
@@ -92,7 +92,7 @@ class Receiver:
 
     @property
     def start_ns(self) -> int | None:
-        """Time of the session's pulse 0 by this machine's clock [ns], late by what its frames took to arrive."""
+        """Time of the session's pulse 0 by this machine's clock [ns], late by the transport time of its frames."""
         return None if self._listener.pulses is None else self._listener.pulses.start_ns
 
     def rigs(self, timeout_s: float) -> dict[str, str]:
@@ -119,7 +119,7 @@ class Receiver:
         return self._listener.states[station].clock.to_local(remote_ns)
 
     def stop(self) -> None:
-        """End the iteration after what is here; may be called from another thread."""
+        """End the iteration after the sets received so far; may be called from another thread."""
         self._stop.set()
         self._post("stop", "", None)
 
@@ -160,7 +160,7 @@ class Receiver:
         return YES if heard else NOT_YET
 
     def _attend(self, station: str) -> None:
-        """Ask one station for its clock again and again, for rig and health once a start, and order its start."""
+        """Query one station's clock repeatedly, its rig and health once for each start, and order its start."""
         key, asked = key_of(station, "clock"), 0
         epoch: int | None = None
         now_epoch: int | None
@@ -204,7 +204,7 @@ class Receiver:
             self._changed.notify_all()
 
     def _work(self) -> None:
-        """Take what comes, in order; the only thread that the listener is used by."""
+        """Take input in order; no other thread uses the listener."""
         listener = self._listener
         ended_ns: int | None = None
         looked_ns = 0

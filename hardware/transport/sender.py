@@ -29,7 +29,7 @@ from mosca.errors import InputError
 HEALTH_S = 0.2
 NOTES = 20
 LEAVE_S, ASK_S, ASK_AGAIN_S = 5.0, 0.5, 0.02
-"""A station leaves once its last message was received, after so long in any case; how often it queries that."""
+"""Longest wait of a leaving station until its last message was received; time-out of a query for that; pause then."""
 
 
 class Sender:
@@ -118,7 +118,7 @@ class Sender:
             self.refused += 1
 
     def health(self) -> HealthMessage:
-        """Return how this station is doing."""
+        """Return the state and counts of this station."""
         cameras = tuple(replace(camera, sent=self._sent[name]) for name, camera in self._cameras.items())
         return HealthMessage(
             self.station, self.epoch, self.now_ns(), self._state, cameras, self.refused, self.skipped,

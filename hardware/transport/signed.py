@@ -1,10 +1,10 @@
 """Messages between stations that are signed with a key that all of them share (HMAC-SHA256, RFC 2104).
 
 A publication is a tag of 32 bytes, session (8 random bytes of this start of its sender), sequence (uint64, counts up
-per key) and the payload; the tag is over all of these, and over what is asked or said and its key. A query is built
-alike. An answer is its tag and the payload, and its tag is over the query's session and sequence too: so it was given
-to this query. What is not signed, changed, or was received before is refused, counted and logged; nothing else
-depends on it. Contents are not encrypted.
+per key) and the payload. The tag covers all of these, the kind of message and its key. A query is built alike. An
+answer is its tag and the payload; its tag also covers the query's session and sequence, which ties it to this query.
+A message that is not signed, was changed, or was received before is refused, counted and logged, and has no other
+effect. Contents are not encrypted.
 """
 
 import hashlib
@@ -26,13 +26,13 @@ log = logging.getLogger("mosca.hardware.stations")
 TAG_BYTES, KEY_BYTES = 32, 32
 _HEAD = struct.Struct("<8sQ")
 MOST_NAMED = 100
-"""Keys whose refused messages are logged by name; a stranger may invent any number of them."""
+"""Most keys whose refused messages are logged by name, since a stranger may invent any number of them."""
 FORGED = "is not signed with this station's key: forged or changed on the way, or the key files differ"
 REPLAYED = "was received before: somebody sends it again"
 
 
 def read_key(path: Path) -> bytes:
-    """Return the key in the file at ``path``: 64 hexadecimal digits; InputError says how to make one."""
+    """Return the key in the file at ``path``: 64 hexadecimal digits; InputError states how to make one."""
     try:
         text = read_bytes(path).decode("ascii").strip()
         key = bytes.fromhex(text)
@@ -62,7 +62,7 @@ def write_key(path: Path) -> None:
 
 
 class SignedTransport:
-    """A ``Transport`` over another: signs what is sent with ``key``, passes on what is signed with it.
+    """A ``Transport`` over another: signs sent messages with ``key``, and passes on those signed with it.
 
     ``refused``: messages that were not passed on, by station. ``on_refused(station, why)`` is called at the first of
     a kind, from the engine's threads.
@@ -83,7 +83,7 @@ class SignedTransport:
         """Sign and send; see ``Transport``."""
         with self._guard:
             sending = self._sending.setdefault(key, threading.Lock())
-        with sending:  # what is sent later has the greater number
+        with sending:  # so that a later message has the greater number
             return self._inner.publish(key, self._signed("publication", key, payload)[1])
 
     def subscribe(self, pattern: str, take: Callable[[str, bytes], None]) -> None:
@@ -96,7 +96,7 @@ class SignedTransport:
         self._inner.subscribe(pattern, checked)
 
     def declare_queryable(self, key: str, reply: Callable[[bytes], bytes]) -> None:
-        """Answer signed queries; others get an empty answer, which nobody takes for one."""
+        """Answer signed queries; others get an empty answer, which nobody accepts."""
 
         def answered(data: bytes) -> bytes:
             opened = self._opened("query", key, data)
@@ -109,7 +109,7 @@ class SignedTransport:
         self._inner.declare_queryable(key, answered)
 
     def query(self, key: str, payload: bytes, timeout_s: float) -> bytes | None:
-        """Return the signed answer to this very query, None without one."""
+        """Return the signed answer to this query, None without one."""
         head, data = self._signed("query", key, payload)
         answer = self._inner.query(key, data, timeout_s)
         if answer is None:

@@ -100,7 +100,7 @@ class StationState:
     confirmed_ns: int = 0
     """When its clock was last asked and answered under this epoch."""
     held: deque[tuple[DetectionMessage, int]] = field(default_factory=deque)
-    """Messages under an epoch that its clock has not told yet."""
+    """Messages under an epoch that its clock has not confirmed yet."""
     quiet_ns: int = 0
     aligned_ns: int = 0
     pending: deque[tuple[DetectionMessage, int]] = field(default_factory=deque)
@@ -109,7 +109,7 @@ class StationState:
 
     @property
     def away(self) -> bool:
-        """True where nothing can be expected of it: it is silent, it has ended or was never here."""
+        """True where nothing can be expected of it: it is silent, has ended or was never present."""
         return self.epoch is None or self.silent or self.ended
 
     @property
@@ -119,7 +119,7 @@ class StationState:
 
     @property
     def settled(self) -> bool:
-        """True where it waits for the order to start, for frames, or is past that."""
+        """True where it waits for the order to start or for frames, or is in a later state."""
         return self.health is not None and self.health.state != "starting"
 
     def timed(self, period_ns: float) -> bool:
@@ -151,7 +151,7 @@ class StationState:
         self.expected[camera] = max(message.sequence + 1, expected)
 
     def count_rest(self) -> None:
-        """Count what was sent, by its last message, and not received."""
+        """Count messages that were sent, by the station's last message of health, but not received."""
         if self.health is None:
             return
         for camera in self.health.cameras:
@@ -160,7 +160,7 @@ class StationState:
             self.expected[camera.name] = max(camera.sent, expected)
 
     def hold(self, message: DetectionMessage, received_ns: int) -> None:
-        """Keep a message until the station's clock tells its epoch."""
+        """Keep a message until an answer of the station's clock confirms its epoch."""
         self.held.append((message, received_ns))
         if len(self.held) > MOST_PENDING:
             self.held.popleft()
@@ -169,7 +169,7 @@ class StationState:
     def take_held(self) -> list[tuple[DetectionMessage, int]]:
         """Return the held messages of the present epoch; drop others that came before its clock was asked.
 
-        Who answers after such a message came has not ended since: its sender is another.
+        A station that answers after such a message came has not ended since, so the message has another sender.
         """
         mine = [item for item in self.held if item[0].epoch == self.epoch]
         waiting = [item for item in self.held if item[0].epoch != self.epoch and item[1] >= self.confirmed_ns]
@@ -186,7 +186,7 @@ class StationState:
             self.statistics.unplaced += 1
 
     def drop_pending(self) -> None:
-        """Throw away what still waits."""
+        """Drop messages that still wait."""
         self.statistics.unplaced += len(self.pending)
         self.pending.clear()
         self.voted = 0

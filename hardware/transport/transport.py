@@ -10,7 +10,7 @@
 | ``mosca/heard`` | query: whether a station's last message was received (``hardware.transport.messages``) |
 
 The reconstructing station is one of the names: it answers ``rig``. A station is present as long as its messages and
-answers are heard: what the engine itself says about who is there is not signed.
+answers are received: the engine's own reports of who is present are not signed.
 """
 
 import re
@@ -21,10 +21,10 @@ from mosca.errors import InputError, MoscaError
 
 ROOT = "mosca"
 EVERYTHING = f"{ROOT}/**"
-"""All that is published, by one subscription: so a station's last words come after its last detections."""
+"""All publications, by one subscription, so that a station's last message comes after its last detections."""
 HEARD = f"{ROOT}/heard"
 JAM_S = 0.25
-"""A message that cannot be sent for so long is too old: the merger drops it (``hardware.transport.merger``)."""
+"""A message that cannot be sent for this time is too old: the merger drops it (``hardware.transport.merger``)."""
 
 
 class TransportError(MoscaError):
@@ -58,7 +58,7 @@ class Transport(Protocol):
 def check_endpoint(text: str) -> str:
     """Return ``text`` where it can be an endpoint; TransportError shows the form.
 
-    Engines take what is none, and then wait for ever.
+    Engines accept invalid endpoints, and then wait for ever.
     """
     found = re.fullmatch(r"(?:tcp|udp|tls|quic|ws)/[^/?#]+:(\d{1,5})(?:[?#].*)?", text)
     if found is None or not 0 < int(found[1]) < 65536:
@@ -79,7 +79,7 @@ def check_station(name: str) -> str:
 
 
 def check_stations(names: Sequence[str]) -> None:
-    """Raise InputError where ``names`` are none, or two are the same, or one cannot be a station's."""
+    """Raise InputError where ``names`` are empty, two are the same, or one cannot be a station's."""
     if not names or len(set(names)) < len(names):
         raise InputError(f"stations {', '.join(names) or 'none'} given; one or more different names are wanted")
     for name in names:
@@ -98,5 +98,5 @@ def station_of(key: str) -> str:
 
 
 def word_of(key: str) -> str:
-    """Return the last part of a key: what it carries."""
+    """Return the last part of a key: the kind of its content."""
     return key.rpartition("/")[2]

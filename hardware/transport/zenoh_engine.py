@@ -11,11 +11,11 @@ import zenoh
 from hardware.transport.transport import JAM_S, TransportError, check_endpoint
 
 LEASE_MS = 4000
-"""A peer that sends nothing for so long is lost: it is connected again."""
+"""Silence after which a peer counts as lost and is connected again."""
 
 
 QUEUED_BATCHES = 16
-"""Messages (of 64 kB at most) that may wait for the network; what comes then is dropped, and missing in the count."""
+"""Most messages (of 64 kB at most) that wait for the network; further ones are dropped, and missing in the count."""
 
 
 class ZenohTransport:
@@ -59,7 +59,7 @@ class ZenohTransport:
         self._kept: list[Any] = []
 
     def publish(self, key: str, payload: bytes) -> bool:
-        """Send, or drop where the way is jammed; False where the engine refuses."""
+        """Send, or drop where the queue stays full; False where the engine refuses."""
         try:
             with self._guard:
                 publisher = self._publishers.get(key)
@@ -85,7 +85,7 @@ class ZenohTransport:
         )
 
     def declare_queryable(self, key: str, reply: Callable[[bytes], bytes]) -> None:
-        """Answer questions for ``key``."""
+        """Answer queries for ``key``."""
 
         def answered(query: zenoh.Query) -> None:
             asked = b"" if query.payload is None else query.payload.to_bytes()

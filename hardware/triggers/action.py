@@ -1,8 +1,8 @@
 """GigE Vision action commands: one datagram triggers all cameras that hold its keys.
 
-Cameras expose when it arrives, a network's jitter apart. Those whose clocks agree by PTP take the instant of exposure
-with the command (``lead_ms``): then they expose together. A pulse that this computer cannot send in its period is
-skipped and counted (``hardware.pulse_grid``): a burst of late ones would be ignored by the cameras.
+Cameras expose when it arrives, with the network's jitter between them. Cameras whose clocks agree by PTP receive the
+time of exposure with the command (``lead_ms``): then they expose together. A pulse that this computer cannot send in
+its period is skipped and counted (``hardware.pulse_grid``): cameras would ignore a burst of late ones.
 """
 
 import logging
@@ -52,7 +52,7 @@ class ActionTrigger(External):
         return begin_ns
 
     def stop(self) -> None:
-        """Send no more."""
+        """Send no more commands."""
         self._stop.set()
         if self._thread is not None:
             self._thread.join()
@@ -69,8 +69,8 @@ class ActionTrigger(External):
     def pulse_of(self, camera: str, buffer: Grabbed, read: ExposureStart | None = None) -> StampPulse | None:
         """Return the pulse in whose period the exposure began; None where its clock is not read.
 
-        Commands are as late as network and processors make them: stamps do not lie on the line of the pulses, but for
-        scheduled commands (``lead_ms``). A frame without a fitting reading has the pulse of its arrival.
+        Network and processors delay commands, so that stamps do not lie on the line of the pulses, except for
+        scheduled commands (``lead_ms``). A frame without a fitting reading gets the pulse of its arrival.
         """
         if self.pulse_at(buffer.host_ns) is None or (read is None and camera not in self._read):
             return None
@@ -81,7 +81,7 @@ class ActionTrigger(External):
         pulse = max(int((read.at_ns + read.error_ns - self._grid.begin_ns) // self._grid.period_ns), 0)
         residual_ns = read.at_ns - self._grid.begin_ns - pulse * self._grid.period_ns
         limit_ns = LATEST_TIME * self._grid.period_ns
-        if residual_ns > limit_ns:  # of a command that was held up, or of a camera that was
+        if residual_ns > limit_ns:  # the command, or the camera, was delayed
             return StampPulse(pulse, limit_ns, residual_ns - limit_ns + read.error_ns, certain=False)
         return StampPulse(pulse, residual_ns, read.error_ns)
 

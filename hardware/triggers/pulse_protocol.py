@@ -61,7 +61,7 @@ def pulses_made(answer: str) -> int | None:
 
 
 def pulses_at_ping(answer: str, number: int, rate_hz: float) -> float | None:
-    """Return pulses made, with the fraction of a period, by the answer to ping ``number``; None for another."""
+    """Return pulses made, with the fraction of a period, from the answer to ping ``number``, else None."""
     words = answer.split()
     if len(words) != 4 or words[:2] != ["P", str(number)]:
         return None

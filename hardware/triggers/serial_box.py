@@ -30,7 +30,7 @@ PINGS_KEPT = 600
 ANSWER_S, POLL_S = 5.0, 0.1
 """Timeout of an answer, counted in polls: time in which this process did not run does not count."""
 START_UNCERTAINTY, START_PINGS = 0.2, 50
-"""The start is wanted to this share of a period; it is taken from the quickest of at most so many pings."""
+"""Required uncertainty of the start, as a share of a period; most pings, of which the quickest determines it."""
 
 
 def _open_port(where: str, port: str, baud: int) -> Any:
@@ -78,7 +78,7 @@ class SerialTrigger(External):
     def start(self) -> int | None:
         """Begin with pulse 0; return this machine's time of it [ns], known to half a round trip.
 
-        Where the answer was slow, the quickest of some pings is used: pulses made so far, hence when they began.
+        Where the answer was slow, the quickest of some pings is used: its number of pulses shows when they began.
         """
         self._pings.clear()
         self._pulses = None

@@ -1,8 +1,8 @@
 """Software trigger: commands each camera to expose, pulse by pulse, and waits for the frames.
 
-Waiting makes the pairing certain for cameras without a clock, and keeps from triggering cameras that are not ready,
-which they ignore silently. The price is the rate: pulses that come due meanwhile are skipped, and counted
-(``hardware.pulse_grid``). A frame's time is when its camera's command went out and came back.
+Waiting makes the pairing certain for cameras without a clock, and avoids triggers to cameras that are not ready,
+which they ignore silently. The cost is the rate: pulses that come due meanwhile are skipped and counted
+(``hardware.pulse_grid``). A frame's time is taken from when its camera's command was sent and returned.
 """
 
 import logging
@@ -18,13 +18,13 @@ from hardware.pulse_numbers.clock_model import ExposureStart, StampPulse
 from hardware.silence import PollingTime
 
 FRAME_TIMEOUT_S = 5.0
-"""Polling time for a missing frame before the next pulse: a frame that came still later would be numbered as the next
+"""Polling time for a missing frame before the next pulse: a frame that came even later would be numbered as the next
 pulse's. Time in which this process did not poll does not count (``hardware.silence``)."""
 MISSES_TO_IGNORE = 3
-"""A camera that missed so many pulses in a row is not waited for until it delivers again."""
+"""A camera that missed this many pulses in a row is not waited for until it delivers again."""
 REST = 10
-"""A camera whose command failed is left alone for so many times as long as that took: it then holds up the others for
-a tenth of the time at most; with half of it for a fifth, with double of it it comes back later."""
+"""A camera whose command failed gets none for this many times the duration of that: it then delays the others for a
+tenth of the time at most; with half of it for a fifth, with double of it the camera comes back later."""
 log = logging.getLogger("mosca.hardware.triggers")
 
 
@@ -32,8 +32,8 @@ log = logging.getLogger("mosca.hardware.triggers")
 class _Commands:
     """Commands to one camera: host times and numbers of the pulses, in order.
 
-    ``at_ns``: when each was carried out, by the driver's word; None where that is not known (yet). ``error_ns``: how
-    far off that may be.
+    ``at_ns``: when each was carried out, as the driver reports it; None where that is not known (yet). ``error_ns``:
+    largest error of that.
     """
 
     sent_ns: list[int] = field(default_factory=list)
@@ -98,7 +98,7 @@ class SoftwareTrigger:
     def pulse_of(self, camera: str, buffer: Grabbed, read: ExposureStart | None = None) -> StampPulse | None:
         """Return the last pulse that was sent to ``camera`` before ``buffer`` arrived, and how late it was.
 
-        ``read``: when it was exposed by the camera's clock; it counts where it is more precise than the command's.
+        ``read``: its time of exposure by the camera's clock, used where it is more precise than the command's time.
         """
         commands = self._commands[camera]
         index = bisect_right(commands.sent_ns, buffer.host_ns) - 1
@@ -223,11 +223,11 @@ class SoftwareTrigger:
             commands.numbers.append(number)
             commands.at_ns.append(None)
             commands.error_ns.append(0)
-            commands.sent_ns.append(before_ns)  # last: readers go by it
+            commands.sent_ns.append(before_ns)  # last, since readers depend on it
         try:
             at_ns = self._drivers[name].software_trigger()
             commands.error_ns[-1] = max(self._clock.now_ns() - at_ns, 0)
-            commands.at_ns[-1] = at_ns  # last: readers go by it
+            commands.at_ns[-1] = at_ns  # last, since readers depend on it
         except DeviceError as error:  # the camera's own thread notes it and opens it again
             log.debug("software trigger: %s", error)
             with self._changed:

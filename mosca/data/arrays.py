@@ -20,7 +20,7 @@ def read_only(values: Any, shape: tuple[int | None, ...], name: str, dtype: DTyp
     if given.size == 0 and given.ndim != len(shape):
         given = given.reshape([0 if n is None else n for n in shape])
     have = given.shape
-    # a comparison in one go for what is nearly always right: this runs for every column of every frame set
+    # whole shapes first, since they are nearly always equal: this runs for every column of every frame set
     if have != shape and (
         len(have) != len(shape) or any(n not in (None, m) for n, m in zip(shape, have, strict=True))
     ):
@@ -42,8 +42,8 @@ def set_read_only(owner: object, dtype: DTypeLike = np.float64, /, **shapes: tup
 def read_only_image(pixels: Any) -> Array:
     """Return an image (H, W) of uint8 or uint16, made read-only.
 
-    Not copied (frames are large): the caller must not write to the array afterwards. Raises ValueError for any other
-    shape or type.
+    The array is not copied, since frames are large: the caller must not write to it afterwards. Raises ValueError for
+    any other shape or type.
     """
     image: Array = np.asarray(pixels)
     if image.ndim != 2 or image.dtype not in (np.uint8, np.uint16):
@@ -53,7 +53,7 @@ def read_only_image(pixels: Any) -> Array:
 
 
 def middle(ordered: Array) -> float:
-    """Return the median of values (n,) in order, one or more; with the sorting in half of ``np.median``'s time."""
+    """Return the median of sorted values (n,), n >= 1; sorting included, it takes half of ``np.median``'s time."""
     n = len(ordered)
     return 0.5 * float(ordered[(n - 1) // 2] + ordered[n // 2])
 

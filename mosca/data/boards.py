@@ -29,9 +29,9 @@ class Board:
 
     Its frame's origin is the middle of its face. With ``marker_m`` and ``dictionary`` it is a ChArUco board: each
     white square holds a marker of that edge, numbered from 0 row by row, as in OpenCV since 4.6. ``inverted``: black
-    and white are exchanged, margin included. ``from_behind``: its mirror image, at the same corners, can be seen on
-    the other side: a transparent sheet, or a second print glued to the back. Raises ValueError for a board that
-    cannot be built or is symmetric under rotation or, from behind, reflection.
+    and white are exchanged, margin included. ``from_behind``: the other side shows its mirror image with the same
+    corners (a transparent sheet, or a second print glued to the back). Raises ValueError for a board that cannot be
+    built, or that is symmetric under rotation or, if seen from behind, under reflection.
     """
 
     columns: int

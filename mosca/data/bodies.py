@@ -9,10 +9,10 @@ from mosca.data.arrays import Array, set_read_only
 from mosca.data.targets import not_below_zero
 
 BODY_STATUSES = ("measured", "withheld")
-"""``withheld``: some of its markers are seen, but too few, or so that another pose explains them as well."""
+"""``withheld``: some markers of the body are seen, but they are too few, or another pose explains them as well."""
 FEWEST_MARKERS, MOST_MARKERS = 3, 32
 LEAST_OFF_LINE = 0.05
-"""Spread across the line that fits the markers best, as a share of that along it: below, they lie in a line."""
+"""Least spread of markers across their best-fitting line, as a share of that along it; below, they are collinear."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,11 +64,11 @@ class BodyPoses:
     position: Array
     """(n, 3) [m] of world_from_body; NaN where withheld."""
     covariance: Array
-    """(n, 6, 6) of the position x, y, z [m], then the rotation vector r about the world's x, y, z [rad], R_true =
-    exp([r]) R; from the measurement and the markers' positions, without the calibration's uncertainty; NaN where
-    withheld."""
+    """(n, 6, 6) covariance of the position x, y, z [m], then the rotation vector r about the world's x, y, z [rad],
+    R_true = exp([r]) R. It contains the errors of the measurement and of the markers' positions, not those of the
+    calibration; NaN where withheld."""
     n_markers: Array
-    """(n,) used."""
+    """(n,) number of markers used."""
     residual_m: Array
     """(n,) rms distance of the markers from the fitted model, NaN where unknown."""
     status: Array
@@ -93,7 +93,7 @@ class BodyPoses:
         return cls(e, e, s, np.empty((0, 4)), np.empty((0, 3)), np.empty((0, 6, 6)), e, e, s)
 
     def select(self, rows: Array) -> "BodyPoses":
-        """Return the poses that a boolean mask or an index array (m,) names."""
+        """Return the poses that a boolean mask or an index array (m,) selects."""
         return BodyPoses(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
 
     def of(self, body: str) -> "BodyPoses":

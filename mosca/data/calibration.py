@@ -17,9 +17,9 @@ Severity = Literal["refuse", "warn", "note"]
 class Finding:
     """A result of the quality checks of a calibration.
 
-    ``code``: one of ``mosca.calibration.quality.findings.CODES``, for scripts and tests; ``message``: one line,
-    what was found (with its figure), what is allowed, and what to do next; ``camera``: whose, where it is one
-    camera's.
+    ``code``: one of ``mosca.calibration.quality.findings.CODES``, for scripts and tests; ``message``: one line with
+    what was found (and its figure), what is allowed, and what to do next; ``camera``: the camera concerned, where it
+    is one camera.
     """
 
     code: str
@@ -38,7 +38,7 @@ class Calibration:
     parameters: tuple[str, ...]
     """(u) names such as "cam1.c_mm", "cam1.turn_x_rad" (rotation about the camera's own axis), "cam1.X_m"."""
     covariance: Array
-    """(u, u) of ``parameters``, a posteriori, shake of whole images included."""
+    """(u, u) a-posteriori covariance of ``parameters``, shake of whole images included."""
     residuals_px: Array
     """(n, 2) observed minus projected of each of ``sightings``."""
     used: Array
@@ -61,15 +61,15 @@ class Calibration:
     weak: tuple[str, ...]
     """Parameters that the data hardly determine."""
     held: tuple[str, ...]
-    """Those of ``weak`` constrained near their initial values."""
+    """The parameters among ``weak`` that were constrained near their initial values."""
     body_px: float
     """Shake of whole images [px rms, an axis]."""
     scaled_by: str
     """Origin of the scale."""
     findings: tuple[Finding, ...] = field(default=())
     lasting_px: Array = field(default_factory=lambda: np.empty(0))
-    """(c,) systematic errors of image points, equal in each exposure of a stationary target (of the lens model,
-    mostly), rms an axis [px]; NaN where repeats do not determine them; empty where the target was never stationary.
+    """(c,) systematic errors of image points, mostly of the lens model, rms an axis [px]. They are equal in each
+    exposure of a stationary target. NaN where repeats do not determine them; empty where it was never stationary.
     """
 
     def __post_init__(self) -> None:

@@ -11,8 +11,9 @@ from mosca.data.arrays import Array, set_read_only
 class AccuracyGrid:
     """Predicted standard deviation of a measured point on a grid.
 
-    ``x``, ``y``, ``z``: axes [m, world]; ``detection_m`` and ``calibration_m`` (nx, ny, nz) standard deviations in
-    space [m] from either, NaN where too few cameras see it; ``detection_sigma_px`` that of an image coordinate.
+    ``x``, ``y``, ``z``: axes [m, world]; ``detection_m`` and ``calibration_m`` (nx, ny, nz): standard deviations in
+    space [m] from detection and from calibration, NaN where too few cameras see the point; ``detection_sigma_px``:
+    standard deviation of an image coordinate.
     """
 
     x: Array
@@ -29,15 +30,15 @@ class AccuracyGrid:
 
     @property
     def sigma_m(self) -> Array:
-        """Standard deviation (nx, ny, nz) of both together [m]."""
+        """Standard deviation (nx, ny, nz) from both together [m]."""
         return np.asarray(np.hypot(self.detection_m, self.calibration_m))
 
 
 @dataclass(frozen=True, eq=False)
 class HeldOutLengths:
-    """Lengths that the calibration did not use: ``length_m`` (k,) measured, ``sigma_m`` (k,), what is ``true_m``.
+    """Measurements ``length_m`` (k,) with ``sigma_m`` (k,) of a length ``true_m`` that the calibration did not use.
 
-    ``scale_error`` +- ``scale_sigma``: mean of measured over true, less 1.
+    ``scale_error`` +- ``scale_sigma``: mean ratio of measured to true length, less 1.
     """
 
     length_m: Array

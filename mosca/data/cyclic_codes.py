@@ -1,9 +1,9 @@
 """Cyclic codes, read from an unknown start: sectors on a ring, blinks of a lamp.
 
-A word represents all its cyclic shifts. Two words differ in at least ``distance`` bits under any cyclic shift, and a
-word from its own shifts in at least ``own_distance``, so that the start is determined as well. The words are found by
-going through all necklaces in rising order and keeping each that is far enough from those kept so far (a greedy
-lexicode; Conway & Sloane 1986): the same words on every machine.
+A word represents all its cyclic shifts. Two words differ in at least ``distance`` bits under any cyclic shift. A word
+differs from its own shifts in at least ``own_distance`` bits, so that the start is determined as well. The search
+goes through all necklaces in rising order and keeps each that is far enough from those kept so far (a greedy
+lexicode; Conway & Sloane 1986). It finds the same words on every machine.
 """
 
 from dataclasses import dataclass
@@ -50,7 +50,7 @@ class CyclicCode:
 
 
 def turned(word: Words, places: int, length: int) -> Words:
-    """Return ``word``, or each of an array, of ``length`` bits cyclically shifted by ``places`` (read later).
+    """Return ``word`` (or an array of words) of ``length`` bits, cyclically shifted to be read ``places`` later.
 
     ``places`` from 0 to ``length`` - 1.
     """
@@ -58,7 +58,7 @@ def turned(word: Words, places: int, length: int) -> Words:
 
 
 def longest_runs(word: int, length: int) -> tuple[int, int]:
-    """Return the longest runs of zeros and of ones in ``word``, read round and round."""
+    """Return the lengths of the longest runs of zeros and of ones in ``word``, read cyclically."""
     text = f"{word:0{length}b}" * 2  # twice: a run may pass the start
     zeros, ones = (max(len(run) for run in text.split(end)) for end in "10")
     return min(zeros, length), min(ones, length)
@@ -67,8 +67,8 @@ def longest_runs(word: int, length: int) -> tuple[int, int]:
 def cyclic_code(length: int, distance: int, own_distance: int, most_zeros: int, most_ones: int) -> CyclicCode:
     """Return the code of ``length`` bits (at most 20) with the distances above and bounded runs.
 
-    ``most_zeros``, ``most_ones``: longest run of equal bits, read round and round; below ``length`` they keep
-    all zeros and all ones out.
+    ``most_zeros``, ``most_ones``: longest allowed runs of equal bits, read cyclically; below ``length`` they exclude
+    the words of all zeros and of all ones.
     """
     every = np.arange(1 << length, dtype=np.int32)
     first = np.ones(len(every), dtype=bool)
@@ -84,7 +84,7 @@ def cyclic_code(length: int, distance: int, own_distance: int, most_zeros: int, 
         if taken[word] or zeros > most_zeros or ones > most_ones:
             continue
         kept.append(word)
-        # what is too near to any rotation of this word is a rotation of what is too near to the word itself
+        # a word too near to a rotation of this one is a rotation of a word that is too near to this one
         taken[_rotations(word ^ flips, length)] = True
     return CyclicCode(length, tuple(kept))
 

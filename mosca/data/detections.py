@@ -9,8 +9,8 @@ from mosca.data.arrays import Array, read_only, set_read_only
 from mosca.data.frames import FrameSet
 
 SATURATED, MERGED, PARTIAL, UNREFINED = 1, 2, 4, 8
-"""Bits of ``Detections.flags``: some of its pixels are saturated; two merged targets; a partly occluded target; a
-position without sub-pixel refinement (and with the covariance of one)."""
+"""Bits of ``Detections.flags``: some pixels are saturated; two merged targets; a partly occluded target; a position
+without sub-pixel refinement (and with the covariance of such a position)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,9 +21,9 @@ class Detections:
     xy_px: Array
     """(n, 2) sub-pixel centroids."""
     covariance_px2: Array
-    """(n, 2, 2) of their random error."""
+    """(n, 2, 2) covariance of their random error."""
     diameter_px: Array
-    """(n,) of the target's image, less the blur of lens and pixel where it was fitted."""
+    """(n,) diameter of the target's image; where it was fitted, without the blur of lens and pixel."""
     peak: Array
     """(n,) largest grey value [DN]."""
     elongation: Array
@@ -33,10 +33,10 @@ class Detections:
     diameter_sigma_px: Array = field(default_factory=lambda: np.empty(0))
     """(n,) standard deviation of the diameter; 0: not known (the default for all)."""
     ellipticity: Array = field(default_factory=lambda: np.empty(0))
-    """(n, 2) of the target's image, ``ln(a / b) (cos 2t, sin 2t)``: semi-axes a >= b, a at the angle t from x to y
-    (conformal shear, Bernstein and Jarvis 2002); zero for a circle."""
+    """(n, 2) ellipticity of the target's image, ``ln(a / b) (cos 2t, sin 2t)``: semi-axes a >= b, a at the angle t
+    from x to y (conformal shear, Bernstein and Jarvis 2002); zero for a circle."""
     ellipticity_sigma: Array = field(default_factory=lambda: np.empty(0))
-    """(n,) standard deviation of the noise of each of the two; 0: not known (the default for all)."""
+    """(n,) standard deviation of the noise of each component; 0: not known (the default for all)."""
 
     def __post_init__(self) -> None:
         n = len(np.asarray(self.xy_px))
@@ -55,14 +55,14 @@ class Detections:
 
     @classmethod
     def handed_over(cls, camera: str, columns: Sequence[Array]) -> "Detections":
-        """Take columns in the order of the fields that are valid and read-only, without checks or copies."""
+        """Return detections of valid read-only columns in the order of the fields, without checks or copies."""
         new = object.__new__(cls)
         new.__dict__.update(zip(cls.__dataclass_fields__, (camera, *columns), strict=True))
         return new
 
     @classmethod
     def none(cls, camera: str) -> "Detections":
-        """No targets: an image without any, or no image."""
+        """Return no detections: for an image without targets, or without an image."""
         return cls(camera, np.empty((0, 2)), np.empty((0, 2, 2)), np.empty(0), np.empty(0), np.empty(0))
 
 

@@ -1,6 +1,6 @@
 """Quantiles and tail probabilities of common distributions, by ``scipy.special``.
 
-``scipy.stats`` has them under the same names, and takes a third of the time in which the pipeline starts: it makes a
+``scipy.stats`` has the same names, but its import takes a third of the time in which the pipeline starts: it makes a
 hundred distributions and parses the documentation of each.
 """
 
@@ -11,7 +11,7 @@ from scipy import special
 
 
 class chi2:
-    """Of a sum of ``dof`` squared standard normal values."""
+    """Chi-squared distribution: a sum of ``dof`` squared standard normal values."""
 
     @staticmethod
     def ppf(p: Any, dof: Any) -> Any:
@@ -30,7 +30,7 @@ class chi2:
 
 
 class norm:
-    """Normal."""
+    """Normal distribution."""
 
     @staticmethod
     def ppf(p: Any) -> Any:
@@ -54,7 +54,7 @@ class norm:
 
 
 class t:
-    """Student's, of ``dof`` degrees of freedom."""
+    """Student's t distribution of ``dof`` degrees of freedom."""
 
     @staticmethod
     def ppf(p: Any, dof: Any) -> Any:
@@ -68,7 +68,7 @@ class t:
 
 
 class f:
-    """Fisher's, of the ratio of two variances with ``above`` and ``below`` degrees of freedom."""
+    """Fisher's F distribution: the ratio of two variances with ``above`` and ``below`` degrees of freedom."""
 
     @staticmethod
     def sf(x: Any, above: Any, below: Any) -> Any:
@@ -77,7 +77,7 @@ class f:
 
 
 class binom:
-    """Of successes in ``n`` trials, each with the probability ``p``."""
+    """Binomial distribution: successes in ``n`` trials, each with the probability ``p``."""
 
     @staticmethod
     def sf(k: Any, n: Any, p: Any) -> Any:
@@ -88,11 +88,11 @@ class binom:
 
 
 class poisson:
-    """Of counts, ``mean`` of which are expected."""
+    """Poisson distribution of counts with the expectation ``mean``."""
 
     @staticmethod
     def isf(p: Any, mean: Any) -> Any:
-        """Return the least count above which lies at most the probability ``p``."""
+        """Return the smallest count that is exceeded with the probability ``p`` at most."""
         at = np.ceil(special.pdtrik(1.0 - p, mean))
         before = np.maximum(at - 1.0, 0.0)
         return np.where(special.pdtr(before, mean) >= 1.0 - p, before, at)

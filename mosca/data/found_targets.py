@@ -17,13 +17,13 @@ class CodedDetections:
     xy_px: Array
     """(n, 2) sub-pixel centroid of the centre dot."""
     covariance_px2: Array
-    """(n, 2, 2) of its random error."""
+    """(n, 2, 2) covariance of the centroid's random error."""
     semi_axes_px: Array
-    """(n, 2) of the dot's ellipse, the longer one first."""
+    """(n, 2) semi-axes of the dot's ellipse, the longer one first."""
     angle_rad: Array
-    """(n,) of the longer semi-axis, from the image's x axis to its y axis (down), above -pi / 2 and up to pi / 2."""
+    """(n,) angle of the longer semi-axis, from the image's x axis to its y axis (down), in (-pi / 2, pi / 2]."""
     roll_rad: Array
-    """(n,) direction of the plate's x axis in the image, same sense of rotation, above -pi and up to pi."""
+    """(n,) direction of the plate's x axis in the image, same sense of rotation, in (-pi, pi]."""
     confidence: Array
     """(n,) distance of the least certain sector from its threshold, 0 (on it) to about 1 (as bright or as dark as
     those beside it)."""
@@ -44,8 +44,8 @@ class CodedDetections:
 class BoardDetections:
     """Inner corners of a board found in one image; none where the board was not found as a whole.
 
-    ``corner`` (n,) int: which rows of ``Board.corners()``; ``xy_px`` (n, 2) sub-pixel; ``covariance_px2``
-    (n, 2, 2) of the random error; ``refused``: why there are none ("" where there are).
+    ``corner`` (n,) int: rows of ``Board.corners()``; ``xy_px`` (n, 2) sub-pixel; ``covariance_px2`` (n, 2, 2) of the
+    random error; ``refused``: why there are no corners ("" where there are).
     """
 
     camera: str
@@ -64,5 +64,5 @@ class BoardDetections:
 
     @classmethod
     def none(cls, camera: str, refused: str) -> "BoardDetections":
-        """No corners, and why."""
+        """Return no corners, with the reason ``refused``."""
         return cls(camera, np.empty(0), np.empty((0, 2)), np.empty((0, 2, 2)), refused)

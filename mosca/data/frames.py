@@ -55,9 +55,9 @@ class Frame:
     row_time_ns: int = 0
     """Delay from one row's exposure to the next row's (0 for a global shutter)."""
     note: str = ""
-    """For people: why a frame was dropped or is corrupt; of one that is ok, what is not certain (``doubt``)."""
+    """For people: why a frame was dropped or is corrupt; for an ok frame, what is uncertain about it (``doubt``)."""
     rows: int = 0
-    """Height of ``image``; without image that known to the source (CameraInfo.height), else 0."""
+    """Height of ``image``; without an image, the height known to the source (CameraInfo.height), else 0."""
 
     def __post_init__(self) -> None:
         if self.image is not None:
@@ -79,9 +79,9 @@ def mid_exposure_ns(frame: Frame) -> int:
     """Time of the middle of the frame's exposure window, in the clock that stamped it [ns].
 
     The image's intensity centroid belongs to this instant (for constant velocity exactly). With a
-    rolling shutter it is the middle of the window of the image's central row; for a dropped or
-    corrupt frame whose ``rows`` are unknown (0) it is the first row's, half a readout early (after
-    ``readout`` stamps: the last row's, as much late).
+    rolling shutter it is the middle of the window of the image's central row. For a dropped or
+    corrupt frame whose ``rows`` are unknown (0) it is the first row's, half a readout too early
+    (with ``readout`` stamps: the last row's, half a readout too late).
     """
     half_readout = frame.row_time_ns * (frame.rows - 1) // 2 if frame.rows else 0
     if frame.stamp_event == "exposure_start":

@@ -9,7 +9,7 @@ from mosca.data.arrays import Array, set_read_only
 
 @dataclass(frozen=True, eq=False)
 class JointAngles:
-    """a named angles at n instants; ``mosca.skeleton.isb_angles`` says what each name means."""
+    """Named angles (a of them) at n instants; ``mosca.skeleton.isb_angles`` defines the names."""
 
     frame: Array
     """(n,) pulse number."""
@@ -18,7 +18,7 @@ class JointAngles:
     names: tuple[str, ...]
     """(a) distinct, such as ``l_hip_flexion``."""
     angles: Array
-    """(n, a) [rad], running on without jumps of a turn; NaN where unknown."""
+    """(n, a) [rad], continuous over time, without jumps of a turn; NaN where unknown."""
     sigma: Array
     """(n, a) standard deviation [rad]; NaN where unknown."""
 

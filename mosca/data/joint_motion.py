@@ -30,13 +30,13 @@ class JointMotion:
     joints: tuple[str, ...]
     """(j) names."""
     centre: Array
-    """(n, j, 3) in the world [m]; NaN where unknown. That of ``pelvis`` is midway between the hips."""
+    """(n, j, 3) in the world [m]; NaN where unknown. The centre of ``pelvis`` is midway between the hips."""
     centre_covariance: Array
     """(n, j, 3, 3) [m^2]."""
     rotation: Array
     """(n, j, 4) unit quaternion wxyz of proximal_from_distal (``pelvis``: world_from_pelvis); NaN where unknown."""
     rotation_covariance: Array
-    """(n, j, 3, 3) of the rotation vector r in the distal segment's axes [rad^2], R_true = R exp([r])."""
+    """(n, j, 3, 3) covariance of the rotation vector r in the distal segment's axes [rad^2], R_true = R exp([r])."""
 
     def __post_init__(self) -> None:
         n, j = len(np.asarray(self.frame)), len(self.joints)
@@ -51,6 +51,6 @@ class JointMotion:
         return len(self.frame)
 
     def select(self, rows: Array) -> "JointMotion":
-        """Return the instants that a boolean mask or an index array (m,) names."""
+        """Return the instants that a boolean mask or an index array (m,) selects."""
         columns = {name: getattr(self, name) for name in self.__dataclass_fields__}
         return JointMotion(**{name: v if name == "joints" else v[rows] for name, v in columns.items()})

@@ -1,8 +1,8 @@
 """Blink codes of lamps: numbers that identify them, and a sequence that encodes the time.
 
-A bit lasts a whole number of frame periods; a camera sees the lamp on or off and so reads one bit per frame. Numbers
-are 16 bits, repeated, read from any start. Any two differ in at least 3 bits however they are shifted; a lamp is dark
-for 3 bits in a row at most, so that it can be followed meanwhile::
+A bit lasts a whole number of frame periods; a camera sees the lamp on or off and so reads one bit per frame. A number
+is a word of 16 bits, repeated, which can be read from any start. Any two differ in at least 3 bits under any shift. A
+lamp is dark for at most 3 bits in a row, so that it can be tracked meanwhile::
 
     bits              14    15    16    17    18
     distance 3        27    45    75   126   207   (dark for at most 3 bits, lit for at most 5)
@@ -49,8 +49,8 @@ def lamp_bits(number: int) -> tuple[bool, ...]:
 def m_sequence(order: int) -> tuple[bool, ...]:
     """Return the 2^order - 1 bits of a maximum length sequence, ``order`` from 3 to 12.
 
-    Any ``order`` consecutive bits occur in it only once, so that they determine the position in the sequence; against
-    any shift of itself it agrees in one bit less than half (Golomb 1967), so that a correlation has one peak.
+    Any ``order`` consecutive bits occur in it only once, so that they determine the position in the sequence. It
+    agrees with any shift of itself in one bit less than half (Golomb 1967), so that a correlation has one peak.
     """
     if order not in _TAPS:
         raise InputError(f"order = {order} given; a sequence has an order from {min(_TAPS)} to {max(_TAPS)}")

@@ -22,9 +22,9 @@ class RayTable:
     """(n, COLUMNS); NaN where the lens images nothing at the pixel. Columns:
 
     - DIRECTION (3): unit vector, world frame.
-    - WHITE (2 x 3): whitened reprojection error by direction.
+    - WHITE (2 x 3): derivative of the whitened reprojection error by direction.
     - SPREAD (3 x 2): direction error of one standard deviation [rad] (pseudo-inverse of WHITE).
-    - NORMAL (9): share in the normal equations, A'A (xx, xy, xz, yy, yz, zz) and A'A O.
+    - NORMAL (9): contribution to the normal equations, A'A (xx, xy, xz, yy, yz, zz) and A'A O.
     - SIGMA [px]: geometric mean of the error ellipse's axes; converts whitened errors to px.
     - RADIUS [px]: of the target's image, and ANGLE [rad]: what its diameter subtends.
     - BONUS: its log-likelihood ratio, target against clutter (``mosca.correspondence.match``).
@@ -33,9 +33,9 @@ class RayTable:
     - ELLIPTIC (2), ELLIPTIC_SIGMA: the image's ellipticity (``mosca.data.detections.Detections``).
     - ROOT (2) [px]: first column of the Cholesky factor of the pixel's covariance (its last element is
       SIGMA^2 / ROOT).
-    - AREA_RADIUS [px]: of a circle of the image's area; RADIUS of a long one is that of its longer axis.
+    - AREA_RADIUS [px]: of a circle of the image's area; RADIUS of a long image is that of its longer axis.
 
-    Matching aims those of flat round targets at their centres (``mosca.correspondence.disc_centres``).
+    Matching corrects the rays of flat round targets to their centres (``mosca.correspondence.disc_centres``).
     """
     views: Array
     """(c, VIEW), one row a camera: ORIGIN (3) centre of projection [m], ROTATION (3 x 3) world_from_camera,
@@ -44,13 +44,14 @@ class RayTable:
     pairs: Array
     """(p, 2) pairs of cameras, the best base first."""
     bases: Array
-    """(p, 2, 3) two unit vectors across each pair's base and each other; infinite for a base of length zero."""
+    """(p, 2, 3) two unit vectors perpendicular to each pair's base and to each other; infinite for a zero base."""
     start: Array
     """(c + 1,) first row of each camera's rays."""
     covariance_px2: Array
-    """(n, 2, 2) whitens, with ``extra_px2``: of the detections, and of what eccentricity their ellipses may have."""
+    """(n, 2, 2) covariance that whitens, together with ``extra_px2``: that of the detections, and that of the
+    eccentricity that their ellipses may have."""
     extra_px2: Array
-    """(c,) variance that each camera adds to its detections, an axis."""
+    """(c,) variance that each camera adds to its detections on each axis."""
     xy_px: Array
     """(n, 2) pixels of the detections."""
     detected_px2: Array
@@ -58,7 +59,7 @@ class RayTable:
     cameras: Array
     """``mosca.camera.ray_table.RigTable.cameras``."""
     odd: int
-    """Number of images that are long, or single and not fitted."""
+    """Number of images that are long, or UNREFINED and not MERGED."""
 
     @property
     def direction(self) -> Array:
@@ -77,5 +78,5 @@ class Predicted:
 
     @classmethod
     def nothing(cls) -> "Predicted":
-        """No expectation: every frame on its own."""
+        """Return no predictions, so that each frame is matched on its own."""
         return cls(np.empty((0, 3)), np.empty((0, 3, 3)))

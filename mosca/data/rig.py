@@ -46,8 +46,8 @@ class MoscaLens:
 
     Image coordinates in mm from the principal point: ``xb = mx (x - xp)`` to the right,
     ``yb = -my (y - yp)`` up. The correction is a function of the *measured* point and is added to it,
-    so pixel -> ray is closed form. ``mx``, ``my`` are the pixel pitches; c, mx and my have two degrees of
-    freedom, so adjustments hold mx.
+    so pixel -> ray is closed form. ``mx``, ``my`` are the pixel pitches; c, mx and my together have only two
+    degrees of freedom, so adjustments hold mx.
     """
 
     model: ClassVar[Literal["mosca"]] = "mosca"
@@ -98,8 +98,8 @@ class OpenCVLens:
 class FisheyeLens:
     """Equidistant (Kannala-Brandt) fisheye: image radius theta (1 + k1 theta^2 + ... + k4 theta^8).
 
-    The same model as OpenCV's ``cv2.fisheye`` with zero skew, but good beyond 90 degrees from the axis too: up to
-    where the radius stops rising, 180 degrees at most.
+    The same model as OpenCV's ``cv2.fisheye`` with zero skew, but valid beyond 90 degrees from the axis, too: up to
+    the angle where the radius stops rising, 180 degrees at most.
     """
 
     model: ClassVar[Literal["fisheye"]] = "fisheye"
@@ -137,9 +137,9 @@ def principal_point_px(lens: Lens) -> tuple[float, float]:
 class Camera:
     """A calibrated camera: size in px, interior orientation (lens) and exterior orientation (pose).
 
-    ``residual_px``: what the lens model leaves of the images, rms an axis [px], as the calibration found; systematic,
-    so that it does not average over time. ``shake_px``: shift of whole images, drawn anew in each exposure, rms an
-    axis [px]; all targets of an image have it in common. Either is 0 where it is not known.
+    ``residual_px``: image errors left by the lens model, rms an axis [px], as found by the calibration. They are
+    systematic and do not average out over time. ``shake_px``: shift of whole images, independent in each exposure,
+    rms an axis [px]; it is common to all targets of an image. Either is 0 where it is not known.
     """
 
     name: str

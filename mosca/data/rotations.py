@@ -1,4 +1,4 @@
-"""Rotation matrices from and to the ways that files write them: quaternions wxyz and rotation vectors."""
+"""Conversion between rotation matrices and the forms that files use: quaternions wxyz and rotation vectors."""
 
 from collections.abc import Sequence
 
@@ -60,5 +60,5 @@ def nearest_rotation(matrix: Sequence[Sequence[float]] | Array) -> tuple[Array, 
 
 
 def aligning_rotation(some: Array, onto: Array) -> Array:
-    """Return the rotation (3, 3) that turns points ``some`` (k, 3) best ``onto`` others, about their middles."""
+    """Return the rotation (3, 3) that best turns points ``some`` (k, 3) to ``onto`` (k, 3), about their centroids."""
     return nearest_rotation((onto - onto.mean(axis=0)).T @ (some - some.mean(axis=0)))[0]

@@ -12,12 +12,11 @@ from mosca.data.arrays import Array, read_only, set_read_only
 class Sightings:
     """n image points of a target's marks in the exposures of a calibration session.
 
-    ``cameras``: their names; ``sizes`` (c, 2) width and height of their images [px]; ``frames``: how many frame sets
-    there are. Of each image point: ``camera`` (n,) and ``frame`` (n,) indices; ``mark`` (n,) which of the target's
-    marks it is (a row of its list of positions), -1 where that is not known; ``xy_px`` (n, 2); ``covariance_px2`` (n,
-    2, 2) of its random error; ``diameter_px`` (n,) of the mark's image, longer axis, NaN where it has none;
-    ``ellipticity`` (n, 2) of the mark's image and ``ellipticity_sigma`` (n,) as in ``Detections``, zero where they
-    are not known (the default for all).
+    ``cameras``: their names; ``sizes`` (c, 2): width and height of their images [px]; ``frames``: the number of frame
+    sets. Each image point has ``camera`` (n,) and ``frame`` (n,), indices; ``mark`` (n,), the row of its mark in the
+    target's list of positions, -1 where unknown; ``xy_px`` (n, 2); ``covariance_px2`` (n, 2, 2) of its random error;
+    ``diameter_px`` (n,) of the mark's image, longer axis, NaN where it has none; ``ellipticity`` (n, 2) of the mark's
+    image and ``ellipticity_sigma`` (n,) as in ``Detections``, zero where they are not known (the default for all).
     """
 
     cameras: tuple[str, ...]
@@ -50,16 +49,16 @@ class Sightings:
 
     @property
     def sigma_px(self) -> Array:
-        """Standard deviation (n,) of a coordinate, both axes together [px]."""
+        """Standard deviation (n,) of a coordinate, rms of both axes [px]."""
         return np.asarray(np.sqrt(np.trace(self.covariance_px2, axis1=1, axis2=2) / 2))
 
     def only(self, keep: Array) -> "Sightings":
-        """Return the image points ``keep`` (mask or indices), cameras and frames counted as before."""
+        """Return the image points ``keep`` (mask or indices); the numbering of cameras and frames is unchanged."""
         points = [one.name for one in fields(self) if one.name not in ("cameras", "sizes", "frames")]
         return replace(self, **{name: getattr(self, name)[keep] for name in points})
 
     def without(self, cameras: Collection[str]) -> "Sightings":
-        """Return the image points of all cameras but these, the others counted anew."""
+        """Return the image points of all cameras but these; the remaining cameras are renumbered."""
         kept = np.array([name not in cameras for name in self.cameras])
         left = self.only(kept[self.camera])
         names = tuple(name for name in self.cameras if name not in cameras)

@@ -1,17 +1,17 @@
 """The numbers of coded targets: bits on a ring around a centre dot.
 
 The ring is cut into 20 sectors, white for a one. Sector k runs from k to k + 1 twentieths of a turn,
-counter-clockwise from the plate's x axis, seen from the front. The start of the ring is not known to the reader: any
-two numbers differ in at least 4 sectors under any rotation, so that up to 3 misread sectors never make another
-number, and a number from itself rotated in at least 4, so that its roll is determined as well. Runs have at most 5
+counter-clockwise from the plate's x axis, seen from the front. Reading starts at an unknown sector. So any two
+numbers differ in at least 4 sectors under any rotation: up to 3 misread sectors never make another number. A number
+differs from its own rotations in at least 4 sectors, so that its roll is determined as well. Runs have at most 5
 equal sectors: at most a quarter of the ring has no edge.
 
-Alternatives: how many numbers (greedy, own distance 4, runs of at most 5)::
+Alternatives, and how many numbers each has (greedy, own distance 4, runs of at most 5)::
 
     sectors        14     15     16     17     18     19     20
-    distance 2    288    487   1519   2832   4751   9001  13188   an error is noticed
-    distance 3     36     62    102    187    313    559    956   two are noticed, or one put right
-    distance 4     21     33     56     99    166    298    507   three are noticed, or one put right
+    distance 2    288    487   1519   2832   4751   9001  13188   one error is detected
+    distance 3     36     62    102    187    313    559    956   two are detected, or one corrected
+    distance 4     21     33     56     99    166    298    507   three are detected, or one corrected
 
 500 numbers at distance 3 take 19 sectors: 5 % wider sectors at the cost of distance 4.
 """

@@ -78,8 +78,8 @@ Target = CodedTarget | RoundTarget | BallTarget
 class PlacedTarget:
     """A target at ``position`` (3,) [m], facing along ``normal`` (3,), its own x axis along ``x_axis`` (3,).
 
-    The axes are made unit, and ``x_axis`` perpendicular to the normal; None means a level one. Raises ValueError for
-    a normal without direction or an x axis along it.
+    Both axes are normalised, and ``x_axis`` is made perpendicular to the normal; None: a level x axis. Raises
+    ValueError for a normal without direction or an x axis along it.
     """
 
     name: str
@@ -96,7 +96,7 @@ class PlacedTarget:
 
     @property
     def rotation(self) -> Array:
-        """Rotation (3, 3) from the target's axes to those of its position: columns x axis, y axis, normal."""
+        """Rotation (3, 3) from the target's axes to the frame of ``position``: columns x axis, y axis, normal."""
         return face_axes(self.normal, self.x_axis)
 
 

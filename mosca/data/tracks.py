@@ -28,7 +28,7 @@ class Points:
     rays: Array
     """(n, n_rig_cameras) index of the detection that each camera contributed, -1 where it contributed none."""
     diameter_m: Array
-    """(n,) of the target, from the largest of its images."""
+    """(n,) diameter of the target, from the largest of its images."""
     trusted: Array
     """(n,) effective number of cameras: images of odd size (partly occluded, merged) count less than one."""
 
@@ -42,7 +42,7 @@ class Points:
 
     @classmethod
     def handed_over(cls, columns: Sequence[Array]) -> "Points":
-        """Take columns in the order of the fields that are valid and read-only, without checks or copies."""
+        """Return points of valid read-only columns in the order of the fields, without checks or copies."""
         new = object.__new__(cls)
         new.__dict__.update(zip(cls.__dataclass_fields__, columns, strict=True))
         return new
@@ -83,12 +83,12 @@ class Samples:
         return cls(*(np.concatenate([getattr(p, name) for p in parts]) for name in cls.__dataclass_fields__))
 
     def select(self, rows: Array) -> "Samples":
-        """Return the samples that a boolean mask or an index array (m,) names."""
+        """Return the samples that a boolean mask or an index array (m,) selects."""
         return Samples(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
 
     def certain(self, worst_sigma_m: float) -> "Samples":
         """Return the samples whose largest standard deviation [m] is not above ``worst_sigma_m``."""
-        # no standard deviation is larger than the trace's root: hardly any need their eigenvalues
+        # no standard deviation exceeds the root of the trace, so that hardly any sample needs its eigenvalues
         kept = np.trace(self.covariance, axis1=1, axis2=2) <= worst_sigma_m**2
         kept[~kept] = np.linalg.eigvalsh(self.covariance[~kept])[:, -1] <= worst_sigma_m**2
         return self.select(kept)
@@ -144,7 +144,7 @@ class Tracks:
         return float(np.median(np.diff(self.time_ns[first]) / np.diff(frame))) * 1e-9
 
     def select(self, rows: Array) -> "Tracks":
-        """Return the samples that a boolean mask or an index array (m,) names."""
+        """Return the samples that a boolean mask or an index array (m,) selects."""
         return Tracks(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
 
 

@@ -1,4 +1,4 @@
-"""Truth: what really was. Only the twin makes it and only scenarios read it."""
+"""Ground truth. Only the twin makes it and only scenarios read it."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -13,19 +13,19 @@ from mosca.data.files.npz import from_npz, whole_numbers, write_npz_file
 NO_FRAME = int(np.iinfo(np.int64).min)
 """Mid-exposure entered for a camera that took no frame from a pulse until the next [ns]."""
 FRAMES = "frames."
-"""How the names of the frames' table begin in the file."""
+"""Prefix of the names of the frames' arrays in the file."""
 JOINTS = "joints."
-"""How the names of the joints' arrays begin in the file."""
+"""Prefix of the names of the joints' arrays in the file."""
 TABLES = ("frames", "joints")
 """Fields of Truth that are no arrays themselves."""
 
 
 @dataclass(frozen=True, eq=False)
 class FramesTruth:
-    """What really was at each frame of the cameras that run free: one row a frame (n of them, m markers).
+    """Ground truth at the n frames of the free-running cameras, one row a frame, with m markers.
 
     ``camera`` (n,) number in ``Truth.cameras``; ``index`` (n,) the camera's own counter; ``stamp_ns`` (n,) the
-    stamp that it gave; ``exposure_mid_ns`` (n,) the true mid-exposure, session clock; ``xyz`` (n, m, 3) marker
+    camera's own stamp; ``exposure_mid_ns`` (n,) the true mid-exposure, session clock; ``xyz`` (n, m, 3) marker
     centres at that instant, world frame [m]; ``visible`` (n, m), ``image_xy_px`` (n, m, 2), ``diameter_px`` (n, m)
     as in Truth;
     ``camera_rotation`` (n, 3, 3), ``camera_position`` (n, 3): ``world_from_camera`` at the true mid-exposure.
@@ -55,13 +55,13 @@ class JointTruth:
     """True centres and rotations of a person's j joints at the t pulses of a Truth.
 
     The axes of each segment are attached to its bone and follow from landmarks in the rest pose, so that estimators
-    that know nothing of the model can be held against them (after Wu et al. 2002 and 2005: x forward, y up, z to the
-    right in the anatomical position). Landmarks are the centres of the markers of that name where they were placed,
-    not moved by the skin; hip, knee, ... are the joints' centres; ``mid`` is the middle of points, ``x`` the
-    cross product; what is not across another axis already is made so.
+    without the model can be compared with them (after Wu et al. 2002 and 2005: x forward, y up, z to the right in the
+    anatomical position). Landmarks are the centres of the markers of that name where they were placed, not moved by
+    the skin; hip, knee, ... are the joints' centres; ``mid`` is the middle of points, ``x`` the cross product. An
+    axis that is not perpendicular to another one is made so.
 
     - pelvis: z LASI -> RASI; x mid(LPSI, RPSI) -> mid(LASI, RASI); y = z x x. Its centre: mid(left hip, right hip).
-    - thorax: y mid(STRN, T10) -> mid(CLAV, C7); z across the plane of CLAV, C7 and mid(STRN, T10); x = y x z.
+    - thorax: y mid(STRN, T10) -> mid(CLAV, C7); z normal to the plane of CLAV, C7 and mid(STRN, T10); x = y x z.
     - head: x mid(LBHD, RBHD) -> mid(LFHD, RFHD); z mid(LFHD, LBHD) -> mid(RFHD, RBHD); y = z x x.
     - thigh: y knee -> hip; z the knee's axis of flexion; x = y x z. Shank: y ankle -> knee; z and x likewise.
     - foot: x HEE -> TOE; z along TOE -> MT5 (left: MT5 -> TOE); y = z x x.
@@ -80,7 +80,7 @@ class JointTruth:
     """
 
     names: tuple[str, ...]
-    """Of the j joints, among ``mosca.data.joint_motion.JOINTS``."""
+    """Names of the j joints, among ``mosca.data.joint_motion.JOINTS``."""
     centre: Array
     """(t, j, 3) in the world [m]; NaN where a joint has no single one (lumbar, neck)."""
     rotation: Array
@@ -98,14 +98,14 @@ class JointTruth:
 class Truth:
     """Ground truth at each pulse.
 
-    A free-running camera is entered with its frame nearest to the pulse; where it took none until the next, with
-    NO_FRAME, nothing visible and NaN.
+    A free-running camera is entered with its frame nearest to the pulse. Where it took no frame until the next pulse,
+    it is entered with NO_FRAME, nothing visible and NaN.
     """
 
     time_ns: Array
     """(t,) nominal mid-exposure of the pulse, session clock: the instant of its positions."""
     names: tuple[str, ...]
-    """Of the m markers."""
+    """Names of the m markers."""
     xyz: Array
     """(t, m, 3) marker centres in the world [m]."""
     visible: Array
@@ -113,16 +113,16 @@ class Truth:
     cameras: tuple[str, ...]
     """Names of the c cameras."""
     image_xy_px: Array
-    """(t, m, c, 2) true image of the marker *centre*, NaN where the camera does not see it; with a rolling shutter at
-    its own rows' mid-exposure."""
+    """(t, m, c, 2) true image of the marker *centre*, NaN where the camera does not see it; with a rolling shutter,
+    at the mid-exposure of the marker's own rows."""
     diameter_px: Array
     """(t, m, c) diameter of the whole disc's image."""
     exposure_mid_ns: Array
     """(t, c) true mid-exposure of each camera's frame, session clock."""
     camera_rotation: Array | None = None
-    """(t, c, 3, 3) of the true ``world_from_camera`` at that instant, None where it was not kept (older files)."""
+    """(t, c, 3, 3) rotation of the true ``world_from_camera`` at that instant; None where not kept (older files)."""
     camera_position: Array | None = None
-    """(t, c, 3) of it [m]."""
+    """(t, c, 3) translation of the true ``world_from_camera`` [m]."""
     frames: FramesTruth | None = None
     """All frames of free-running cameras; None where all are triggered."""
     joints: JointTruth | None = None

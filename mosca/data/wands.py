@@ -1,4 +1,4 @@
-"""Balls on a stick or a frame: the wand that scales, the L-frame that sets the world's axes. Lengths in m."""
+"""Balls on a stick or a frame: the wand sets the scale, the L-frame sets the world's axes. Lengths in m."""
 
 from dataclasses import dataclass
 from itertools import pairwise, permutations
@@ -57,7 +57,7 @@ class SingleLight:
     """One small light that is waved through the volume. It has no length: ``between`` names two cameras whose centres
     are ``apart_m`` apart [m], which scales the rig; None: lengths are arbitrary.
 
-    ``sigma_px``: of an image coordinate; ``pixel_origin``: what (0, 0) is in its image points.
+    ``sigma_px``: standard deviation of an image coordinate; ``pixel_origin``: what (0, 0) is in its image points.
     """
 
     between: tuple[str, str] | None = None
@@ -102,7 +102,7 @@ class LFrame:
 
 
 def look_alike(positions: Array) -> tuple[int, int] | None:
-    """Return two of the points (n, 3) that can be exchanged (others with them) with no distance changed much."""
+    """Return two of the points (n, 3) that can be exchanged (with others) while no distance changes much, or None."""
     distances = np.linalg.norm(positions[:, None] - positions, axis=2)
     for order in permutations(range(len(positions))):
         moved = [k for k, other in enumerate(order) if k != other]

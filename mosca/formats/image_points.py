@@ -1,7 +1,7 @@
 """Tables of image points that other programs detected: CSV with a row for each point of each frame.
 
-Columns, in any order: ``camera`` (its name in the rig file), ``x_px``, ``y_px`` (pixel centres at whole numbers; as
-in the camera's images, lens distortion included), and ``time_s`` (mid-exposure by the camera's own clock) or
+Columns, in any order: ``camera`` (its name in the rig file), ``x_px``, ``y_px`` (pixel centres at whole numbers; in
+the camera's original images, with lens distortion), and ``time_s`` (mid-exposure by the camera's own clock) or
 ``frame`` (its number, with a frame rate). Optional: ``point``, the point's name; ``sigma_px``, its standard deviation
 an axis. Rows without x or y are frames in which the point was not seen.
 """
@@ -19,7 +19,7 @@ from mosca.formats.tracks.csv_columns import parsed, read_named
 NEEDED, OPTIONAL = ("camera", "x_px", "y_px"), ("time_s", "frame", "point", "sigma_px")
 KIND = "table of image points"
 LONGEST_S = 1e9
-"""Times beyond this many seconds cannot be told to the nanosecond."""
+"""Times beyond this many seconds cannot be resolved to the nanosecond."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,10 +37,10 @@ class ImagePointTable:
 
 
 def read_image_points(path: Path, fps: float | None = None) -> ImagePointTable:
-    """Return the image points of a CSV table; ``fps``: frame rate [Hz] where ``frame`` counts the time.
+    """Return the image points of a CSV table; ``fps``: frame rate [Hz], needed where ``frame`` replaces ``time_s``.
 
-    InputError names the row of what cannot be used: a missing column, a cell that is no number, a point that is twice
-    in a frame, and tables in which some points have names and others have none.
+    InputError names the row that cannot be used: a missing column, a cell that is no number, a point that occurs
+    twice in a frame, and tables in which some points have names and others have none.
     """
     cells = read_named(path, NEEDED, OPTIONAL, KIND)
     xy = np.column_stack([parsed(cells[name], name, float, path) for name in ("x_px", "y_px")])

@@ -1,4 +1,4 @@
-"""Tables of numbers alone, as other programs' text files hold them."""
+"""Tables that hold only numbers, from text files of other programs."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -20,7 +20,7 @@ def number_table(path: Path, rows: Sequence[tuple[int, Sequence[str]]], row: str
     path
         The file, for messages.
     rows
-        One or more: their number in the file and their cells.
+        One or more rows, each with its number in the file and its cells.
     row
         What messages call a row: "row" or "line".
     wanted

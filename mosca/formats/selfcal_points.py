@@ -1,7 +1,8 @@
 """Sessions of MultiCamSelfCal (Svoboda et al. 2005): image points of one light, a folder of text tables; read only.
 
 ``points.dat``: three rows a camera (x, y, 1), a column a frame. ``IdMat.dat``: a row a camera, 1 where the light was
-seen, else 0; without it, what is neither NaN nor 0. ``Res.dat``: width and height of each camera's images.
+seen, else 0; without this file, points count as seen that are neither NaN nor 0. ``Res.dat``: width and height of
+each camera's images.
 ``camera_order.txt``: the cameras' names.
 """
 
@@ -60,7 +61,7 @@ def _names(folder: Path, count: int) -> tuple[str, ...]:
 
 
 def _seen(path: Path, xy: Array) -> Array:
-    """Return which cameras saw the light (c, f): as the file says, where there is one."""
+    """Return (c, f) whether each camera saw the light; taken from the file at ``path`` where it exists."""
     there = np.asarray(np.isfinite(xy).all(axis=2))
     if not path.is_file():
         return np.asarray(there & (xy != 0).any(axis=2))
@@ -80,7 +81,7 @@ def _seen(path: Path, xy: Array) -> Array:
 
 
 def _numbers(path: Path) -> Array:
-    """Return the rows of a text table as numbers, NaN as it stands."""
+    """Return the rows of a text table as numbers, NaN included."""
     text = read_text(path, "a session of MultiCamSelfCal: points.dat, Res.dat", "utf-8-sig", MOST_TABLE_BYTES)
     rows = [(number, line.split()) for number, line in enumerate(text.split("\n"), start=1) if line.strip()]
     if not rows:

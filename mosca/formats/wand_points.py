@@ -2,9 +2,9 @@
 
 The columns are those of EasyWand (Theriault et al. 2014, J. Exp. Biol. 217, 1843), DLTdv and Argus: x and y in each
 camera of the first point, then of the second, and so on; NaN or nothing where a point was not seen. The first line
-may name them: ``pt1_cam1_X,pt1_cam1_Y,pt1_cam2_X,...``. What they leave open is stated in ``[points]`` of the wand's
-file: sizes of the images, and whether y is counted from above or from below. The latter cannot be told from the
-points: upside-down images fit the mirror image of the rig equally well.
+may name them: ``pt1_cam1_X,pt1_cam1_Y,pt1_cam2_X,...``. Sizes of the images, and whether y is counted from above or
+from below, are stated in ``[points]`` of the wand's file. The latter cannot be determined from the points:
+upside-down images fit the mirror image of the rig equally well.
 """
 
 import re
@@ -28,7 +28,7 @@ FEWEST_CAMERAS = 2
 def read_wand_points(path: Path, layout: WandPointsTable, balls: int) -> Sightings:
     """Return the image points of a table as a session's sightings, a frame a row; marks are the wand's ``balls``.
 
-    InputError names row and column of what is not as ``layout`` and the wand have it.
+    InputError names row and column of a value that does not fit ``layout`` or the wand.
     """
     rows = read_rows(path)
     first = 1 if rows and any(NAME.fullmatch(cell.strip(BLANKS)) for cell in rows[0]) else 0

@@ -1,9 +1,8 @@
 """Recordings: a FrameSource from disk, and its writer.
 
-``open_recording`` reads, by what a folder holds: ``recording.mcap`` (written by ``RecordingWriter``), a
-folder of numbered images a camera, or a video a camera, each with or without ``frames.csv``. In all of them a
-missing number is a dropped frame, never a shift; what cannot be read is a corrupt frame with a note that
-names it, and the run goes on.
+``open_recording`` reads what a folder holds: ``recording.mcap`` (written by ``RecordingWriter``), or for each camera
+a folder of numbered images or a video, with or without ``frames.csv``. In all of them a missing number is a dropped
+frame and shifts no other. A frame that cannot be read is corrupt, with a note that names it, and the run goes on.
 """
 
 from mosca.recording.image_sequence import NumberedRecording

@@ -1,4 +1,4 @@
-"""A recording's own account of what it should hold: the pulses that were triggered, the frames that were written."""
+"""What a recording should hold by its own account: the pulses that were triggered, the frames that were written."""
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -9,14 +9,14 @@ from mosca.errors import InputError
 from mosca.recording.pulses import RecordedPulse
 
 TOML_NAME = "recording.toml"
-"""Beside a finished recording, for people and programs."""
+"""File beside a finished recording, for people and programs."""
 
 
 def recorded_account(toml: Path, pulses: Iterable[RecordedPulse]) -> dict[str, Any]:
     """Return ``pulses``, the number that were triggered, and ``frames``, camera -> frames that were written.
 
-    Each only where it is known: a capture states its pulses in ``toml``; one that was killed has no such file, and
-    its last pulse in ``/clock`` (``pulses``) counts.
+    Each is returned only where it is known. A capture states its pulses in ``toml``. A capture that was killed has no
+    such file; then its last pulse in ``/clock`` (``pulses``) determines the number.
 
     Raises
     ------

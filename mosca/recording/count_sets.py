@@ -1,4 +1,4 @@
-"""Detections without images: counted as they enter the pipeline."""
+"""Counting of detections without images as they enter the pipeline."""
 
 from collections.abc import Iterable, Iterator, Mapping
 
@@ -10,7 +10,7 @@ from mosca.synchronisation import Assembly
 def counted(
     sets: Iterable[tuple[FrameSet, Mapping[str, Detections]]], cameras: Iterable[CameraInfo], assembly: Assembly
 ) -> Iterator[Seen]:
-    """Pass frame sets on, for ``run_seen``, and count them in ``assembly``; numbers left out are skipped sets."""
+    """Pass frame sets on, for ``run_seen``, and count them in ``assembly``; missing numbers are skipped sets."""
     names = [info.name for info in cameras]
     following = 0
     for frame_set, detections in sets:

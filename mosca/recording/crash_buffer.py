@@ -4,23 +4,23 @@ While the disk or the machine is slow, frames wait in the writer's memory and ar
 /dev/shm is memory of the operating system: its content survives the process, and no disk can delay it. A slot holds a
 frame uncompressed; it is reused as soon as the frame is in the recording.
 
-Its layout, little-endian: 8 bytes ``moscaT2\\0``, u64 size of a slot, u64 number of slots used, 16 random bytes that
-the recording states too, u32 crc32 of these 40 bytes, padded to 4096; then the slots, each ::
+The file's layout, little-endian: 8 bytes ``moscaT2\\0``, u64 size of a slot, u64 number of slots used, 16 random
+bytes that the recording states too, u32 crc32 of these 40 bytes, padded to 4096; then the slots, each ::
 
-    8 bytes ``frame\\0\\0\\0``, written last (while a slot is filled there are zeros)
+    8 bytes ``frame\\0\\0\\0``, written last (zeros while the slot is being filled)
     u32 camera, in the recording's order, u8 status, u8 stamp event, u8 bytes a pixel, u8 1: crc32 covers pixels
     u32 height, u32 width, u32 length of the note, u32 crc32
     i64 arrival at the machine [ns] (-1: not known), i64 index, i64 time [ns], i64 exposure [ns], i64 row time [ns]
     note (UTF-8, 248 bytes at most), pixels from byte 320 of the slot on, row by row
 
-A slot's crc32 is that of the bytes from camera to the end of the note, with 0 in its own place. When the tail is
-moved to the disk, pixels follow the note in it (in memory that would take time from the cameras), slots that are not
-full are left out, and the file begins with ``moscaD2\\0``. Tails of ``mosca\\0t1`` have neither checksums nor random
-bytes.
+A slot's crc32 covers the bytes from camera to the end of the note, with 0 in place of the crc32 itself. When the tail
+is moved to the disk, the crc32 covers the pixels after the note, too (in memory that would take time from the
+cameras). Slots that are not full are left out, and the file begins with ``moscaD2\\0``. Tails of ``mosca\\0t1`` have
+neither checksums nor random bytes.
 
 The writer locks the file (flock); a reader determines from the lock whether the writer is alive. A recording may come
-from anywhere, so what it says of its tail is not trusted: a tail is read only from a regular file of the name that
-``Tail`` gives, directly in /dev/shm, whose 16 bytes are the recording's, and removed only when a copy is on the disk.
+from anywhere, so what it states of its tail is not trusted: a tail is read only from a regular file of the name that
+``Tail`` gives, directly in /dev/shm, whose 16 bytes are the recording's. It is removed only when a copy is on disk.
 """
 
 import hashlib
@@ -51,12 +51,12 @@ from mosca.recording.mcap_format import EVENTS, STATUSES
 
 MEMORY = Path("/dev/shm")
 TAIL_NAME = "recording.tail"
-"""What a tail is called in the recording's folder, once it was found after its writer's death."""
+"""Name of a tail in the recording's folder, once it was found after its writer had been killed."""
 
 LARGEST_TAIL = 1 << 29
-"""Bytes of slots at most [B]: as much as a writer keeps."""
+"""Largest size of all slots [B]: as much as a writer keeps."""
 NO_TOKEN = bytes(16)
-"""What stands in a tail, and is taken for what a recording states, where neither has a token (before version 0.3)."""
+"""Token of a tail, and assumed token of its recording, where neither has one (before version 0.3)."""
 
 _NAME = re.compile(r"mosca-[A-Za-z0-9_]+\.tail")
 _MAGIC, _ON_DISK, _OLDER = b"moscaT2\0", b"moscaD2\0", b"mosca\0t1"
@@ -108,7 +108,7 @@ class Tail:
             raise
 
     def put(self, frame: Frame, host_ns: int | None, slot: int | None = None) -> int | None:
-        """Copy ``frame`` into a slot and return its number; None where all are taken or memory is at its end.
+        """Copy ``frame`` into a slot and return its number; None where all are taken or memory is exhausted.
 
         ``slot``: where ``reserve`` put the frame's image before.
         """
@@ -144,7 +144,7 @@ class Tail:
             begin = _PAGE + slot * self._size
             self._memory[begin : begin + len(_EMPTY)] = _EMPTY
             if image is not None:
-                # copied without letting go of the interpreter, which others would take for milliseconds
+                # copied without releasing the interpreter, which other threads would hold for milliseconds
                 pixels = memoryview(np.ascontiguousarray(image, image.dtype.newbyteorder("<")).data).cast("B")
                 self._memory[begin + _PIXELS_AT : begin + _PIXELS_AT + len(pixels)] = pixels
         return slot
@@ -197,8 +197,8 @@ class Tail:
 def rescued(part: Path, in_memory: Path, token: bytes) -> Path | None:
     """Return where the tail of an unfinished recording can be read; None where there is none, or its writer lives.
 
-    ``part``: the unfinished ``recording.mcap.part``; ``in_memory``, ``token``: what it says of its tail. One in
-    memory, which a reboot would erase, is moved beside ``part`` where possible; a file that is no tail of this
+    ``part``: the unfinished ``recording.mcap.part``; ``in_memory``, ``token``: what it states of its tail. A tail in
+    memory, which a reboot would erase, is moved beside ``part`` where possible. A file that is no tail of this
     recording is left as it is.
     """
     beside = part.parent / TAIL_NAME
@@ -229,18 +229,18 @@ class _Shape(NamedTuple):
 
     magic: bytes
     size: int
-    """Of a slot [bytes]; 0 where the file is no tail."""
+    """Size of a slot [bytes]; 0 where the file is no tail."""
     used: int
     """Number of slots, as many as the file can hold."""
     stated: int
-    """Number of slots that the head tells."""
+    """Number of slots that the head states."""
     token: bytes
 
 
 def _copy(file: BufferedReader, shape: _Shape, path: Path) -> None:
-    """Copy a tail to ``path``, full slots alone and with checksums of their pixels.
+    """Copy the full slots of a tail to ``path``, with checksums of their pixels.
 
-    Raises OSError where it is not on the disk afterwards, or reads differently there.
+    Raises OSError where the copy is not on the disk afterwards, or reads back differently.
     """
     older = shape.magic == _OLDER
     full = [k for k in range(shape.used) if older or _slot(file, shape, k, len(_FULL)) == _FULL]
@@ -259,7 +259,7 @@ def _copy(file: BufferedReader, shape: _Shape, path: Path) -> None:
                 raise OSError(f"{temporary}: reads back otherwise than it was written")
     folder = os.open(path.parent, os.O_RDONLY)
     try:
-        os.fsync(folder)  # its name, too
+        os.fsync(folder)  # so that the file's name is on the disk, too
     finally:
         os.close(folder)
 
@@ -277,9 +277,9 @@ def _head(magic: bytes, size: int, used: int, token: bytes) -> bytes:
 def read_tail(
     path: Path, cameras: Sequence[CameraInfo], note: Callable[[str], None] = lambda text: None
 ) -> list[Kept]:
-    """Return the frames of a tail, in order of time; what is not whole is left out.
+    """Return the frames of a tail, in order of time; slots that are not whole are left out.
 
-    ``note`` is called with what was damaged, in words. Raises InputError where ``path`` is no regular file, or larger
+    ``note`` is called with a text of what was damaged. Raises InputError where ``path`` is no regular file, or larger
     than a tail can be.
     """
     kept: dict[tuple[str, int], Kept] = {}
@@ -370,7 +370,7 @@ def _kept(slot: bytes, cameras: Sequence[CameraInfo], has_sums: bool) -> Kept | 
 
 
 def _left_behind(file: BufferedReader) -> bool:
-    """Return whether the process that wrote the tail ``file`` lives no more; the lock is ours until it is closed."""
+    """Return whether the process that wrote the tail ``file`` has ended; the lock is then ours until it is closed."""
     try:
         import fcntl
 

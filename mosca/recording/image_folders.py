@@ -12,7 +12,7 @@ from mosca.errors import InputError
 def write_image_folders(source: FrameSource, folder: Path, progress: Callable[[int], object] = id) -> int:
     """Write each frame of ``source`` as ``FOLDER/CAMERA/000012.png``, 12 its index; return how many.
 
-    PNG keeps 8 and 16 bit images as they are, but no times: what reads them needs a frame rate. Frames without an
+    PNG keeps 8 and 16 bit images as they are, but no times: their reader needs a frame rate. Frames without an
     image are left out. ``progress`` is called with the number so far. InputError where a file cannot be written.
     """
     written = 0
@@ -22,7 +22,7 @@ def write_image_folders(source: FrameSource, folder: Path, progress: Callable[[i
         if frame.image is None:
             continue
         path = folder / frame.camera / f"{frame.index:06d}.png"
-        # encoded here: cv2.imwrite does not say why it failed
+        # encoded here, since cv2.imwrite does not report why it failed
         _, data = cv2.imencode(".png", frame.image)
         try:
             path.write_bytes(data.tobytes())

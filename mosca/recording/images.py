@@ -1,11 +1,11 @@
-"""One image file to one mono image, or to the reason why not.
+"""Decoding of an image file to a mono image, or to the reason why it cannot be decoded.
 
-Decoders differ in what they do with a file that was cut short: some give the part they got. So whether a
-PNG, TIFF, BMP or JPEG is whole is checked here before OpenCV decodes it; and how much memory it would take, since a
+Decoders differ in what they do with a file that was cut short: some return the part that they got. So two checks
+precede OpenCV's decoding: whether a PNG, TIFF, BMP or JPEG is whole, and how much memory it would take, since a
 header may state any size.
 
-Colour is reduced to mono by one rule: luma of ITU-R BT.601, ``0.299 R + 0.587 G + 0.114 B`` rounded, as
-``cv2.COLOR_BGR2GRAY`` has it; an alpha channel is dropped. Mono images stay as they are, 8 or 16 bit.
+Colour is reduced to mono by one rule: luma of ITU-R BT.601, ``0.299 R + 0.587 G + 0.114 B`` rounded, as by
+``cv2.COLOR_BGR2GRAY``; an alpha channel is dropped. Mono images stay as they are, 8 or 16 bit.
 """
 
 import struct
@@ -21,7 +21,7 @@ IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".bmp", ".jpg", ".jpeg")
 # ImageWidth, ImageLength, BitsPerSample, PhotometricInterpretation, StripOffsets, SamplesPerPixel, StripByteCounts,
 # TileWidth, TileLength, TileOffsets, TileByteCounts
 _TIFF_TAGS = (256, 257, 258, 262, 273, 277, 279, 322, 323, 324, 325)
-# what a damaged file lacks is said in its frame's note; libtiff would print it too
+# the note of its frame states what a damaged file lacks; libtiff would print it too
 cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
 _PNG = b"\x89PNG\r\n\x1a\n"
 
@@ -49,7 +49,7 @@ def decode_image(data: bytes) -> tuple[Array | None, str]:
 
 
 def what_is_missing(data: bytes) -> str:
-    """Return "" for a whole PNG, TIFF, BMP or JPEG file that can be held, else what is wrong with it, in words."""
+    """Return "" for a whole PNG, TIFF, BMP or JPEG file of an allowed size, else a text of what is wrong with it."""
     if not data:
         return "empty file"
     if data.startswith(_PNG):
@@ -112,7 +112,7 @@ def _missing_in_jpeg(data: bytes) -> str:
                 return fault
         if kind == 0xDA:
             return "" if data.rfind(b"\xff\xd9", place) > 0 else f"JPEG cut short at byte {len(data)}"
-        # a filling byte may stand before a marker
+        # a fill byte may precede a marker
         place += 1 if kind == 0xFF else 2 + length
     return "JPEG cut short or damaged in its header"
 

@@ -2,23 +2,23 @@
 
 The file is a plain MCAP file (mcap.dev) with uncompressed chunks; profile ``mosca-recording``.
 
-- Metadata record ``mosca-recording``: ``version`` = "1", ``holds`` = "frames" (where it is missing, too) or
-  "detections"; not always there: ``tail`` = a file in which frames wait to be written, ``tail_token`` = 16 bytes in
-  hexadecimal digits by which it is known (``mosca.recording.crash_buffer``); ``cameras``, how many there are;
-  ``rig_crc32`` of the attachment.
+- Metadata record ``mosca-recording``: ``version`` = "1", ``holds`` = "frames" (assumed where it is missing) or
+  "detections". Optional: ``tail`` = a file in which frames wait to be written, ``tail_token`` = 16 bytes in
+  hexadecimal digits that identify it (``mosca.recording.crash_buffer``); ``cameras``, their number; ``rig_crc32`` of
+  the attachment.
 - Metadata record ``camera/NAME`` for each camera, in the rig's order: ``width``, ``height``,
   ``bit_depth``, ``frame_rate_hz``, ``clock`` (device, host or session), ``stamp_event``.
 - Both hold ``crc32``, eight hexadecimal digits, of the record's name and its other entries in the order of their
   keys, each followed by a zero byte: name, key, value, key, value ... (older recordings have none).
 - Attachment ``rig.toml`` (application/toml), where the rig was known.
-- Channel ``/camera/NAME/frame`` a camera, message encoding ``mosca.frame.v1``; a message a frame, lost and
-  damaged ones too, in order of arrival. ``log_time`` is the frame's stamp [ns] (0 if it is negative),
+- Channel ``/camera/NAME/frame`` for each camera, message encoding ``mosca.frame.v1``; a message for each frame, lost
+  and damaged ones too, in order of arrival. ``log_time`` is the frame's stamp [ns] (0 if it is negative),
   ``publish_time`` the host's time of arrival [ns] where it is known, else the stamp; ``sequence`` the low
   32 bits of the camera's counter.
-- Instead of it, where the recording holds detections: channel ``/camera/NAME/detections`` a camera, message encoding
-  ``mosca.detections.v3``, a message for each usable frame of a frame set; ``log_time``, ``publish_time`` and
-  ``sequence`` are the frame's, as above. Channel ``/sets`` (JSON) ends each frame set, empty ones too: ``pulse`` and
-  ``time_ns``, the set's number and time.
+- Instead of it, where the recording holds detections: channel ``/camera/NAME/detections`` for each camera, message
+  encoding ``mosca.detections.v3``, a message for each usable frame of a frame set; ``log_time``, ``publish_time`` and
+  ``sequence`` are the frame's, as above. A message of channel ``/sets`` (JSON) ends each frame set, empty ones too:
+  ``pulse`` and ``time_ns``, the set's number and time.
 - Channel ``/NAME`` for each further channel (commands, events, onboard streams) on the same clock as the
   frames; message encoding ``json`` (an object a message) or ``application/octet-stream``. A capture's ``/clock`` has
   the pulses and the raw stamps of the frames (``mosca.recording.pulses``, docs/capture.md).
@@ -45,7 +45,7 @@ A ``mosca.detections.v3`` message, little-endian, without padding::
     i64 pulse of the frame set, i64 index, i64 time [ns], i64 exposure [ns], i64 row time [ns] of the frame
     n x 12 f64         x, y [px], covariance xx, xy, yy [px2], diameter [px], peak [DN], elongation, standard
                        deviation of the diameter [px], ellipticity (2) and its standard deviation (v2: 9, without
-                       these three; v1: 8, without the diameter's either)
+                       these three; v1: 8, also without the diameter's)
     n x u8             flags (1 saturated, 2 merged, 4 partly hidden, 8 unrefined)
 """
 
@@ -132,7 +132,7 @@ def pack_frame(frame: Frame, codec: Codec) -> bytes:
 def unpack_frame(camera: str, message: bytes) -> Frame:
     """Return the frame of a message; a corrupt one where the pixels are damaged.
 
-    Raises DamagedMessage where the header is, so that not even the frame's time can be trusted.
+    Raises DamagedMessage where the header is damaged, so that not even the frame's time can be trusted.
     """
     start = _SUMS.size + _HEADER.size
     if len(message) < start:
@@ -178,7 +178,7 @@ def _unpacked(payload: bytes, height: int, width: int, pixel: int) -> np.ndarray
     if pixel not in (1, 2) or height * width * pixel > MOST_IMAGE_BYTES:
         return None
     try:
-        # a chunk of some bytes may hold gigabytes
+        # a chunk of a few bytes may decompress to gigabytes
         if blosc2.get_cbuffer_sizes(payload)[0] != height * width * pixel:
             return None
         pixels = blosc2.decompress2(payload, nthreads=1)

@@ -1,4 +1,4 @@
-"""Reads ``recording.mcap``; one whose writer was killed is read up to the cut, with a note."""
+"""Reader of ``recording.mcap``; a file whose writer was killed is read up to its cut, with a note."""
 
 import math
 import struct
@@ -26,17 +26,17 @@ from mosca.recording.pulses import RecordedPulse, recorded_pulses
 
 LARGEST_RECORD = 1 << 29
 _MAGIC = b"\x89MCAP0\r\n"
-# What the mcap package raises on bytes that are not what they should be.
+# Errors that the mcap package raises on damaged files.
 _DAMAGE = (McapError, ValueError, KeyError, struct.error, OverflowError, RuntimeError, MemoryError)
 
 
 class McapRecording:
     """A FrameSource over ``recording.mcap``.
 
-    Frames come in the order in which they were written. A frame whose pixels are damaged is corrupt; damage beyond
-    one frame loses the frames that it hits (gaps) and is reported in ``notes``, as is a missing end. Frames that were
+    Frames come in the order in which they were written. A frame whose pixels are damaged is corrupt. Damage beyond
+    one frame loses the frames concerned (gaps); it is reported in ``notes``, as is a missing end. Frames that were
     still waiting when the writer was killed come last (``mosca.recording.crash_buffer``). A recording that ``holds``
-    "detections" has no frames: ``detection_sets`` yields their content.
+    "detections" has no frames: ``detection_sets`` yields its content.
     """
 
     def __init__(self, path: Path, only: Sequence[str] | None = None) -> None:
@@ -65,7 +65,7 @@ class McapRecording:
 
     @property
     def n_frames(self) -> int | None:
-        """How many frames the file states that it holds for these cameras; None where its end is missing."""
+        """Number of frames of these cameras, as the file states it; None where its end is missing."""
         topics = {layout.camera_topic(info.name, self.holds) for info in self._cameras}
         with self._opened() as file:
             try:
@@ -79,7 +79,7 @@ class McapRecording:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What is odd about the recording, in words; grows while frames are read."""
+        """Irregularities of the recording, in words; more are added while frames are read."""
         return tuple(self._notes)
 
     def __iter__(self) -> Iterator[Frame]:
@@ -160,7 +160,7 @@ class McapRecording:
                 yield message.log_time, data
 
     def pulses(self) -> tuple[RecordedPulse, ...]:
-        """Return the pulses of a capture by number, with their times and how each frame's was found; none without."""
+        """Return a capture's pulses by number, with times and how each frame's was found; others have none."""
         return recorded_pulses(self.channel("clock"), self._all_cameras[0].frame_rate_hz, str(self.path))
 
     def account(self) -> dict[str, Any]:
@@ -188,7 +188,7 @@ class McapRecording:
         self._notes.setdefault(text)
 
     def _note_missing(self, seen: int) -> None:
-        """Note where the file states another number of its cameras' messages than ``seen``."""
+        """Add a note where the file states another number of its cameras' messages than ``seen``."""
         stated = self.n_frames
         if stated is not None and stated != seen:
             self._note(f"{seen} of the {stated} messages of its cameras that it states are there")
@@ -207,9 +207,9 @@ class McapRecording:
                     yield channel, record
 
     def _records(self) -> Generator[tuple[Any, bool]]:
-        """Yield the records of the file until its end, or until what is left cannot be read.
+        """Yield the records of the file up to its end, or to where the rest cannot be read.
 
-        With each, whether its chunk has its checksum: else only what has a checksum of its own can be believed.
+        Each comes with whether its chunk's checksum holds; if not, only records with their own checksums are trusted.
         """
         if self._closed:
             raise InputError(f"{self.path}: the recording is closed; open it again")
@@ -309,9 +309,9 @@ class McapRecording:
 
 
 def _without_doubles(records: Sequence[Any]) -> list[Any]:
-    """Return the records of a damaged chunk without those that are there twice.
+    """Return the records of a damaged chunk without those that occur twice.
 
-    Checksums of frames do not cover which channel they are from: of two with one number, one is another camera's.
+    Checksums of frames do not cover their channel: of two with one channel and number, one is another camera's.
     """
 
     def key(record: Any) -> tuple[str, int, int]:
@@ -324,7 +324,7 @@ def _without_doubles(records: Sequence[Any]) -> list[Any]:
 
 
 def _tail(part: Path, fields: dict[str, str]) -> Path | None:
-    """Return the file of frames that waited to be written to ``part``; ``fields``: what it says of itself."""
+    """Return the file of frames that waited to be written to ``part``; ``fields``: what ``part`` states of itself."""
     try:
         token = bytes.fromhex(fields.get("tail_token", NO_TOKEN.hex()))
     except ValueError:

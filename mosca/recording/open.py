@@ -1,4 +1,4 @@
-"""Finds out what a folder holds, and which of it belongs to which camera of the rig."""
+"""Opening of recordings: what a folder holds, and which part of it belongs to which camera of the rig."""
 
 import difflib
 from collections.abc import Sequence
@@ -27,8 +27,8 @@ def open_recording(
 
     ``rig``: read its cameras only, in its order and under its names; a camera ``cam1`` reads the entry
     ``cam1``, else the only entry whose name ends with it (``Images_cam1``). Without a rig every folder of
-    numbered images (else every video) is a camera, in order of name; where there is neither, every folder in which
-    one other holds numbered images or which holds one video. ``fps``: frame rate [1/s], needed where there is no
+    numbered images (else every video) is a camera, in order of name; where there is neither, every folder with one
+    video or one subfolder of numbered images is a camera. ``fps``: frame rate [1/s], needed where there is no
     ``frames.csv``; a ``recording.mcap`` carries its own times and needs none. ``times_matter``: False where only
     frames of one number must belong together, as in a calibration; then no rate is needed.
 
@@ -120,14 +120,14 @@ def _cameras(path: Path, rig: Rig | None) -> tuple[dict[str, Path], bool]:
 
 
 def _videos(entries: Sequence[Path]) -> dict[str, Path]:
-    """Return the videos by name without suffix; of one name in several containers the first of VIDEO_SUFFIXES."""
+    """Return the videos by name without suffix; a name in several containers gives the first of VIDEO_SUFFIXES."""
     files = [e for e in entries if e.suffix.lower() in VIDEO_SUFFIXES and e.is_file()]
     files.sort(key=lambda file: -VIDEO_SUFFIXES.index(file.suffix.lower()))
     return dict(sorted((file.stem, file) for file in files))
 
 
 def _span(feeds: Sequence[FolderFeed | VideoFeed], table: TableStamps | None, path: Path) -> tuple[int, int]:
-    """Return the smallest and the largest frame number of all cameras; check them for sense."""
+    """Return the smallest and the largest frame number of all cameras; check that they are plausible."""
     numbers: set[int] = set()
     for feed in feeds:
         there = feed.frame_numbers()

@@ -1,4 +1,4 @@
-"""The pulses of a capture, from ``/clock`` of its recording: when each was sent, how its frames were numbered."""
+"""The pulses of a capture, from ``/clock`` of its recording: when each was sent and how its frames were numbered."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""When each numbered frame was exposed: from ``frames.csv``, or evenly spaced at ``--fps``.
+"""Exposure times of numbered frames: from ``frames.csv``, or evenly spaced at ``--fps``.
 
 ``frames.csv`` has a header and the columns ``frame,camera,time_ns,exposure_ns,status``; the last two may be
 left out. ``frame`` is the number in the file's name (in a video: counted from 0), ``camera`` the name of
@@ -26,7 +26,7 @@ STATUSES = get_args(FrameStatus)
 
 @dataclass(frozen=True, slots=True)
 class Stamp:
-    """What is known of a frame's time: start [ns], length of exposure [ns], status as recorded."""
+    """A frame's exposure: start [ns] and length [ns], and its status as recorded."""
 
     time_ns: int
     exposure_ns: int = 0
@@ -67,7 +67,7 @@ class TableStamps:
     numbers: dict[str, list[int]]
 
     def of(self, camera: str, number: int) -> Stamp:
-        """Return the row's stamp; a frame without a row is dropped, at the time that the row before implies."""
+        """Return the row's stamp; a frame without a row is dropped, its time derived from the row before."""
         rows, numbers = self.rows[camera], self.numbers[camera]
         if number in rows:
             return rows[number]

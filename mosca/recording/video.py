@@ -1,12 +1,12 @@
 """A camera's frames in a video file, read through PyAV (FFmpeg).
 
-The frame's number comes from its presentation time: the usual spacing counts as one frame, so a frame that the
-recorder left out is dropped and shifts nothing. Where the times are too uneven for that (more than a quarter of the
+A frame's number is derived from its presentation time: the usual spacing counts as one frame, so a frame that the
+recorder left out is dropped and shifts no other. Where the times are too uneven for that (more than a quarter of the
 spacing), frames are counted instead, with a note in the recording's notes.
 
-Mono rule: of grey and YUV formats the luma plane *as stored*, without any expansion of its range (so that
-lossless video gives the very values that were written); RGB formats through FFmpeg's conversion to grey
-(BT.601). Deeper than 8 bit gives uint16.
+Mono rule: grey and YUV formats give the luma plane *as stored*, without any expansion of its range (so that
+lossless video gives the very values that were written). RGB formats go through FFmpeg's conversion to grey
+(BT.601). Formats deeper than 8 bit give uint16.
 """
 
 import statistics
@@ -32,7 +32,7 @@ from mosca.recording.stamps import Stamps
 
 VIDEO_SUFFIXES = (".mp4", ".mkv", ".avi", ".mov")
 LARGEST_PX = 1 << 26
-"""Of an image [px]; 8K has half of it. A decoder keeps several images, up to 8 bytes a pixel."""
+"""Largest image [px]; 8K has half of that. A decoder keeps several images, up to 8 bytes a pixel."""
 _OPTIONS = {
     # a file of these names may list other files and addresses, which FFmpeg would open
     "format_whitelist": "matroska,mov,avi",
@@ -45,7 +45,7 @@ _OPTIONS = {
 class VideoFeed:
     """One camera's video file; ``numbers`` maps presentation time -> frame number, counted from 0.
 
-    ``damaged``: presentation times of packets that are not as they were written, though they may be decoded.
+    ``damaged``: presentation times of packets that differ from what was written, though they may be decoded.
     """
 
     info: CameraInfo
@@ -126,7 +126,7 @@ def open_video(path: Path) -> InputContainer:
         container.close()
         raise InputError(f"{path}: holds no video stream")
     context = container.streams.video[0].codec_context
-    # None where its coding is unknown; no size where that is too large
+    # the context is None where the coding is unknown, and has no size where that is too large
     if context is None or not (context.width > 0 and context.height > 0) or context.pix_fmt is None:
         container.close()
         raise InputError(
@@ -162,9 +162,9 @@ def stated_rate_hz(path: Path) -> float | None:
 
 
 def _packets(container: InputContainer, path: Path) -> tuple[list[int], frozenset[int], str]:
-    """Return the presentation times, those of damaged packets, and a note ("" where damage is seen).
+    """Return the presentation times, those of damaged packets, and a note ("" unless FFV1 has no checksums).
 
-    Damage is seen in FFV1 with checksums; behind a damaged packet it decodes wrongly up to the next key frame.
+    Damage is detected in FFV1 with checksums. After a damaged packet it decodes wrongly up to the next key frame.
     """
     stream = container.streams.video[0]
     is_ffv1 = stream.codec_context.name == "ffv1"
@@ -194,7 +194,7 @@ def _packets(container: InputContainer, path: Path) -> tuple[list[int], frozense
 
 
 def _damaged(times: list[int], slices: list[int], keys: list[bool]) -> Iterator[int]:
-    """Yield the times of damaged packets; all have as many slices."""
+    """Yield the times of damaged packets; whole packets all have the same number of slices."""
     wanted, broken = max(slices, default=0), False
     for time, found, is_key in zip(times, slices, keys, strict=False):
         broken = found == 0 or found < wanted or (broken and not is_key)
@@ -203,9 +203,9 @@ def _damaged(times: list[int], slices: list[int], keys: list[bool]) -> Iterator[
 
 
 def _number(times: list[int], path: Path) -> tuple[dict[int, int], str]:
-    """Number presentation times by how many frames lie between two; by counting where that is uneven.
+    """Number presentation times by the spacings between them, or by counting where these are uneven.
 
-    Containers round times to their tick, so steps are compared with the mean of the single steps, and a
+    Containers round times to their tick. So steps are compared with the mean of the single steps, and a
     tick is allowed on top of the quarter.
     """
     if not times:

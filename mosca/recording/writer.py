@@ -1,7 +1,7 @@
-"""Writes a recording: ``recording.mcap`` (see ``mosca.recording.mcap_format``) beside ``recording.toml``.
+"""Writer of a recording: ``recording.mcap`` (see ``mosca.recording.mcap_format``) beside ``recording.toml``.
 
-While it is written the file is called ``recording.mcap.part``, and ``recording.toml`` comes last, so that a folder
-whose writer was killed is never taken for a complete recording; its content can still be read.
+During writing the file is called ``recording.mcap.part``, and ``recording.toml`` is written last. So a folder whose
+writer was killed is never taken for a complete recording; its content can still be read.
 """
 
 import json
@@ -27,7 +27,7 @@ from mosca.recording.crash_buffer import TAIL_NAME, Tail
 MCAP_NAME = "recording.mcap"
 PART_NAME = "recording.mcap.part"
 CHUNK_BYTES = 1 << 20
-"""A killed writer loses at most the chunk that it was filling, or what came since the last ``flush``."""
+"""Size of a chunk [B]: a killed writer loses at most the one it was filling, or data since the last ``flush``."""
 
 _FOR_PEOPLE = """\
 # A recording of cameras. The frames are in recording.mcap, a plain MCAP file (mcap.dev): a channel
@@ -55,8 +55,8 @@ class RecordingWriter:
     ``path``: the folder, made if need be; InputError where it holds a recording already. ``cameras``: the cameras'
     properties. ``rig_toml_text``: the rig file, kept inside. ``codec``: "lz4" (fast) or "zstd" (smaller); both
     lossless. ``holds``: "frames", or "detections" without images. ``about``: tables for ``recording.toml``, to be
-    filled before ``close``. ``tail_bytes``: of memory that outlives this process, where the system has such, for
-    frames that wait (``keep``); 0 for none. When the body raises, or the disk is full (InputError), what was written
+    filled before ``close``. ``tail_bytes``: size of memory for waiting frames (``keep``) that outlives this process,
+    where the system has such; 0 for none. When the body raises, or the disk is full (InputError), what was written
     stays readable as an unfinished recording. Not to be shared by threads, except ``pack``.
     """
 
@@ -128,7 +128,7 @@ class RecordingWriter:
     def write(self, frame: Frame, host_time_ns: int | None = None, message: bytes | None = None) -> None:
         """Append ``frame``; ``host_time_ns`` is when it reached this machine, where that is known.
 
-        ``message``: what ``pack`` made of it, where that was done before. Raises ValueError as ``pack`` does, and
+        ``message``: the result of ``pack``, where that was called before. Raises ValueError as ``pack`` does, and
         where the recording holds detections.
         """
         if self.holds != "frames":
@@ -171,21 +171,21 @@ class RecordingWriter:
     def reserve(self, image: Array) -> int | None:
         """Copy an image whose frame is not known yet into memory that outlives this process; return its slot.
 
-        None where there is none, or no free slot. ``reserve``, ``keep`` and ``forget`` may be called by any thread.
+        None without such memory or a free slot. ``reserve``, ``keep`` and ``forget`` may be called by any thread.
         """
         return None if self._tail is None else self._tail.reserve(image)
 
     def keep(self, frame: Frame, host_time_ns: int | None = None, slot: int | None = None) -> int | None:
-        """Copy a frame that waits to be written there; return its slot or None. ``slot``: where its image is."""
+        """Copy a frame that waits to be written into that memory; return its slot or None. ``slot``: of its image."""
         return None if self._tail is None else self._tail.put(frame, host_time_ns, slot)
 
     def forget(self, slot: int) -> None:
-        """Give a slot free: its frame was written and flushed."""
+        """Free a slot whose frame was written and flushed."""
         if self._tail is not None:
             self._tail.free(slot)
 
     def flush(self) -> None:
-        """Flush to the operating system: what was written so far survives this process."""
+        """Flush to the operating system, so that what was written so far survives this process."""
         with self._disk():
             self._mcap.flush()
 
@@ -210,7 +210,7 @@ class RecordingWriter:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *exc: object) -> None:
-        """Finish the recording; when the body raised, leave it marked as unfinished, or nothing where it is empty."""
+        """Finish the recording; if the body raised, leave it marked as unfinished, or remove it where it is empty."""
         if kind is None:
             self.close()
         elif not self._file.closed and self._times_ns is None and not self._other_counts:
@@ -232,7 +232,7 @@ class RecordingWriter:
 
     @contextmanager
     def _disk(self) -> Iterator[None]:
-        """Convert an error of the disk into a one-line InputError, and leave the file readable up to it."""
+        """Convert an error of the disk into a one-line InputError, and leave the file readable up to there."""
         try:
             yield
         except OSError as error:

@@ -3,7 +3,7 @@
 An LSL stream has a fixed list of channels of one number each. Labels and units follow the conventions for motion
 capture in XDF (https://github.com/sccn/xdf/wiki/MoCap-Meta-Data): positions in metres, quaternions A B C D with A the
 real part, Confidence from 0 to 1; each channel names its marker or object. Each stream ends with the frame's number.
-What is not known in a frame is NaN, with confidence 0.
+Values that are not known in a frame are NaN, with confidence 0.
 """
 
 from abc import ABC, abstractmethod
@@ -43,7 +43,7 @@ class LslChannel(NamedTuple):
 
 
 class LslContent(ABC):
-    """One stream: ``kind``, which ends its name, its ``channels``, and each frame's sample of them."""
+    """One stream: its ``kind`` (the end of its name), its ``channels``, and each frame's sample of them."""
 
     kind: str
     channels: tuple[LslChannel, ...]
@@ -120,7 +120,7 @@ class LslBodies(LslContent):
         values = _unknown(len(self._row_of), 8, 7)
         for one in poses[(poses["params"] & TRACKED) != 0]:
             x, y, z, w = one["quaternion"]
-            # of a bone the high half is the skeleton's number
+            # the high half of a bone's number is the skeleton's
             values[self._row_of[int(one["id"]) & 0xFFFF]] = (*one["position"], w, x, y, z, 1.0)
         return np.append(values.ravel(), frame.number)
 
@@ -139,7 +139,7 @@ class LslAngles(LslContent):
 
 
 def contents(model: StreamModel, names: StreamNames, places: int) -> tuple[LslContent, ...]:
-    """Return the streams of what there is: markers, bodies, segments, angles.
+    """Return a stream for each kind of content that exists: markers, bodies, segments, angles.
 
     ``places``: for markers without a label.
     """

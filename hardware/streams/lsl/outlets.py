@@ -1,11 +1,11 @@
 """Outlets of the Lab Streaming Layer, one for each kind of content, and their stamps in its clock.
 
 liblsl sends from threads of its own: each inlet has a queue of ``buffered_s`` whose oldest samples make room for new
-ones, so that no inlet is waited for. It shows whether an outlet has inlets, not which, nor what they lost; each
+ones, so that no inlet is waited for. It shows whether an outlet has inlets, but not which, nor what they lost; each
 sample has the frame's number for that.
 
-Stamps are the middle of the exposure in LSL's clock, ``lsl_local_clock``: C++'s steady clock, as Python's monotonic
-clock is. Their difference is measured when the outlets start; inlets find the difference between computers
+Stamps are the middle of the exposure in LSL's clock, ``lsl_local_clock``, which is C++'s steady clock, as is Python's
+monotonic clock. Their difference is measured when the outlets start; inlets find the difference between computers
 (``time_correction``), and LabRecorder writes it into the file.
 """
 
@@ -22,7 +22,7 @@ from mosca.errors import InputError
 
 PLACES = 32
 READINGS = 200
-"""Of both clocks, of which the closest pair counts."""
+"""Number of readings of both clocks; the closest pair is used."""
 
 
 @dataclass(frozen=True)
@@ -34,12 +34,12 @@ class LslSettings:
     rate_hz: float = 100.0
     up: str = "z"
     places: int | None = None
-    """For markers without a label; None: ``PLACES`` in a stream without labels, else 0."""
+    """Places for markers without a label; None: ``PLACES`` in a stream without labels, else 0."""
     buffered_s: int = 60
     source: str = field(default_factory=socket.gethostname)
     """Part of the streams' source ids, by which inlets find them again after a restart."""
     version: str = ""
-    """Of the program, for the metadata."""
+    """Version of the program, for the metadata."""
 
 
 def pylsl() -> Any:
@@ -76,7 +76,7 @@ class LslServer(StreamServer):
         return f"LSL {names}: metres, {self.settings.up} up; outlets are open on all interfaces"
 
     def connected(self) -> int:
-        """Return 1 where an outlet has an inlet; how many there are LSL does not show."""
+        """Return 1 where an outlet has an inlet; LSL does not show how many there are."""
         return int(any(outlet.have_consumers() for outlet in tuple(self._outlets)))
 
     def deliver(self, outgoing: Outgoing) -> None:

@@ -25,15 +25,15 @@ REQUEST_FRAME, FRAME, TEXT, DISCONNECT, KEEP_ALIVE = range(6, 11)
 ECHO, ECHO_ANSWER, DISCOVER, UNRECOGNISED = 12, 13, 14, 100
 HEADER = struct.Struct("<HH")
 MOST_BYTES = 65507
-"""Of a UDP datagram over IPv4."""
+"""Largest payload of a UDP datagram over IPv4."""
 TICKS_PER_S = 10_000_000
-"""Of the high-resolution clock that stamps frames; NS_PER_TICK follows."""
+"""Rate of the high-resolution clock that stamps frames; NS_PER_TICK follows."""
 NS_PER_TICK = 1_000_000_000 // TICKS_PER_S
 NAME_BYTES = 256
 _SUFFIX = struct.Struct("<IIdQQQ")
 _STAMPS = struct.Struct("<QQQ")
 _END, _SIZED_END = 6, 14
-"""Bytes behind the stamps: flags and tag, before them the precision stamp."""
+"""Bytes behind the stamps: flags and tag, preceded by the precision stamp from 4.1 on."""
 _INFO = struct.Struct(f"<{NAME_BYTES}s4B4BQH?4s")
 _SENDER = struct.Struct(f"<{NAME_BYTES}s4B4B")
 
@@ -61,7 +61,7 @@ class ClientCommand(NamedTuple):
 def taken_apart(datagram: bytes) -> ClientCommand | None:
     """Return the message in a datagram, None for one that is shorter than it states.
 
-    Clients state no size for commands that end in a zero byte, so more than is stated is no fault.
+    Clients state no size for commands that end in a zero byte, so a datagram longer than stated is no fault.
     """
     if len(datagram) < HEADER.size:
         return None
@@ -86,7 +86,7 @@ def server_info(name: str, server: Sequence[int], version: Version, data_port: i
 
 
 def unrecognised(name: str, server: Sequence[int], version: Version) -> bytes:
-    """Return the answer to a request that the server does not know: Motive's has a sender's record as its payload."""
+    """Return the answer to an unknown request; as in Motive's, its payload is a sender's record."""
     return message(UNRECOGNISED, _SENDER.pack(_name(name), *server, *version, 0, 0))
 
 

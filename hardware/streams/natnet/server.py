@@ -6,7 +6,7 @@ Unicast: frames go to the address from which a client sent CONNECT, until it dis
 
 Each client has a socket of its own, connected to it and bound to the command port: a client behind a slow line fills
 its own send buffer alone, and a frame that does not fit is dropped and counted. Multicast: frames go to the group;
-what becomes of them there no sender can know.
+a sender cannot find out what becomes of them there.
 """
 
 import selectors
@@ -32,10 +32,10 @@ GONE = "gone"
 
 
 class NatNetServer(StreamServer):
-    """Serves ``model`` and what ``send`` is given until ``close``; a context.
+    """Serves ``model`` and the frames given to ``send`` until ``close``; a context manager.
 
     ``counts``: commands by kind, ``garbage`` among them.
-    Raises InputError where the address or a port cannot be had, or the model does not fit in a datagram.
+    Raises InputError where the address or a port is not available, or the model does not fit in a datagram.
     """
 
     def __init__(self, model: StreamModel, settings: NatNetSettings | None = None) -> None:
@@ -99,7 +99,7 @@ class NatNetServer(StreamServer):
             there = [one for one in tuple(self._clients.values()) if one.begins_s <= now]
             versions = [one.account.version for one in there]  # a client may change it meanwhile
             made = {version: _message(outgoing, version) for version in set(versions)}
-            # one right after the other: who is woken first may take the processor from the next
+            # sent without a pause in between: a client that is woken first may take the processor from the next
             outcomes = [sent_whole(one.socket, made[own]) for one, own in zip(there, versions, strict=True)]
             for client, outcome in zip(there, outcomes, strict=True):
                 client.account.count(outcome)
@@ -158,7 +158,7 @@ class NatNetServer(StreamServer):
         return f"NatNet {version} at {where.address}: commands at port {self.command_port}, {to}; metres, {up} up"
 
     def lines(self) -> list[str]:
-        """Return what became of each client's frames, and the commands that came."""
+        """Return lines on what became of each client's frames, and on the commands that came."""
         lines = []
         for one in self.clients():
             if one.sent or one.dropped or one.to != one.address or self.settings.group is None:
@@ -309,7 +309,7 @@ class NatNetServer(StreamServer):
             client.socket.close()
 
     def _refused(self, client: "_Client") -> None:
-        """Turn to the data port of a client whose port is closed; let it go where that was closed."""
+        """Switch to the data port of a client whose port is closed; drop the client where that is closed, too."""
         account = client.account
         there = account.address[0], self._ports[1]
         with self._guard:

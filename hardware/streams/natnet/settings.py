@@ -21,17 +21,17 @@ class NatNetSettings:
     """Multicast group that frames go to; None: unicast to each client."""
     version: Version = (3, 1)
     name: str = "mosca"
-    """Name of the application that clients are told."""
+    """Name of the application, as sent to clients."""
     server_version: tuple[int, int, int, int] = (0, 0, 0, 0)
     rate_hz: float = 100.0
-    """What a client is told that asks for the frame rate."""
+    """Answer to a client that asks for the frame rate."""
     up_axis: int = 2
-    """Of the axes x, y, z the one that points up; what a client is told that asks for it."""
+    """Index of the axis x, y or z that points up; answer to a client that asks for it."""
     forget_s: float = 10.0
-    """A unicast client that sends nothing for so long is let go, unless frames go to the data port."""
+    """A unicast client that sends nothing for so long is dropped, unless frames go to the data port."""
     settle_s: float = 0.25
-    """Frames begin so long after CONNECT, or with the client's next command: some take the first message that
-    comes after their request of the model for its answer."""
+    """Time from CONNECT to the first frame, unless the client's next command comes earlier: some clients take the
+    first message after their request for the model as its answer."""
     most_clients: int = 64
 
     def __post_init__(self) -> None:
@@ -68,9 +68,9 @@ class ClientAccount:
 
 
 def sent_whole(sock: socket.socket, data: bytes, to: Address | None = None) -> bool | None:
-    """Send without waiting; return whether it was taken, None where nobody is there any more.
+    """Send without waiting; return whether the message was taken, None where nobody is there any more.
 
-    A full buffer, a cable that is out: this message is lost, the next may not be.
+    With a full buffer or a pulled cable this message is lost, but the next may not be.
     """
     try:
         return (sock.send(data) if to is None else sock.sendto(data, to)) == len(data)
@@ -81,7 +81,7 @@ def sent_whole(sock: socket.socket, data: bytes, to: Address | None = None) -> b
 
 
 def bound(address: str, port: int, exclusive: bool) -> socket.socket:
-    """Return a socket that waits for nothing, bound; others of this server may join it, another server may not."""
+    """Return a bound non-blocking socket; others of this server may share its port, another server may not."""
     made = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     try:
         made.setblocking(False)

@@ -1,7 +1,7 @@
-"""How every reader opens a file that it did not write: a regular file, of a size that it can hold.
+"""Opening of files that a reader did not write: regular files only, of a size that it can hold.
 
-What is refused raises ``OSError`` with a text that says what to do, so that a reader reports it as any file that
-cannot be read. ``tests/reader_law.py`` lists the few other places that open or parse what they did not write.
+A refused file raises ``OSError`` with a text that states the remedy; readers report it like any unreadable file.
+``tests/reader_law.py`` lists the few other places that open or parse files that they did not write.
 """
 
 import errno
@@ -16,13 +16,13 @@ from typing import Any
 from mosca.errors import InputError
 
 MOST_TEXT_BYTES = 1 << 23
-"""Of a text file that is parsed as a whole [B]: a parsed one takes some twenty times its size in memory."""
+"""Largest text file that is parsed as a whole [B]: parsed, it takes some twenty times its size in memory."""
 MOST_TABLE_BYTES = 1 << 27
-"""Of a text file of rows of numbers [B]: parsed, it takes 14 to 27 times its size in memory, cells being objects."""
+"""Largest text file of rows of numbers [B]: parsed, it takes 14 to 27 times its size, since cells are objects."""
 MOST_IMAGE_BYTES = 3 << 27
-"""Of an image, as a file and decoded [B]: the largest sensors have 151 million pixels of 16 bit, 302 MB."""
+"""Largest image, as a file and decoded [B]: the largest sensors have 151 million pixels of 16 bit, 302 MB."""
 MOST_DEPTH = 64
-"""Of tables and lists inside each other; no file of this project needs more than ten."""
+"""Deepest nesting of tables and lists; no file of this project needs more than ten."""
 
 _KINDS = (
     (stat.S_ISFIFO, "a named pipe"),
@@ -36,7 +36,7 @@ _TOKENS = re.compile(r'"(?:[^"\\]|\\.)*"|[\[\]{}]', re.DOTALL)
 def open_file(path: str | Path, most_bytes: int | None = None, *, links: bool = True) -> BufferedReader:
     """Open a regular file for reading, without waiting for anything.
 
-    ``most_bytes``: OSError where it is larger; None for files that are read piece by piece. ``links``: whether
+    ``most_bytes``: OSError where the file is larger; None for files read piece by piece. ``links``: whether
     ``path`` itself may be a symbolic link. Raises IsADirectoryError for a folder, OSError for other special files.
     """
     # a pipe without a writer would block open() for ever
@@ -61,15 +61,15 @@ def open_file(path: str | Path, most_bytes: int | None = None, *, links: bool = 
 
 
 def read_bytes(path: str | Path, most_bytes: int = MOST_TEXT_BYTES) -> bytes:
-    """Return what a regular file holds; OSError as ``open_file``."""
+    """Return the content of a regular file; raises OSError as ``open_file`` does."""
     with open_file(path, most_bytes) as file:
-        return file.read(os.fstat(file.fileno()).st_size)  # a file that grows is read as it was
+        return file.read(os.fstat(file.fileno()).st_size)  # of a growing file, what it holds now
 
 
 def read_text(path: str | Path, what: str, encoding: str = "utf-8", most_bytes: int = MOST_TEXT_BYTES) -> str:
-    """Return the text of a regular file, its line ends as \\n; InputError in one line where it has none.
+    """Return the text of a regular file with line ends \\n; one-line InputError where it cannot be read as text.
 
-    ``what`` is wanted, e.g. "a BVH file".
+    ``what``: the kind of file that is wanted, e.g. "a BVH file".
     """
     try:
         with TextIOWrapper(open_file(path, most_bytes), encoding=encoding) as file:
@@ -86,7 +86,7 @@ def read_text(path: str | Path, what: str, encoding: str = "utf-8", most_bytes: 
 
 
 def parse_json(text: str | bytes) -> Any:
-    """Return what a JSON text holds; ValueError where it is none, too deep, or has a number of too many digits."""
+    """Return the value of a JSON text; ValueError where it is not JSON, too deep, or a number has too many digits."""
     if isinstance(text, bytes):
         text = text.decode("utf-8")
     check_brackets(text)
@@ -94,9 +94,9 @@ def parse_json(text: str | bytes) -> Any:
 
 
 def check_brackets(text: str) -> None:
-    """Raise ValueError where brackets and braces of JSON or YAML stand deeper than ``MOST_DEPTH`` inside each other.
+    """Raise ValueError where brackets and braces of JSON or YAML are nested deeper than ``MOST_DEPTH``.
 
-    Asked before a parser that calls itself for each: its stack would overflow. Strings are passed over.
+    To be called before a recursive parser, whose stack would overflow. Brackets in strings are not counted.
     """
     depth = 0
     for token in _TOKENS.finditer(text):

@@ -26,9 +26,9 @@ from mosca.errors import InputError
 Vector = tuple[float, float, float]
 Matrix = tuple[Vector, Vector, Vector]
 LARGEST_TRANSLATION_M = 1000.0
-"""Cameras farther from the origin are in other units than metres."""
+"""A camera farther from the origin is taken to be in another unit than metres."""
 LARGEST_ROTATION = 100.0
-"""Largest element of a rotation; one of many turns is damage or another unit."""
+"""Largest element of a rotation; many turns mean damage or another unit."""
 LARGEST_TILT_RAD = 1.5
 """Largest tilt of a sensor: the tilt's projection ends at 90 deg."""
 

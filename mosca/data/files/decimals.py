@@ -1,17 +1,17 @@
 """Numbers in text files, as every program writes and reads them.
 
-Python's ``float`` and ``int`` take more: ``1_5`` is 15 to them, so that one damaged byte of ``1.5`` would be another
-number, and so are digits of other scripts. Here both are errors.
+Python's ``float`` and ``int`` accept more: they read ``1_5`` as 15, so that one damaged byte of ``1.5`` would make
+another number, and they read digits of other scripts. Here both are errors.
 """
 
 from collections.abc import Iterable
 
 BLANKS = " \t"
-"""What may stand around a cell. Python's ``strip`` takes more, so that a damaged cell would be an empty one."""
+"""Characters allowed around a cell. Python's ``strip`` removes more, so that a damaged cell could become empty."""
 
 
 def real(text: str) -> float:
-    """Return a decimal number, or the one that ``nan`` and ``inf`` mean; ValueError for anything else."""
+    """Return the value of a decimal number, ``nan`` or ``inf``; ValueError for anything else."""
     return float(_plain(text))
 
 

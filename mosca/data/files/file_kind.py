@@ -1,4 +1,4 @@
-"""Which of the project's files a TOML document is, by its keys: a file given in another one's place is told so."""
+"""Kind of a TOML document of the project, by its keys: an error can name a file given in another one's place."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -32,11 +32,11 @@ KINDS = {
     "lab": ("a lab file", "a lab file goes to mosca run --lab and has [[camera]], [[estimate]] and [[not_told]]"),
     "settings": ("a settings file", "a settings file goes to --settings and has [detection], [match] or [track]"),
 }
-"""What a file is, and where it goes and how it is known."""
+"""Kind -> what the file is, and a text that states where it goes and by what it is recognised."""
 
 
 def file_kind(document: Mapping[str, Any]) -> str:
-    """Return the kind of file that ``document`` is, a key of KINDS; "" where its keys do not tell."""
+    """Return the kind of file that ``document`` is, a key of KINDS; "" where its keys fit none."""
     keys, kind = set(document), document.get("kind")
     if keys & {"scene", "working_space"}:
         return "scenario"
@@ -67,7 +67,7 @@ def _has_rig_cameras(document: Mapping[str, Any]) -> bool:
 
 
 def other_kind(document: Mapping[str, Any], wanted: str) -> str:
-    """Return in words that ``document`` is another kind of file than ``wanted``; "" where it is not, or not known."""
+    """Return a text that ``document`` is another kind of file than ``wanted``; "" where it is not, or is unknown."""
     found = file_kind(document)
     if not wanted or found in ("", wanted):
         return ""

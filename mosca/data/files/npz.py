@@ -1,7 +1,7 @@
-"""Arrays to and from .npz files: with a checksum, or an error in one line.
+"""Arrays written to and read from .npz files, with a checksum; errors are one line.
 
-The checksums of a zip file do not cover which array is which, nor what is behind the last byte that is read. So an
-array ``sha256`` stands beside the others: the digest of names, types, shapes and values. Files without it are read.
+The checksums of a zip file cover neither the arrays' names nor bytes behind the last one that is read. So a further
+array ``sha256`` holds the digest of names, types, shapes and values. Files without it are read, too.
 """
 
 import hashlib
@@ -21,9 +21,9 @@ from mosca.errors import InputError
 
 Made = TypeVar("Made")
 SMALL_BYTES = 1 << 28
-"""Arrays up to this size are read however well they are compressed [B]."""
+"""Arrays up to this size are read at any compression ratio [B]."""
 MOST_RATIO = 100
-"""Of the arrays' size to the archive's, above that; deflate reaches 1000 where all bytes are the same."""
+"""Largest ratio of the size of larger arrays to the archive's; deflate reaches 1000 where all bytes are the same."""
 _HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
 DIGEST = "sha256"
 _ENCRYPTED = 1
@@ -47,17 +47,17 @@ def array_digest(arrays: Mapping[str, Array]) -> Array:
 
 
 def _checked(arrays: Mapping[str, Array]) -> Mapping[str, Array]:
-    """Return the arrays; ValueError where they have a checksum and it is not theirs."""
+    """Return the arrays; ValueError where they have a checksum that does not match."""
     if DIGEST not in arrays:
         return arrays
-    loaded = dict(arrays)  # once: what numpy opened reads the file at every access
+    loaded = dict(arrays)  # loaded once: numpy's mapping reads the file at every access
     if not np.array_equal(loaded.pop(DIGEST), array_digest(loaded)):
         raise ValueError(f"damaged: its arrays are not those of its checksum ({DIGEST})")
     return loaded
 
 
 def whole_numbers(arrays: Mapping[str, Array], *names: str) -> None:
-    """Raise ValueError where an array that counts holds other numbers, which would be cut off."""
+    """Raise ValueError where a named array is not of an integer type, since its numbers would be cut off."""
     for name in names:
         values = np.asarray(arrays[name])
         if values.size and values.dtype.kind not in "iu":
@@ -65,13 +65,13 @@ def whole_numbers(arrays: Mapping[str, Array], *names: str) -> None:
 
 
 def from_npz(path: Path, make: Callable[[Mapping[str, Array]], Made], what: str, wrote: str) -> Made:
-    """Return what ``make`` makes of the arrays in a file, by their names.
+    """Return what ``make`` builds from a file's arrays, a mapping by their names.
 
     Raises InputError for a missing or damaged file, and where ``make`` finds a name missing (KeyError) or arrays that
-    do not fit (ValueError, TypeError). ``what`` is expected, e.g. "tracks"; ``wrote``: what writes such files.
+    do not fit (ValueError, TypeError). ``what``: the expected content, e.g. "tracks"; ``wrote``: its usual writer.
     """
     try:
-        # a file of our own: numpy leaves it open where it is no archive
+        # opened here, since numpy leaves a file open that is no archive
         with open_file(path) as file:
             _check_sizes(file)
             arrays = np.load(file, allow_pickle=False)
@@ -90,7 +90,7 @@ def from_npz(path: Path, make: Callable[[Mapping[str, Array]], Made], what: str,
 
 
 def _check_sizes(file: BufferedReader) -> None:
-    """Raise ValueError where arrays would take more memory than their archive can hold in earnest."""
+    """Raise ValueError where arrays would take more memory than an archive of this size plausibly holds."""
     if not zipfile.is_zipfile(file):
         file.seek(0)
         single = file.read(len(np.lib.format.MAGIC_PREFIX)) == np.lib.format.MAGIC_PREFIX

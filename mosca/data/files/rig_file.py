@@ -5,7 +5,7 @@
     [[camera]]
     name = "left"
     size = [1280, 1024]                            # width, height [px]
-    residual_px = 0.02                             # optional: what the lens model leaves of the images, rms an axis
+    residual_px = 0.02                             # optional: systematic errors left by the lens model, rms an axis
     shake_px = 0.03                                # optional: shift of whole images, anew in each exposure
     [camera.lens]
     model = "opencv"                               # or "mosca", "fisheye": see mosca.data.rig
@@ -48,14 +48,14 @@ from mosca.data.rotations import quaternion_from_rotation, rotation_from_quatern
 from mosca.errors import InputError
 
 LARGEST_POSITION_M = 1000.0
-"""A camera farther from the world's origin than this was measured in millimetres."""
+"""A camera farther from the world's origin than this is taken to be in millimetres."""
 
 Tilt = Annotated[float, Field(ge=-1.5, le=1.5, description="tilt of the sensor [rad], below 90 deg")]
 LIMITS = {
     **dict.fromkeys(("c_mm", "mx_mm_per_px", "my_mm_per_px", "fx_px", "fy_px"), Positive),
     **dict.fromkeys(("tauX", "tauY"), Tilt),
 }
-"""Of the lenses' fields that have any."""
+"""Limits of those lens fields that have any."""
 LENS_KEYS = {
     "c_mm": "principal distance [mm]",
     "xp_px": "principal point, x [px]",
@@ -187,8 +187,8 @@ def read_rig_file(path: Path) -> RigFile:
 def read_rig(path: Path, unit_m: float = 1.0) -> Rig:
     """Return the calibrated cameras of a rig file, or of an aniposelib/Caliscope/Pose2Sim calibration TOML.
 
-    ``unit_m``: what one unit of another program's translations is in metres. The content determines which of the two
-    it is. Raises InputError naming file, key, value and what is allowed; also for a camera without lens or pose, a
+    ``unit_m``: unit of another program's translations [m]. Which of the two kinds a file is, is determined from its
+    content. Raises InputError naming file, key, value and what is allowed; also for a camera without lens or pose, a
     position in millimetres, or a principal point more than half an image outside the image.
     """
     path = Path(path)

@@ -1,4 +1,4 @@
-"""The target file of a calibration: what was put before the cameras, and where its measured points are.
+"""The target file of a calibration: the object before the cameras, and the files of its measured points.
 
 kind = "points"                      # known points, measured in the images by any means
 unit = "mm"
@@ -11,8 +11,8 @@ size_px = [1280, 1024]
 name = "left"
 file = "Calibration/left_points.txt"   # relative to the recording
 
-What is put there is described by the kinds "field", "board", "wand", "light", "l_frame" and "scale_bar" of
-``mosca.data.files.target_tables``.
+Objects that the cameras see are described by the kinds "field", "board", "wand", "light", "l_frame" and "scale_bar"
+of ``mosca.data.files.target_tables``.
 """
 
 import re
@@ -97,7 +97,7 @@ class PointsTarget(Table):
 
 @dataclass(frozen=True, eq=False)
 class MeasuredPoints:
-    """Pixels ``xy_px`` (n, 2), centre of the top-left pixel (0, 0), of world points ``xyz`` (n, 3) [m]."""
+    """World points ``xyz`` (n, 3) [m] at pixels ``xy_px`` (n, 2); the top-left pixel's centre is (0, 0)."""
 
     xy_px: Array
     xyz: Array
@@ -145,7 +145,7 @@ def target_schema() -> dict[str, Any]:
 def read_measured_points(path: Path, target: PointsTarget) -> MeasuredPoints:
     """Read a text file of measured points as ``target`` describes it.
 
-    Numbers are parted by blanks, commas, semicolons or tabs; empty lines and what follows a # are skipped.
+    Numbers are separated by blanks, commas, semicolons or tabs; empty lines and text after a # are skipped.
     InputError names the file and the line.
     """
     text = read_text(path, "the 'file' of a target, relative to the recording,")

@@ -21,11 +21,11 @@
     kind = "wand"
     along_m = [0.0, 0.15, 0.5]            # the balls' centres on it
     diameter_m = 0.014
-    [points]                              # of a table of image points (EasyWand, DLTdv, Argus) in place of images
+    [points]                              # for a table of image points (EasyWand, DLTdv, Argus) instead of images
     y_axis = "up"                         # its origin is at the images' lower left
     size_px = [1280, 1024]
 
-    kind = "light"                        # one light that was waved, as MultiCamSelfCal's points.dat has it
+    kind = "light"                        # one light that was waved, as for MultiCamSelfCal's points.dat
     between = ["left", "right"]           # cameras whose centres are apart_m apart; without them: no scale
     apart_m = 2.31
 
@@ -65,11 +65,11 @@ from mosca.data.targets import (
 from mosca.data.wands import LFrame, SingleLight, Wand
 
 FARTHEST_M = 1000.0
-"""A position farther from the origin than this was given in millimetres."""
+"""A position farther from the origin than this is taken to be in millimetres."""
 
 Length = Annotated[float, Field(gt=0, le=FARTHEST_M)]
 Sigma = Annotated[float, Field(ge=0, le=1.0, description="standard deviation [m]")]
-"""A stated standard deviation [m]; above 1 m it is another unit."""
+"""A stated standard deviation [m]; above 1 m it is taken to be in another unit."""
 Coordinate = Annotated[float, Field(ge=-FARTHEST_M, le=FARTHEST_M)]
 Place = tuple[Coordinate, Coordinate, Coordinate]
 Number = Annotated[int, Field(ge=0, lt=NUMBERS)]
@@ -78,7 +78,7 @@ Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_./-]*$", descripti
 Size = tuple[Annotated[int, Field(gt=0)], Annotated[int, Field(gt=0)]]
 PixelOrigin = Literal["centre", "corner", "one"]
 PIXEL_ORIGINS = {"centre": 0.0, "corner": 0.5, "one": 1.0}
-"""A first pixel's centre in a file's own pixel coordinates."""
+"""Coordinates of the first pixel's centre under each convention that a file may state."""
 MOST_CAMERAS = 1000
 
 CalibrationTarget = TestField | Board | Wand | SingleLight | LFrame | ScaleBar

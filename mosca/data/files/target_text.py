@@ -1,4 +1,4 @@
-"""Target files as text: what ``mosca.data.files.target_file`` reads, from the objects that it returns."""
+"""Text of target files, from the objects that ``mosca.data.files.target_file`` returns when it reads them."""
 
 from collections.abc import Callable
 from dataclasses import asdict
@@ -18,7 +18,7 @@ SIZES = ("dot_radius_m", "ring_inner_m", "ring_outer_m", "plate_m")
 def target_toml(target: CalibrationTarget) -> str:
     """Return the target file of ``target``, every number at full precision.
 
-    Raises ValueError for a field whose coded targets, or whose plain discs, are not all of one size: a file has one.
+    Raises ValueError for a field whose coded targets, or plain discs, differ in size: a file states one size of each.
     """
     document = next(made(target) for kind, made in _MADE.items() if isinstance(target, kind))
     return tomli_w.dumps({key: value for key, value in document.items() if value is not None})

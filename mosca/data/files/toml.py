@@ -21,7 +21,7 @@ Vector = tuple[float, float, float]
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
 SETTINGS = ConfigDict(extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True)
-"""Of pydantic dataclasses that are settings of a stage and a TOML table at once."""
+"""Configuration of pydantic dataclasses that are both the settings of a stage and a TOML table."""
 MISSING = ("missing", "union_tag_not_found")
 UNKNOWN_KEY = ("extra_forbidden", "unexpected_keyword_argument")
 """Pydantic's errors for an unknown key of a model or a dataclass."""
@@ -41,17 +41,17 @@ class Table(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     FILE_KIND: ClassVar[str] = ""
-    """Of the table of a whole file: which of ``file_kind.KINDS`` it is."""
+    """For the table of a whole file: its key in ``file_kind.KINDS``."""
 
 
 T = TypeVar("T", bound=BaseModel)
 
 
 def described(schema: dict[str, Any]) -> dict[str, Any]:
-    """Return a JSON schema whose keys that are tables have their table's own first sentence as description.
+    """Return a JSON schema in which keys that hold tables are described by the first sentence of their table.
 
-    So has a key of one value alone, which says what kind of table it stands in. Those that have a description keep
-    it; ``schema`` is changed.
+    A key with a single allowed value, which names the kind of its table, is described by its own table's sentence.
+    Keys that have a description keep it; ``schema`` is changed.
     """
     tables = schema.get("$defs", {})
     for table in (schema, *tables.values()):
@@ -64,7 +64,7 @@ def described(schema: dict[str, Any]) -> dict[str, Any]:
 
 
 def _table_of(key: Any) -> str:
-    """Return the name of the one table that a key, or each of its list, is; "" where there is none or a choice."""
+    """Return the name of the table that a key, or each element of its list, is; "" for none or a choice."""
     if "$ref" in key:
         return str(key["$ref"]).rsplit("/", 1)[-1]
     found = [_table_of(one) for one in key.get("anyOf", ())] + [
@@ -90,11 +90,11 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def parse_toml(text: str) -> dict[str, Any]:
-    """Return the TOML document ``text``; TOMLDecodeError where it is none, UnboundedTomlError where it is too deep.
+    """Return the TOML document ``text``; TOMLDecodeError where it is not TOML, UnboundedTomlError where too deep.
 
     TOML's integers have 64 bits, and its line ends are LF or CRLF.
     """
-    # a dotted key is a table in a table a part; tomllib takes the square of their number
+    # each part of a dotted key is a table in the one before; tomllib's time grows with the square of their number
     if _LONG_KEY.search(text):
         raise UnboundedTomlError(f"a key has more than {MOST_DEPTH} parts; give it fewer")
     try:
@@ -134,7 +134,7 @@ def check(model: type[T], document: dict[str, Any], where: str | Path) -> T:
 def _truth_value_as_number(
     given: Any, checked: Any, place: tuple[int | str, ...]
 ) -> tuple[tuple[int | str, ...], bool] | None:
-    """Return where a true or false was taken for 1 or 0, as pydantic does without a word; None for nowhere."""
+    """Return where pydantic silently took a true or false for 1 or 0, and the value; None where it did not."""
     if isinstance(given, bool):
         return (place, given) if isinstance(checked, int | float) and not isinstance(checked, bool) else None
     pairs: list[tuple[int | str, Any, Any]] = []
@@ -171,13 +171,13 @@ _WANTED = {
     "too_short": "a list of {min_length} or more",
     "too_long": "a list of {max_length} at most",
 }
-"""What is wanted, by pydantic's types of errors and with their values; its own texts speak to programmers."""
+"""What is wanted, by pydantic's type of error and with its values; pydantic's own texts are for programmers."""
 _BRANCHES = ("float", "int", "str", "bool", "constrained-str", "constrained-float", "constrained-int")
 _WRONG_JSON = ("json_invalid", "json_type")
 
 
 def in_words(error: Mapping[str, Any]) -> str:
-    """Return what is wrong, of one of the ``errors()`` of a pydantic ValidationError, in this project's words."""
+    """Return in this project's words what one of the ``errors()`` of a pydantic ValidationError reports."""
     kind, values = error["type"], error.get("ctx", {})
     if kind in ("value_error", "assertion_error"):
         return str(values["error"])
@@ -222,13 +222,13 @@ def _first_line(model: type[BaseModel], error: ValidationError) -> str:
         text = text.replace(" is wanted or ", " or ")
         if first["type"] == "string_pattern_mismatch":
             text = f"{_described(model, first['loc'])}is wanted"
-        if place:  # what is wrong with the table as a whole has no key
+        if place:  # an error of the table as a whole has no key
             text = f"key '{place}': {given if len(given) < 60 else given[:57] + '...'} given; {text}"
     return text + (f" (and {more} more)" if more else "")
 
 
 def _at_its_tag(error: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return an error of a union at the key that chooses from it."""
+    """Return the error; where a union's tag is wrong or missing, located at the key of the tag."""
     if error["type"] not in ("union_tag_invalid", "union_tag_not_found"):
         return error
     values = error["ctx"]

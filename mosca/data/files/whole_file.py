@@ -1,4 +1,4 @@
-"""Files that are written whole or not at all, and places to write that are tried before the work."""
+"""Files that are written whole or not at all, and checks before long work that a place can be written."""
 
 import os
 import shutil
@@ -11,7 +11,7 @@ from typing import TextIO
 from mosca.errors import InputError
 
 TRIED_BYTES = 1 << 16
-"""Written on trial: a full disk still makes empty files."""
+"""Bytes written on trial, since an empty file can be made on a full disk, too."""
 
 
 @contextmanager
@@ -27,7 +27,7 @@ def whole_file(path: Path) -> Iterator[Path]:
         temporary.chmod(0o644)
         temporary.replace(path)
     except OSError as error:
-        # errors of writing name no file, or the temporary one; others are of files that the body reads
+        # errors of writing name no file, or the temporary one; other names are files that the body reads
         if error.errno is None or error.filename not in (None, str(temporary)):
             raise
         raise InputError(f"{path}: not written: {error.strerror}; make room, or choose another place") from error
@@ -37,7 +37,7 @@ def whole_file(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def whole_folder(path: Path, needs_bytes: int = 0) -> Iterator[Path]:
-    """Yield a temporary folder beside ``path``, which is not there yet; renamed to it at the end.
+    """Yield a temporary folder beside ``path``, which must not exist yet; it is renamed to ``path`` at the end.
 
     When the body raises, nothing is left. ``needs_bytes``: as for ``check_folder``. Raises InputError where ``path``
     exists, or cannot be made there.
@@ -59,9 +59,9 @@ def whole_folder(path: Path, needs_bytes: int = 0) -> Iterator[Path]:
 
 
 def begin_part(path: Path) -> tuple[Path, TextIO]:
-    """Return ``PATH.part.csv``, made anew, and that file to append text to: what will be ``path`` is not whole yet.
+    """Create ``PATH.part.csv``, for rows of ``path`` until it is whole; return its path and the file open for text.
 
-    InputError where a part file of an earlier run lies there, or where it cannot be written.
+    Raises InputError where a part file of an earlier run exists, or where it cannot be written.
     """
     part = path.with_name(f"{path.name}.part.csv")
     try:
@@ -79,7 +79,7 @@ def write_text(path: Path, text: str) -> None:
 
 
 def check_writable(path: Path) -> None:
-    """Raise InputError where ``whole_file`` could not write ``path``: asked before long work, not after it."""
+    """Raise InputError where ``whole_file`` could not write ``path``; to be called before long work."""
     with _removed(_begun(path)) as temporary:
         _try(temporary, path)
 
@@ -93,14 +93,14 @@ def check_own_folder(path: Path, result: str) -> None:
 
 
 def check_folder(path: Path, needs_bytes: int = 0) -> None:
-    """Raise InputError where files could not be written into the folder ``path``: asked before long work.
+    """Raise InputError where files could not be written into the folder ``path``; to be called before long work.
 
     Parameters
     ----------
     path
         The folder; it, and those above it, may be missing.
     needs_bytes
-        Roughly what will be written; 0 where that is not known.
+        Approximate size of what will be written [B]; 0 where that is not known.
     """
     there = next((folder for folder in (path, *path.absolute().parents) if folder.exists()), path)
     if not there.is_dir():

@@ -57,7 +57,7 @@ def read_asf_amc(
 ) -> Motion:
     """Return the motion in AMC file ``amc`` of the subject in ASF file ``asf`` in the world (Z up, m).
 
-    AMC states no frame rate: CMU's is 120 Hz. ``metres_per_unit``: instead of 0.0254 / ``length``. Bones that the AMC
+    AMC states no frame rate: CMU's is 120 Hz. ``metres_per_unit`` replaces 0.0254 / ``length``. Bones that the AMC
     never names keep the rest pose. Raises InputError naming file, line and what is expected.
     """
     subject = _read_asf(read_text(asf, "an ASF file", "latin-1"), asf)

@@ -26,7 +26,7 @@ from mosca.errors import InputError
 
 _CHANNELS = {f"{axis}{kind}" for axis in "XYZ" for kind in ("position", "rotation")}
 _LARGEST_STRETCH_M = 1e-3
-"""Largest change of a bone's length by position channels [m] that is rounding in the file."""
+"""Largest change of a bone's length by position channels [m] that counts as rounding in the file."""
 
 
 @dataclass
@@ -42,7 +42,7 @@ def read_bvh(
 ) -> Motion:
     """Return the motion in BVH file ``path`` in the world (Z up, m); the file's world has Y up.
 
-    ``metres_per_unit``: size of the file's unit, which BVH does not state. ``frame_rate_hz``: instead of the file's
+    ``metres_per_unit``: size of the file's unit, which BVH does not state. ``frame_rate_hz`` replaces the file's
     frame time. ``drop_frames``: frames left out at the start (CMU's BVH files begin with an added T-pose). Position
     channels of joints other than the root are accepted where they do not change. Raises InputError naming file, line
     and what is expected.

@@ -20,8 +20,8 @@ from mosca.errors import InputError
 def read_points_csv(path: Path, *, metres_per_unit: float = 1.0, y_up: bool = False) -> PointMotion:
     """Return the point paths in CSV file ``path`` in the world (Z up, m).
 
-    The header's first column is ``time`` [s] (any case); ``y_up``: the file's world has Y up, as converted BVH files
-    do. Raises InputError naming file, line and what is expected.
+    The header's first column is ``time`` [s] (any case); ``y_up``: the file's world has Y up, as in converted BVH
+    files. Raises InputError naming file, line and what is expected.
     """
     text = read_text(path, "a CSV table", "utf-8-sig", MOST_TABLE_BYTES)
     try:

@@ -62,8 +62,8 @@ class Motion:
     """A skeleton's recorded motion: t frames at ``frame_rate_hz``, frame k at time k / frame_rate_hz.
 
     ``root_xyz`` (t, 3) the root joint in the world [m]; ``rotations`` (t, j, 4) unit quaternions wxyz of
-    each joint's axes in its parent's (the root's in the world), signed so that they run on from frame to
-    frame without flips.
+    each joint's axes in its parent's (the root's in the world), with signs such that they do not flip from
+    frame to frame.
     """
 
     skeleton: Skeleton
@@ -136,10 +136,10 @@ def quaternions_from_euler(angles: Array, order: str) -> Array:
 
 
 def angles_from_matrices(matrices: Array, order: str) -> Array:
-    """Return the angles (..., 3) [rad] with M = R_i(a) R_j(b) R_k(c) of rotations (..., 3, 3), ``order`` "ijk".
+    """Return the angles a, b, c (..., 3) [rad] of rotations M (..., 3, 3) = R_i(a) R_j(b) R_k(c), ``order`` "ijk".
 
-    The last angle is taken from what the first leaves of M, so that the three together give M back to rounding even
-    where the middle one is +-90 deg and the others are open (Paul 1981, section 3.5).
+    The last angle is computed after the first rotation was removed from M. So the product of the three equals M to
+    rounding even where the middle angle is +-90 deg and the others are undetermined (Paul 1981, section 3.5).
     """
     i, j, k = ("XYZ".index(letter) for letter in order)
     sign = 1.0 if (j - i) % 3 == 1 else -1.0
@@ -190,12 +190,12 @@ def without_flips(wxyz: Array) -> Array:
 
 
 def in_world(vectors: Array) -> Array:
-    """Return vectors (..., 3) from file coordinates with Y up in world coordinates with Z up."""
+    """Convert vectors (..., 3) from file coordinates with Y up to world coordinates with Z up."""
     return np.asarray(vectors) @ WORLD_FROM_Y_UP.T
 
 
 def rotations_in_world(wxyz: Array) -> Array:
-    """Return quaternions (..., 4) of file rotations with Y up as rotations of the world's axes."""
+    """Convert quaternions (..., 4) of rotations in file axes with Y up to rotations in the world's axes."""
     # R' = A R A^T rotates the rotation's axis by A and leaves its angle.
     return np.concatenate([wxyz[..., :1], in_world(wxyz[..., 1:])], axis=-1)
 
@@ -212,7 +212,7 @@ def number(token: str, where: str) -> float:
 
 
 def numbers(tokens: list[str], where: str) -> Array:
-    """Return many ``tokens`` as an array (n,); quick where all are good, exact in its error where not."""
+    """Return many ``tokens`` as an array (n,), quickly where all are valid; else the error names the invalid one."""
     try:
         values = np.array(reals(tokens), dtype=np.float64)
         good = bool(np.all(np.abs(values) <= LARGEST_NUMBER))

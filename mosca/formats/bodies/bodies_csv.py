@@ -1,9 +1,9 @@
-"""``bodies.csv``: one line a body and frame, every number at full precision.
+"""``bodies.csv``: one line for each body and frame, every number at full precision.
 
-Columns ``frame,time_ns,body,qw,qx,qy,qz,x,y,z``, the covariance's 21 elements, ``n_markers,residual_m,status``: pose
-world_from_body (unit quaternion, m); the covariance's axes are the position's x, y, z [m] and the rotation vector's
-u, v, w about the world's x, y, z [rad], upper triangle row by row: ``cxx,cxy,...,cww``. Empty where unknown or
-withheld.
+Columns ``frame,time_ns,body,qw,qx,qy,qz,x,y,z``, the covariance's 21 elements, ``n_markers,residual_m,status``. The
+pose is world_from_body (unit quaternion, m). The covariance's axes are the position's x, y, z [m] and the rotation
+vector's u, v, w about the world's x, y, z [rad]; its upper triangle is written row by row: ``cxx,cxy,...,cww``. Cells
+are empty where unknown or withheld.
 """
 
 from itertools import combinations_with_replacement
@@ -21,7 +21,7 @@ COLUMNS = ("frame", "time_ns", "body", *_POSE, *_COVARIANCE, "n_markers", "resid
 
 
 def write_bodies_csv(poses: BodyPoses, path: Path) -> None:
-    """Write ``poses`` to ``path``, whole or not at all. Raises InputError where that cannot be."""
+    """Write ``poses`` to ``path``, whole or not at all. Raises InputError where that fails."""
     columns = [
         integers(poses.frame),
         integers(poses.time_ns),

@@ -62,8 +62,8 @@ class BodiesTable(Table):
 def read_bodies(path: Path, alike_m: float = ALIKE_M) -> tuple[RigidBody, ...]:
     """Read the rigid bodies that a TOML file defines.
 
-    Raises InputError naming key, value and what is allowed, and for bodies that are nearly symmetric or nearly
-    congruent: by how many mm they differ, and what to move.
+    Raises InputError naming key, value and what is allowed. For bodies that are nearly symmetric or nearly congruent
+    it states by how many mm they differ, and what to move.
     """
     path = Path(path)
     table = check(BodiesTable, read_toml(path), path)

@@ -1,8 +1,8 @@
 """BVH files written from a skeleton's motion; ``mosca.data.motion.bvh`` reads them.
 
 Y is up in the file, as its readers expect: world (x, y, z) -> file (x, z, -y). Each joint has three rotation channels
-in its own Euler order, completed where it has fewer; a bone's end without channels becomes the ``End Site``, and a
-last joint with channels gets one at zero offset, since the format requires one on every branch.
+in its own Euler order, completed where it has fewer. A bone's end without channels becomes the ``End Site``. A last
+joint with channels gets an ``End Site`` at zero offset, since the format requires one on every branch.
 """
 
 from pathlib import Path
@@ -65,7 +65,7 @@ def _order(skeleton: Skeleton, k: int) -> str:
 
 
 def _joint(skeleton: Skeleton, names: list[str], k: int, scale: float, depth: int, order: list[int]) -> list[str]:
-    """Return the lines of joint ``k`` and all below it; ``order`` grows by those with channels as they come."""
+    """Return the lines of joint ``k`` and all below it; those with channels are appended to ``order`` in turn."""
     pad = "  " * depth
     x, y, z = scale * skeleton.offsets[k] @ WORLD_FROM_Y_UP
     offset = f"{pad}  OFFSET {x:.{DECIMALS}f} {y:.{DECIMALS}f} {z:.{DECIMALS}f}"

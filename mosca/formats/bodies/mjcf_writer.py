@@ -1,4 +1,4 @@
-"""A fitted model as MJCF: the model's text with the places of its joints and markers replaced by the fitted ones."""
+"""A fitted model as MJCF: the model's text in which fitted positions replace those of its joints and markers."""
 
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
@@ -12,7 +12,7 @@ from mosca.skeleton.mjcf import mjcf_tree
 def write_mjcf(subject: FittedSubject, path: Path) -> None:
     """Write the model of ``subject`` to ``path``, every number at full precision, whole or not at all.
 
-    Markers that the take did not have keep their place, scaled by the subject's size.
+    Markers that were not in the take keep their position, scaled by the subject's size.
     """
     model = subject.model
     root = mjcf_tree(model.mjcf, str(path))

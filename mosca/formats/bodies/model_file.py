@@ -31,7 +31,7 @@ from mosca.labelling.marker_model import SOFT_M, MarkerModel
 MOST_MARKERS = 1000
 
 Name = Annotated[str, Field(min_length=1, max_length=100, pattern=r"^[^\x00-\x1f\x7f]+$")]
-"""Whatever a label can be: other programs' hold blanks and colons."""
+"""Any label: those of other programs contain blanks and colons."""
 Link = tuple[Name, Name, NotNegative, Positive]
 Side = tuple[Name, Name, Name, Name, float]
 

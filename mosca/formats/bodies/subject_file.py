@@ -1,7 +1,7 @@
 """A fitted person as .npz: every field of ``mosca.skeleton.fit.FittedSubject``, to the last bit, with a checksum.
 
-Arrays are called as the fields, those of the model ``model.NAME``; a mapping is two arrays, ``NAME.keys`` and
-``NAME.values``. The model itself is its MJCF text, which is compiled and never run.
+Arrays have the names of the fields, those of the model ``model.NAME``. A mapping is stored as two arrays,
+``NAME.keys`` and ``NAME.values``. The model itself is its MJCF text, which is compiled and never run.
 """
 
 import dataclasses
@@ -21,18 +21,18 @@ from mosca.skeleton.start import SIZES
 
 SUFFIX = ".npz"
 _UNIT = 1e-6
-"""Largest difference of axes from a rotation, and of a quaternion's norm from 1."""
+"""Largest allowed difference of axes from a rotation, and of a quaternion's norm from 1."""
 
 
 def check_subject_file(path: Path) -> None:
-    """Raise InputError where ``path`` is no file for a subject; ask before long work, not after it."""
+    """Raise InputError where ``path`` is no file for a subject; to be called before long work."""
     if path.suffix.lower() != SUFFIX:
         raise InputError(f"{path}: suffix '{path.suffix}' given; a subject is a {SUFFIX} file")
     check_writable(path)
 
 
 def write_subject(subject: FittedSubject, path: Path) -> None:
-    """Write ``subject`` to ``path`` as .npz, whole or not at all. Raises InputError where that cannot be."""
+    """Write ``subject`` to ``path`` as .npz, whole or not at all. Raises InputError where that fails."""
     path = Path(path)
     check_subject_file(path)
     with whole_file(path) as temporary:
@@ -64,7 +64,7 @@ def _arrays(owner: Any, prefix: str = "") -> dict[str, Array]:
 
 
 def _made(kind: type, arrays: Mapping[str, Array], prefix: str = "") -> Any:
-    """Return the dataclass ``kind`` of arrays by their names; ValueError for one of another type."""
+    """Return a ``kind``, made from ``arrays`` by their names; ValueError for an array of another type."""
     hints = get_type_hints(kind)
     values = {}
     for field in dataclasses.fields(kind):
@@ -116,7 +116,7 @@ def _subject(arrays: Mapping[str, Array]) -> FittedSubject:
 
 
 def _check(subject: FittedSubject) -> None:
-    """Raise ValueError where the arrays do not fit the model's text, or are no numbers to calculate with."""
+    """Raise ValueError where the arrays do not fit the model's text, or hold values that a fit cannot have."""
     model = subject.model
     mj = _compiled(model.mjcf)
     sites = [mj.site(k).name for k in range(mj.nsite)]
@@ -144,7 +144,7 @@ def _check(subject: FittedSubject) -> None:
     for name, matrix in (("covariance", subject.covariance), ("model.information", model.information)):
         if np.abs(matrix - matrix.T).max() > _UNIT * np.abs(matrix).max() or (np.diag(matrix) < 0).any():
             raise ValueError(f"{name} is not symmetric with a diagonal above 0")
-    # as mosca.skeleton.joints takes its root; numpy's error is a ValueError
+    # factorised as in mosca.skeleton.joints; numpy's error is a ValueError
     np.linalg.cholesky(subject.covariance + 1e-18 * np.eye(len(subject.covariance)))
     _check_axes(subject, {mj.body(k).name for k in range(1, mj.nbody)})
 

@@ -1,7 +1,7 @@
 """TUM trajectories: ``timestamp tx ty tz qx qy qz qw`` a line, seconds and metres, world_from_body.
 
 The format of the TUM RGB-D benchmark (Sturm et al. 2012), read by evo and others; # begins a comment. It holds one
-body, no frame numbers and no errors. Time stamps are written to the nanosecond.
+body, no frame numbers and no covariances. Time stamps are written to the nanosecond.
 """
 
 from pathlib import Path

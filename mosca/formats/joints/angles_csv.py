@@ -1,6 +1,6 @@
 """``angles.csv``: one line a frame; ``frame,time_ns``, then ``NAME_deg,NAME_sigma_deg`` of each angle, in degrees.
 
-``mosca.skeleton.isb_angles`` says what each name means. Empty where unknown.
+``mosca.skeleton.isb_angles`` defines each name. Cells are empty where unknown.
 """
 
 from pathlib import Path
@@ -15,7 +15,7 @@ _VALUE, _SIGMA = "_deg", "_sigma_deg"
 
 
 def write_angles_csv(angles: JointAngles, path: Path) -> None:
-    """Write ``angles`` to ``path``, whole or not at all. Raises InputError where that cannot be."""
+    """Write ``angles`` to ``path``, whole or not at all. Raises InputError where that fails."""
     columns = [integers(angles.frame), integers(angles.time_ns)]
     for k in range(len(angles.names)):
         columns += [reals(np.rad2deg(angles.angles[:, k])), reals(np.rad2deg(angles.sigma[:, k]))]

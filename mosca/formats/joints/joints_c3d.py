@@ -1,10 +1,10 @@
-"""C3D with markers, joint centres and joint angles: angles are points that ``POINT:ANGLES`` names, in degrees.
+"""C3D with markers, joint centres and joint angles: angles are points listed in ``POINT:ANGLES``, in degrees.
 
-Such a point is called as in Vicon's Plug-in Gait (``LHipAngles``, ``RKneeAngles``; in the middle of the body
+Such a point is named as in Vicon's Plug-in Gait (``LHipAngles``, ``RKneeAngles``; in the middle of the body
 ``PelvisAngles``, ``SpineAngles``, ``NeckAngles``). Its x, y, z are the joint's three angles in the order and with the
-signs of ``mosca.skeleton.isb_angles``. In hip, knee and ankle flexion, adduction and internal rotation are positive
-as in Plug-in Gait; in pelvis, spine, shoulder, elbow and wrist sequence and signs are not Vicon's. A C3D file has no
-place for their standard deviations.
+signs of ``mosca.skeleton.isb_angles``. At the hip, knee and ankle, flexion, adduction and internal rotation are
+positive as in Plug-in Gait. At the pelvis, spine, shoulder, elbow and wrist, sequence and signs are not Vicon's. A
+C3D file has no place for the angles' standard deviations.
 """
 
 from pathlib import Path
@@ -67,7 +67,7 @@ def _together(markers: Tracks, centres: Tracks) -> Tracks:
 
 
 def _places(joint: str, angles: JointAngles) -> list[int]:
-    """Return where the three angles of a joint stand, none where it has not three."""
+    """Return the indices of a joint's three angles in ``angles``; none where it does not have three."""
     places = [k for k, name in enumerate(angles.names) if name.startswith(f"{joint}_")]
     return places if len(places) == 3 else []
 

@@ -1,9 +1,9 @@
-"""``joints.csv``: one line a joint and frame, every number at full precision.
+"""``joints.csv``: one line for each joint and frame, every number at full precision.
 
 Columns ``frame,time_ns,joint``; the centre in the world [m] and six elements of its covariance [m^2]; the unit
-quaternion wxyz of proximal_from_distal (of the pelvis: world_from_pelvis) and six elements of the covariance of its
-rotation vector in the distal segment's axes [rad^2]. Empty where unknown. Each frame has the same joints in the same
-order.
+quaternion wxyz of proximal_from_distal (for the pelvis: world_from_pelvis) and six elements of the covariance of its
+rotation vector in the distal segment's axes [rad^2]. Cells are empty where unknown. Each frame has the same joints in
+the same order.
 """
 
 import csv
@@ -26,18 +26,18 @@ _TURN = ("qw", "qx", "qy", "qz")
 _TURN_COVARIANCE = tuple(f"r{name}_rad2" for name in _NAMES)
 COLUMNS = ("frame", "time_ns", "joint", *_PLACE, *_PLACE_COVARIANCE, *_TURN, *_TURN_COVARIANCE)
 _LARGEST_NORM_ERROR = 1e-6
-"""Of a quaternion: float32 writes its four parts to 6e-8."""
+"""Largest difference of a quaternion's norm from 1: float32 writes its four parts to 6e-8."""
 
 
 def write_joints_csv(motion: JointMotion, path: Path) -> None:
-    """Write ``motion`` to ``path``, whole or not at all. Raises InputError where that cannot be."""
+    """Write ``motion`` to ``path``, whole or not at all. Raises InputError where that fails."""
     write_columns(path, COLUMNS, _cells(motion))
 
 
 class JointsLog:
-    """Joints on the disk while they are found: appended to ``PATH.part.csv``; ``finish`` gives it its name.
+    """Joints written to disk while they are estimated: appended to ``PATH.part.csv``, which ``finish`` renames.
 
-    InputError for another suffix than .csv, and where a part file of an earlier run still lies there.
+    InputError for another suffix than .csv, and where a part file of an earlier run still exists.
     """
 
     def __init__(self, path: Path) -> None:
@@ -51,18 +51,18 @@ class JointsLog:
         self.frames = 0
 
     def write(self, motion: JointMotion) -> None:
-        """Append joints, of the same names each time."""
+        """Append joints; each call must have the same names."""
         self._writer.writerows(zip(*_cells(motion), strict=True))
         self.frames += len(motion)
 
     def close(self) -> None:
-        """Close the part file; it stays where it holds joints. May be called twice."""
+        """Close the part file; it is kept where it holds joints. May be called twice."""
         self._file.close()
         if not self.frames:
             self.part.unlink(missing_ok=True)
 
     def finish(self) -> int:
-        """Give the file its name; return how many frames it has. Without any there is no file."""
+        """Rename the part file to its final name and return its number of frames; no frames make no file."""
         self.close()
         if self.frames:
             self.part.replace(self.path)

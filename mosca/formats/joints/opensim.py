@@ -1,18 +1,18 @@
 """OpenSim's files: coordinates over time (.mot) and scale sets (.xml).
 
-Ground in OpenSim has x forward, y up and z to the right: world (x, y, z) -> (x, z, -y), so that who walks towards
-the world's +x walks forward. ``COORDINATES`` says which of our angles are coordinates of its gait models. Equal by
-definition are pelvis, lumbar and hip (Z-X'-Y'', axes and order in subject01_simbody.osim). Those that differ:
+Ground in OpenSim has x forward, y up and z to the right: world (x, y, z) -> (x, z, -y), so that a subject who walks
+towards the world's +x walks forward. ``COORDINATES`` lists which of our angles are coordinates of its gait models.
+Pelvis, lumbar and hip are equal by definition (Z-X'-Y'', axes and order in subject01_simbody.osim). Others differ:
 
-- ``pelvis_tx, _ty, _tz`` are of the origin of the model's pelvis, midway between the anterior superior iliac spines;
-  ours is midway between the hips: ``hips_in_pelvis_m`` is where that lies in the model's pelvis.
+- ``pelvis_tx, _ty, _tz`` are of the origin of the model's pelvis, midway between the anterior superior iliac spines.
+  Our origin is midway between the hips; ``hips_in_pelvis_m`` is its position in the model's pelvis.
 - ``knee_angle``: positive in extension in gait2354 and gait2392, in flexion in Rajagopal's. The models' knee has no
   other degree of freedom: adduction and internal rotation follow from it and are left out.
-- ``ankle_angle`` turns about an axis 12 degrees off the foot's z: dorsiflexion, which is written for it, is 2 %
-  smaller while the subtalar joint rests. ``subtalar_angle`` mixes inversion and internal rotation about an oblique
+- ``ankle_angle`` rotates about an axis 12 degrees off the foot's z. The dorsiflexion written for it is 2 % smaller
+  while the subtalar joint rests. ``subtalar_angle`` mixes inversion and internal rotation about an oblique
   axis and is left out, as are toes.
 - Arms of Rajagopal's model (``arm_flex, arm_add, arm_rot``: Z-X'-Y'' from a hanging arm) are no ISB shoulder angles;
-  elbow and wrist have oblique axes. Left out.
+  its elbow and wrist have oblique axes. All of these are left out.
 """
 
 import xml.etree.ElementTree as ElementTree
@@ -59,10 +59,10 @@ def write_mot(
     pelvis: JointMotion | None = None,
     hips_in_pelvis_m: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> None:
-    """Write the angles that ``COORDINATES`` has as OpenSim motion in degrees, whole or not at all.
+    """Write the angles listed in ``COORDINATES`` as an OpenSim motion in degrees, whole or not at all.
 
-    Time is in seconds from the first frame. Raises InputError for an unknown model, no such angle, and for what is
-    unknown in any frame: OpenSim takes no gaps.
+    Time is in seconds from the first frame. Raises InputError for an unknown model, where no angle is listed, and
+    where a value is unknown in any frame: OpenSim accepts no gaps.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ def write_mot(
         Joints at the same instants: pelvis_tx, pelvis_ty and pelvis_tz [m] are written too.
     hips_in_pelvis_m
         The point midway between the hips in the model's pelvis, scaled to the subject: in gait2354 (-0.0707, -0.0661,
-        0) before scaling. Left at 0, pelvis_tx, _ty, _tz are of that point itself.
+        0) before scaling. With 0, pelvis_tx, _ty, _tz are those of that point itself.
     """
     path = Path(path)
     if model not in KNEE_SIGNS:
@@ -107,8 +107,8 @@ def write_mot(
 def write_scale_set(scales: Mapping[str, tuple[float, float, float]], path: Path) -> None:
     """Write an OpenSim scale set, whole or not at all, for its scale tool's ``ModelScaler``, order "manualScale".
 
-    ``scales``: body of the model ("femur_r") -> its length in that of the generic model, along the body's x, y, z.
-    Raises InputError for none, a body without a name, and a factor that is not above 0.
+    ``scales``: body of the model ("femur_r") -> ratio of its length to that in the generic model, along the body's x,
+    y, z. Raises InputError for no scales, a body without a name, and a factor that is not above 0.
     """
     path = Path(path)
     for body, factors in scales.items():

@@ -1,4 +1,4 @@
-"""What a calibration found out about itself, as JSON beside the rig file: precision of each camera, and findings."""
+"""The record of a calibration, as JSON beside the rig file: precision of each camera, and findings."""
 
 import math
 from pathlib import Path
@@ -12,7 +12,7 @@ from mosca.data.files.whole_file import write_text
 from mosca.errors import InputError
 
 RECORD_SUFFIX = ".calibration.json"
-"""In place of the rig file's."""
+"""Suffix of the record, in place of the rig file's."""
 
 
 class RecordedFinding(Table):

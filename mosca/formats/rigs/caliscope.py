@@ -38,7 +38,7 @@ def write_aniposelib(cameras: tuple[Camera, ...], path: Path, options: RigFileOp
 
 
 def write_caliscope(cameras: tuple[Camera, ...], path: Path, options: RigFileOptions) -> Notes:
-    """Write ``[cameras.0]`` ...; the format has no names: they are read back as cam_0, cam_1 ..."""
+    """Write ``[cameras.0]`` ...; the format has no names: cameras are read back as cam_0, cam_1 ..."""
     document: dict[str, Any] = {}
     notes: Notes = ()
     for k, camera in enumerate(cameras):

@@ -1,4 +1,4 @@
-"""What all readers and writers of other programs' calibrations share: options, conversion of lenses, checks."""
+"""Options, conversion of lenses and checks shared by readers and writers of other programs' calibrations."""
 
 import re
 from collections.abc import Callable, Iterator, Sequence
@@ -18,12 +18,12 @@ from mosca.data.rotations import nearest_rotation
 from mosca.errors import InputError
 
 Notes = tuple[str, ...]
-CALIBRATION = "a file of a calibration"
-"""What is wanted where one is missing."""
 """What was assumed, fitted or left out, one line each, for the person who converts."""
+CALIBRATION = "a file of a calibration"
+"""The kind of file that is wanted, for errors where it is missing."""
 
 COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4", "tauX", "tauY")
-"""OpenCV's order."""
+"""Distortion coefficients in OpenCV's order."""
 COUNTS = (4, 5, 8, 12, 14)
 LARGEST_TILT_RAD = 1.5
 """Largest tilt of a sensor: the tilt's projection ends at 90 deg."""
@@ -36,7 +36,7 @@ NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_ .-]*")
 class RigFileOptions:
     """What a calibration file does not contain, and the tolerance for fitted lens models.
 
-    ``size_px``: (width, height) where the file has none; ``unit``: of its positions, None for the format's own;
+    ``size_px``: (width, height) where the file has none; ``unit``: that of positions, None for the format's own;
     ``pixel_mm``: pixel pitch (width, height), which OpenPTV needs; ``max_residual_px``: a lens that the format can
     only approximate is refused where the best fit is farther off than this anywhere in the image.
     """
@@ -47,15 +47,15 @@ class RigFileOptions:
     max_residual_px: float = 0.1
 
     def metres(self, default: Literal["m", "mm"]) -> float:
-        """Return what one unit of the file is in metres."""
+        """Return the length of one unit of the file [m]."""
         return 1.0 if (self.unit or default) == "m" else 1e-3
 
 
 def as_opencv(camera: Camera, options: RigFileOptions, coefficients: int = 14) -> tuple[OpenCVLens, Notes]:
     """Return the camera's lens as OpenCV's pinhole model with the first ``coefficients`` of its 14.
 
-    As it is where it is one, else fitted to its rays over the image (k1, k2, k3, p1, p2) with a note that states the
-    residual. InputError where that is above the options' limit, or rays are 90 deg or more off the axis.
+    Such a lens is returned unchanged. Any other is fitted to its rays over the image (k1, k2, k3, p1, p2), and a note
+    states the residual. InputError where it is above the options' limit, or rays are 90 deg or more off the axis.
     """
     lens = camera.lens
     if isinstance(lens, OpenCVLens) and not any(distortion(lens)[coefficients:]):
@@ -68,7 +68,7 @@ def as_opencv(camera: Camera, options: RigFileOptions, coefficients: int = 14) -
 
 @contextmanager
 def naming(camera: Camera) -> Iterator[None]:
-    """Let the InputErrors of a lens fit name their camera."""
+    """Add the camera's name to InputErrors of a lens fit."""
     try:
         yield
     except InputError as error:
@@ -76,7 +76,7 @@ def naming(camera: Camera) -> Iterator[None]:
 
 
 def fit_note(camera: Camera, fit: Conversion, model: str, options: RigFileOptions) -> str:
-    """Return the line that states how well a lens was fitted; InputError where it is above the limit."""
+    """Return the line that states the residual of a lens fit; InputError where it is above the limit."""
     x, y = fit.worst_xy_px
     what = (
         f"camera '{camera.name}': {camera.lens.model} lens fitted by {model}: {fit.rms_px:.2g} px rms over the "
@@ -96,7 +96,7 @@ def distortion(lens: OpenCVLens) -> tuple[float, ...]:
 
 
 def shortest(coefficients: Sequence[float], least: int = 5) -> list[float]:
-    """Return the coefficients without trailing zeros, in a number that OpenCV accepts."""
+    """Return the coefficients without trailing zeros, but as many as OpenCV accepts (one of ``COUNTS``)."""
     last = max((k + 1 for k, value in enumerate(coefficients) if value), default=0)
     count = next(n for n in COUNTS if n >= max(last, least))
     return list(coefficients[:count])
@@ -108,7 +108,7 @@ def matrix_of(lens: OpenCVLens | FisheyeLens) -> Array:
 
 
 def opencv_parts(camera: Camera, options: RigFileOptions) -> tuple[Array, list[float], bool, Notes]:
-    """Return what files in OpenCV's words hold: camera matrix, coefficients, whether a fisheye's, and notes."""
+    """Return a lens in OpenCV's terms: camera matrix, coefficients, whether they are a fisheye's, and notes."""
     lens = camera.lens
     if isinstance(lens, FisheyeLens):
         return matrix_of(lens), [lens.k1, lens.k2, lens.k3, lens.k4], True, ()

@@ -31,10 +31,10 @@ from mosca.formats.rigs.lens_conversion import (
 
 SUFFIXES = (".yml", ".yaml", ".xml", ".json")
 MOST_OPENED = 4000
-"""Lists and tables in a file: OpenCV's parsers call themselves for each that stands in another one.
+"""Most characters of a file that may open a list or table: OpenCV's parsers are recursive.
 
-20,000 inside each other are read, 40,000 overflow a stack of 8 MiB. They stand no deeper than there are characters
-that may open one; OpenCV's own calibrations have some hundred of them."""
+They read 20,000 nested levels; 40,000 overflow a stack of 8 MiB. There are no more levels than characters that may
+open one; OpenCV's own calibrations have some hundred of these."""
 _MAY_OPEN = ":-[{<"
 MATRIX = ("camera_matrix", "cameraMatrix", "Camera_Matrix", "intrinsic_matrix", "K", "mtx")
 DISTORTION = (
@@ -53,9 +53,9 @@ FISHEYE = ("fisheye_model", "fisheye")
 
 
 def read_opencv(path: Path, options: RigFileOptions) -> tuple[tuple[Camera, ...], Notes]:
-    """Read a camera's file, a stereo file, or a folder of cameras' files, each called as its file.
+    """Read a camera's file, a stereo file, or a folder of cameras' files, each camera named after its file.
 
-    Raises InputError for what is no FileStorage and for missing or bad keys.
+    Raises InputError for a file that is no FileStorage and for missing or bad keys.
     """
     if path.is_dir():
         files = sorted(one for one in path.iterdir() if one.suffix.lower() in SUFFIXES)

@@ -3,9 +3,9 @@
 ``.ori``: centre X Y Z [mm]; omega, phi, kappa [rad] and the matrix that they make (columns: the camera's right, up
 and backwards in the world); principal point xh yh and principal distance [mm]; the glass vector [mm]. ``.addpar``: k1
 k2 k3 p1 p2 scx she. ``ptv.par``, in the same folder or ``parameters`` beside or in it: image size, pixel pitch and
-the refractive indices, all 1 in air. Without it size and pitch are asked for, and the glass vector must be the
-neutral one, (0, 0, d). The pixels of ``ptv.par`` are those of all cameras; what is written there has the shape that
-the cameras' fx and fy ask for, the median one where they differ.
+the refractive indices, all 1 in air. Without it, size and pitch must be given, and the glass vector must be the
+neutral one, (0, 0, d). ``ptv.par`` states one pixel size for all cameras. It is written with the shape that the
+cameras' fx and fy require, the median where they differ.
 """
 
 from pathlib import Path
@@ -31,19 +31,19 @@ from mosca.formats.rigs.lens_conversion import (
 from mosca.formats.rigs.openptv_model import OpenPTVInterior, from_lens, pixel_shape, rolled, to_lens
 
 FLIP = np.diag([1.0, -1.0, -1.0])
-"""OpenPTV's camera looks along -z with y up; here it looks along z with y down."""
+"""OpenPTV's camera looks along -z with y up; ours looks along z with y down."""
 IMAGES = (".tif", ".tiff", ".bmp", ".png", ".jpg")
 DEFAULT_PIXEL_MM = 0.01
-"""Width of a pixel where no file states one: a common scale of all lengths in the camera, which cancels."""
+"""Width of a pixel where no file states one. It scales all lengths in the camera alike, so that it cancels."""
 LARGEST_ANGLE_MISFIT = 1e-4
-"""Largest difference of the file's matrix, printed with 7 digits, from that of its angles."""
+"""Largest difference of the file's matrix, printed with 7 digits, from the matrix of its angles."""
 SAME_HEIGHT = 1e-9
-"""Relative difference of two pixel heights that is rounding."""
+"""Relative difference of two pixel heights that counts as rounding."""
 AIR = 1.001
 """Largest refractive index of a medium that is taken for air (air: 1.0003)."""
 GLASS = "0.0 0.0 1.0"
 LARGEST_MM = 1e5
-"""Of a principal distance."""
+"""Largest principal distance [mm]."""
 Sensor = tuple[tuple[int, int], tuple[float, float]]
 
 
@@ -67,8 +67,8 @@ def read_openptv(path: Path, options: RigFileOptions) -> tuple[tuple[Camera, ...
 def write_openptv(cameras: tuple[Camera, ...], path: Path, options: RigFileOptions) -> Notes:
     """Write ``NAME.ori`` and ``NAME.addpar`` of each camera and ``ptv.par`` into the folder ``path``.
 
-    A lens outside OpenPTV's model is fitted by it, within the limit. InputError for cameras of different image sizes:
-    OpenPTV has one for all.
+    A lens outside OpenPTV's model is approximated by it, within the limit. InputError for cameras of different image
+    sizes: OpenPTV has one size for all.
     """
     sizes = {(camera.width, camera.height) for camera in cameras}
     if len(sizes) > 1:
@@ -181,7 +181,7 @@ def _rotation(angles: Array, matrix: Array, path: Path) -> Array:
 
 
 def _pixel(cameras: tuple[Camera, ...], options: RigFileOptions) -> tuple[tuple[float, float], Notes]:
-    """Return width and height [mm] of the pixels: the width as known, the height that fx and fy make of it."""
+    """Return width and height [mm] of the pixels: the known width, and the height that follows from fx and fy."""
     known = {camera.lens.mx_mm_per_px for camera in cameras if isinstance(camera.lens, MoscaLens)}
     notes: Notes = ()
     if options.pixel_mm is not None:

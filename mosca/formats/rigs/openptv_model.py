@@ -10,12 +10,11 @@ The distortion is about the middle of the sensor, not the principal point. The m
 (0.5, 0.5), as OpenPTV's target recognition gives it. Source: liboptv 0.3, ``imgcoord.c``, ``trafo.c``.
 
 scx scales both axes in liboptv 0.3's projection. Its inverse (``dist_to_flat``), and both directions of older
-releases, scale x alone. At scx = 1 all agree, so 1 is what is written, and the ratio of fx to fy goes into the
-pixels' shape.
+releases, scale x alone. At scx = 1 all agree, so 1 is written, and the ratio of fx to fy goes into the pixels' shape.
 
-The shear of OpenPTV rotates the y axis alone, that of a Mosca lens, a, both by the same angle, so the two differ by a
-roll about the optical axis. With tan(2 roll) = sin(she), a = tan(roll), and d the direction in each camera frame:
-d_openptv = Rz(roll) d_mosca.
+OpenPTV's shear rotates the y axis alone; the shear a of a Mosca lens rotates both axes by the same angle. So the two
+differ by a roll about the optical axis. With tan(2 roll) = sin(she), a = tan(roll), and d the direction in each
+camera frame: d_openptv = Rz(roll) d_mosca.
 """
 
 from dataclasses import astuple, dataclass, replace
@@ -31,9 +30,9 @@ from mosca.errors import InputError
 
 STEPS = 100
 CONVERGED_MM = 1e-13
-"""Step of the inverse distortion [mm] that is rounding."""
+"""Step of the inverse distortion [mm] that counts as rounding."""
 SAME_SHAPE = 1e-12
-"""Relative difference of two pixel shapes that is rounding."""
+"""Relative difference of two pixel shapes that counts as rounding."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +55,7 @@ class OpenPTVInterior:
 
 @dataclass(frozen=True)
 class Exchanged:
-    """A lens of one side for that of the other.
+    """A lens in our model and in OpenPTV's, the one converted to the other.
 
     ``roll_rad``: d_openptv = Rz(roll) d_ours; ``fit``: how well it fits, None where it is exact.
     """
@@ -73,7 +72,7 @@ def rolled(roll_rad: float) -> Array:
 
 
 def openptv_pixels(interior: OpenPTVInterior, directions: Array) -> Array:
-    """Direction (n, 3), camera frame with our axes -> pixel (n, 2), centre of the top-left pixel (0, 0)."""
+    """Return pixels (n, 2), top-left pixel's centre (0, 0), of directions (n, 3) in the camera frame, our axes."""
     v = np.asarray(directions, dtype=float)
     flat = interior.c_mm * np.column_stack([v[:, 0], -v[:, 1]]) / v[:, 2:]
     measured = _distorted(interior, flat + (interior.xh_mm, interior.yh_mm))
@@ -83,7 +82,7 @@ def openptv_pixels(interior: OpenPTVInterior, directions: Array) -> Array:
 
 
 def openptv_directions(interior: OpenPTVInterior, xy_px: Array) -> Array:
-    """Pixel (n, 2) -> direction (n, 3) with z = 1 in our axes; NaN where the distortion has no inverse."""
+    """Return directions (n, 3), z = 1 in our axes, of pixels (n, 2); NaN where the distortion has no inverse."""
     width, height = interior.size_px
     u, v = (np.asarray(xy_px, dtype=float) + 0.5).T
     metric = np.column_stack([u - width / 2, height / 2 - v]) * interior.pixel_mm
@@ -134,7 +133,7 @@ def to_lens(interior: OpenPTVInterior) -> Exchanged:
 
 
 def pixel_shape(lens: Lens) -> float:
-    """Return the height of a pixel over its width with which OpenPTV holds the lens at scx = 1."""
+    """Return the ratio of a pixel's height to its width with which OpenPTV represents the lens at scx = 1."""
     fx, fy = principal_distances_px(lens)
     she = _she(lens)
     return float(fx / fy * np.cos(she) / np.sqrt(1 + np.sin(she) ** 2))
@@ -143,7 +142,7 @@ def pixel_shape(lens: Lens) -> float:
 def from_lens(lens: Lens, size_px: tuple[int, int], pixel_mm: tuple[float, float]) -> Exchanged:
     """Return OpenPTV's interior orientation on pixels of this size: exact where it can be, else fitted.
 
-    InputError for a lens that sees beside the camera, or whose shear is beyond OpenPTV's.
+    InputError for a lens with rays 90 deg or more off the axis, or with a shear beyond OpenPTV's.
     """
     width, height = size_px
     plain = lens if isinstance(lens, OpenCVLens) else convert_lens(lens, "opencv", width, height).lens

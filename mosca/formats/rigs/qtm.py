@@ -2,9 +2,9 @@
 
 A camera holds ``fov_video`` (left, top, right, bottom [px], counted from 0), ``transform`` (centre x, y, z [mm]; r11
 ... r33, whose rows are the axes right, up and backwards in the world) and ``intrinsic``: focal lengths and principal
-point in 1/64 px of the whole sensor; radial and tangential distortion are OpenCV's k1, k2, k3, p1, p2 and, being
-numbers without a unit, are not scaled. Which point of a pixel has its integer coordinate is not published: the centre
-is assumed, so the principal point is uncertain by half a pixel.
+point in 1/64 px of the whole sensor; radial and tangential distortion are OpenCV's k1, k2, k3, p1, p2, which have no
+unit and are not scaled. It is not published which point of a pixel has integer coordinates: the centre is assumed, so
+the principal point is uncertain by half a pixel.
 """
 
 import xml.etree.ElementTree as ElementTree
@@ -56,7 +56,7 @@ def read_qtm(path: Path, options: RigFileOptions) -> tuple[tuple[Camera, ...], N
 
 
 def write_qtm(cameras: tuple[Camera, ...], path: Path, options: RigFileOptions) -> Notes:
-    """Write a ``.qca.txt``; what is no lens of OpenCV's k1, k2, k3, p1, p2 is fitted by one, within the limit."""
+    """Write a ``.qca.txt``; a lens beyond OpenCV's k1, k2, k3, p1, p2 is fitted by them, within the limit."""
     root = ElementTree.Element("calibration", type="regular", source="mosca")
     ElementTree.SubElement(root, "results", {"std-dev": "0", "min-max-diff": "0"})
     group = ElementTree.SubElement(root, "cameras")

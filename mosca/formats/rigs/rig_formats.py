@@ -3,10 +3,10 @@
     rig, notes = read_any_rig(Path("calibration.qca.txt"))
     notes = write_any_rig(rig, Path("calibration.toml"), "aniposelib")
 
-A lens model that a format lacks is fitted over the image, the residual stated in the notes and refused above
-``RigFileOptions.max_residual_px``: Mosca lenses by OpenCV's model; for QTM all but OpenCV's k1, k2, k3, p1, p2; for
-OpenPTV cameras of different fx/fy. Fisheyes do not go into QTM's and OpenPTV's files, names not into Caliscope's,
-images of different sizes not into OpenPTV's, and more than a stereo pair takes a folder of OpenCV's.
+A lens model that a format lacks is fitted over the image. The notes state the residual; above
+``RigFileOptions.max_residual_px`` it is refused. Fitted are Mosca lenses (by OpenCV's model), for QTM all lenses but
+those of OpenCV's k1, k2, k3, p1, p2, and for OpenPTV cameras of different fx/fy. QTM's and OpenPTV's files hold no
+fisheyes, Caliscope's no names, OpenPTV's only one image size. More than a stereo pair needs a folder of OpenCV's.
 """
 
 from dataclasses import dataclass
@@ -29,7 +29,7 @@ HEAD = 4096
 
 @dataclass(frozen=True)
 class RigFormat:
-    """A file format: its ``name``, ``suffix`` ("" for a folder), how it is read and written (None: it is not)."""
+    """A file format: its ``name``, ``suffix`` ("" for a folder), reader and writer (None: there is none)."""
 
     name: str
     suffix: str
@@ -76,7 +76,7 @@ def write_any_rig(rig: Rig, path: Path, format: str, options: RigFileOptions | N
     """Write ``rig`` to ``path`` (a folder for "openptv", and for "opencv" without a suffix) in one of ``FORMATS``.
 
     Returns the notes on what was fitted or left out. Raises InputError for an unknown format, one that is only read,
-    or a lens that it can hold only with a residual above the limit; what was written before stays.
+    or a lens that it can hold only with a residual above the limit; files written before that are kept.
     """
     chosen = FORMATS[_known(format)]
     if chosen.write is None:

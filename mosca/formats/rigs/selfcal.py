@@ -1,8 +1,8 @@
 """Results of MultiCamSelfCal (Svoboda et al. 2005): a folder of ``camN.Pmat.cal`` and ``basenameN.rad``; read only.
 
-``.rad``: K11 ... K33 and kc1 ... kc4 (OpenCV's k1, k2, p1, p2) by which the images were undistorted, into pixels of
-the same K; ``.Pmat.cal``: the 3 x 4 matrix from world to undistorted pixels, whose own interior orientation is not
-K and has skew. OpenCV's or the Mosca model, whichever is nearer, is fitted to both together. ``Res.dat``: image
+``.rad``: K11 ... K33 and kc1 ... kc4 (OpenCV's k1, k2, p1, p2), with which the images were undistorted into pixels of
+the same K; ``.Pmat.cal``: the 3 x 4 matrix from world to undistorted pixels, whose own interior orientation differs
+from K and has skew. OpenCV's or the Mosca model, whichever is closer, is fitted to both together. ``Res.dat``: image
 sizes; ``camera_order.txt``: names. The unit of length is that of the alignment, often none.
 """
 
@@ -109,7 +109,7 @@ def _factors(projection: Array, path: Path) -> tuple[Array, Array, Array]:
 
 
 def image_sizes(folder: Path, count: int, options: RigFileOptions) -> list[tuple[int, int]]:
-    """Return width and height of each camera's images, of ``Res.dat``."""
+    """Return width and height [px] of each camera's images, from ``Res.dat``."""
     path = folder / "Res.dat"
     if not path.is_file() and options.size_px is not None:
         return [options.size_px] * count
@@ -122,7 +122,7 @@ def image_sizes(folder: Path, count: int, options: RigFileOptions) -> list[tuple
 
 
 def camera_names(folder: Path, count: int) -> tuple[str, ...]:
-    """Return the cameras' names, of ``camera_order.txt`` where it has as many."""
+    """Return the cameras' names, from ``camera_order.txt`` where it lists ``count`` of them."""
     path = folder / "camera_order.txt"
     names = read_text(path, CALIBRATION, "utf-8-sig").split() if path.is_file() else []
     return tuple(names) if len(names) == count else tuple(f"cam_{k + 1}" for k in range(count))

@@ -1,4 +1,4 @@
-"""A ROS 2 bag: a folder with an MCAP file, written with mcap-ros2-support, and the metadata that ROS 2 tools ask for.
+"""A ROS 2 bag: a folder with an MCAP file, written with mcap-ros2-support, and the metadata that ROS 2 tools need.
 
 Topics: ``/markers`` (PointCloud2), ``/bodies/NAME/pose`` (PoseWithCovarianceStamped), ``/tf`` (bodies and cameras in
 the frame "world"), ``/cameras/NAME/camera_info`` and ``/cameras/NAME/image_raw``. Metres and radians (REP 103); a
@@ -36,7 +36,7 @@ _UPPER = np.triu_indices(3)
 
 
 class Bag:
-    """Writes messages of one take; made by ``written_bag``."""
+    """Writer of the messages of one take; made by ``written_bag``."""
 
     def __init__(self, writer: Any) -> None:
         self._writer = writer
@@ -71,7 +71,7 @@ class Bag:
             self._put("/markers", "sensor_msgs/msg/PointCloud2", cloud, time_ns)
 
     def add_bodies(self, poses: BodyPoses) -> None:
-        """Write each pose with its covariance, and as a transform; withheld ones are left out."""
+        """Write each pose with its covariance, and also as a transform; withheld poses are left out."""
         poses_there = np.flatnonzero(np.isfinite(poses.position).all(axis=1))
         for k in poses_there.tolist():
             time_ns, name = int(poses.time_ns[k]), str(poses.body[k])
@@ -83,7 +83,7 @@ class Bag:
             self._put_transform(time_ns, name, place, turn)
 
     def add_camera(self, camera: Camera, times_ns: Iterable[int], options: RigFileOptions) -> Notes:
-        """Write a camera's properties and place at each time; return notes on a lens that was fitted.
+        """Write a camera's properties and pose at each time; return notes on a lens that was fitted.
 
         InputError where the lens cannot be put in ROS's models within ``options.max_residual_px``.
         """
@@ -132,7 +132,7 @@ class Bag:
         self._put("/tf", "tf2_msgs/msg/TFMessage", {"transforms": [one]}, time_ns)
 
     def _put(self, topic: str, message: str, content: Mapping[str, Any], time_ns: int) -> None:
-        log_ns = max(time_ns, 0)  # what MCAP holds
+        log_ns = max(time_ns, 0)  # MCAP's times are unsigned
         self._writer.write_message(topic, self._schemas[message], content, log_time=log_ns)
         first, last = self.span_ns if self.counts else (log_ns, log_ns)
         self.span_ns = min(first, log_ns), max(last, log_ns)

@@ -1,4 +1,4 @@
-"""What is black on a checkerboard or ChArUco board, as rectangles in the board's frame."""
+"""The black parts of a checkerboard or ChArUco board, as rectangles in the board's frame."""
 
 import cv2
 import numpy as np
@@ -8,10 +8,10 @@ from mosca.data.boards import Board
 
 
 def black_cells(board: Board) -> Array:
-    """Return (n, 4) left, bottom, width and height [m] of all that is black (``inverted``: white), in the frame of
+    """Return (n, 4) left, bottom, width and height [m] of the black parts (``inverted``: white ones), in the frame of
     ``Board``.
 
-    The squares, and of markers each unbroken row of black bits; none overlap.
+    These are the squares, and each unbroken row of black bits of the markers; none overlap.
     """
     square = board.square_m
     cells = [

@@ -18,8 +18,8 @@ LEAST_TARGETS = 3
 
 @dataclass(frozen=True)
 class PrintedScale:
-    """True size over nominal size, along the sheet's x axis and its y axis; ``residual_mm`` rms of what no scale and
-    shear explain (a crumpled or bent sheet).
+    """True size over nominal size, along the sheet's x axis and its y axis; ``residual_mm``: rms residual that no
+    scale and shear explain (a crumpled or bent sheet).
     """
 
     x: float
@@ -35,7 +35,7 @@ class PrintedScale:
 def scale_of_ruler(measured_mm: float, nominal_mm: float) -> float:
     """Return the scale of a sheet whose ruler of ``nominal_mm`` measures ``measured_mm`` between its end ticks.
 
-    Raises InputError for an implausible ratio: another ruler, another unit.
+    Raises InputError for an implausible ratio, as from another ruler or unit.
     """
     if not abs(measured_mm - nominal_mm) <= FARTHEST_OFF * nominal_mm:
         raise InputError(
@@ -48,9 +48,9 @@ def scale_of_ruler(measured_mm: float, nominal_mm: float) -> float:
 def scale_of_scan(found: CodedDetections, places: Sequence[OnSheet], dpi: float) -> PrintedScale:
     """Return the scales of a sheet from the coded targets found in its scan of ``dpi`` pixels an inch.
 
-    ``places``: their positions on the sheet (``lay_out_sheets``). The affine map of the centres is fitted; the
-    lengths of its axes are the scales, independent of the sheet's orientation on the scanner. Raises InputError for
-    fewer than three targets, collinear targets, or a scale that is a tenth off.
+    ``places``: their positions on the sheet (``lay_out_sheets``). An affine map is fitted to the centres. The lengths
+    of its axes are the scales, independent of the sheet's orientation on the scanner. Raises InputError for fewer
+    than three targets, collinear targets, or a scale that is a tenth off.
     """
     where = {placed.target.number: (placed.x_mm, placed.y_mm) for placed in places}
     seen = [k for k, number in enumerate(found.number.tolist()) if number in where]

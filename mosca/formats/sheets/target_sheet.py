@@ -53,12 +53,12 @@ class OnSheet:
 def write_sheets(
     target: CalibrationTarget, path: Path, page: str | None = None, colour: Literal["white", "black"] = "white"
 ) -> tuple[Path, ...]:
-    """Write what is printed of a calibration target, and return the files.
+    """Write the printable parts of a calibration target on sheets, and return the files.
 
-    Of a field or a scale bar with coded ends the coded targets, on as many sheets as they take; a board on one sheet.
-    ``page``: "A4", "A3", "A2" or "letter"; None: the first of A4, A3 and A2 that holds a plate or the board, for a
-    board also across, and for a larger one a sheet of its own size. ``path`` and ``colour``: see
-    ``write_target_sheets``. Raises InputError for a target that has nothing to print, and as that does.
+    For a field, or a scale bar with coded ends, these are the coded targets, on as many sheets as they take; a board
+    takes one sheet. ``page``: "A4", "A3", "A2" or "letter"; None: the first of A4, A3 and A2 that holds a plate or
+    the board (a board also across); a larger one gets a sheet of its own size. ``path`` and ``colour``: see
+    ``write_target_sheets``. Raises InputError for a target that has nothing to print, and as that function does.
     """
     path = Path(path)
     match target:
@@ -179,7 +179,7 @@ def lay_out_sheets(targets: Sequence[CodedTarget], page: str | None = None) -> t
 
 
 def white_runs_deg(number: int) -> tuple[tuple[float, float], ...]:
-    """Return start and end [deg, counter-clockwise] of each unbroken run of sectors: neighbours have no seam."""
+    """Return start and end [deg, counter-clockwise] of each unbroken run of white sectors, drawn without seams."""
     bits = code_bits(number)
     starts = [k for k in range(SECTORS) if bits[k] and not bits[k - 1]]
     lengths = [next(n for n in range(1, SECTORS) if not bits[(k + n) % SECTORS]) for k in starts]

@@ -21,12 +21,12 @@ from mosca.errors import InputError
 from mosca.formats.tracks.c3d_checks import MOST_BYTES, fault_of, frames_of_parameters
 from mosca.formats.tracks.marker_table import MarkerTable, plain_names
 
-# What ezc3d, and reading what it gives, raise on bytes that are not what they should be.
+# Errors that ezc3d, and reading its output, raise on damaged files.
 _DAMAGE = (OSError, ArithmeticError, LookupError, MemoryError, RuntimeError, ValueError, struct.error)
 LARGEST_COUNT = 65535
-"""What 16 bit hold: points, and the number of the last frame."""
+"""Largest number of 16 bit, which hold the count of points and the number of the last frame."""
 OTHER_KINDS = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS")
-"""Parameters of POINT that name points which are something else, as Vicon's models write them."""
+"""Parameters of POINT that list points which are not positions, as Vicon's models write them."""
 LONGEST_LABEL = 120
 """Characters: a dimension is one byte, and some readers take it for a signed one."""
 METRES_PER = {"mm": 1e-3, "cm": 1e-2, "dm": 1e-1, "m": 1.0, "in": 0.0254}
@@ -41,7 +41,7 @@ def write_c3d(table: MarkerTable, path: Path) -> None:
 
 
 def c3d_document(table: MarkerTable, path: Path) -> ezc3d.c3d:
-    """Return a marker table as what ezc3d writes to ``path``, which messages name.
+    """Return a marker table as a document of ezc3d, to be written to ``path``, which messages name.
 
     Raises InputError where it holds no sample, or more frames or markers than a C3D file can count.
     """
@@ -77,7 +77,7 @@ def c3d_document(table: MarkerTable, path: Path) -> ezc3d.c3d:
 def read_c3d(path: Path) -> MarkerTable:
     """Read the points of a C3D file; samples with a negative residual or no coordinates are absent (NaN).
 
-    What ``POINT:ANGLES`` and other groups of ``OTHER_KINDS`` name is no point in space and left out.
+    Points listed in ``POINT:ANGLES`` and the others of ``OTHER_KINDS`` are not points in space and are left out.
 
     Raises InputError where it cannot be read, is cut short or damaged, has no points or an unknown unit.
     """
@@ -125,7 +125,7 @@ def _bytes_needed(document: ezc3d.c3d, data: bytes) -> int:
     """Return how long the file must be to hold its frames: ezc3d reads truncated files without an error.
 
     (C3D user guide, header section: words 4 and 5 are the first and last frame, word 9 the data's block.) Where the
-    header and POINT:FRAMES differ, one of them is stale: some writers change one only when they cut a file.
+    header and POINT:FRAMES differ, one of them is stale: some writers change only one when they cut a file.
     """
     first, last, block = struct.unpack_from("<6x2H6xH", data)
     stated = frames_of_parameters(data) or math.inf
@@ -138,7 +138,7 @@ def _bytes_needed(document: ezc3d.c3d, data: bytes) -> int:
 
 
 def _residuals_mm(table: MarkerTable) -> tuple[Array, float]:
-    """Return the residual field (t, m) [mm] and its step: 7 bit hold it as a whole number of steps."""
+    """Return the residual field (t, m) [mm] and its step [mm]: the file holds it in 7 bit as a number of steps."""
     if not np.isfinite(table.deviation_m).any() and (table.measured == np.isfinite(table.xyz).all(axis=2)).all():
         # errors unknown and nothing filled: residual 0 throughout
         return np.where(table.measured, 0.0, -1.0), 1e-3

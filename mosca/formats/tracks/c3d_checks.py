@@ -1,7 +1,7 @@
-"""Is a C3D file's parameter section whole? ezc3d follows its offsets and group numbers unchecked and can crash.
+"""Check of a C3D file's parameter section: ezc3d follows its offsets and group numbers unchecked and can crash.
 
-Walks the records as the C3D user guide lays them out: name length, group number (negative for a group), name, offset
-of the next record, then for a parameter its type, dimensions and values, and a description.
+The records are walked as the C3D user guide lays them out: name length, group number (negative for a group), name,
+offset of the next record, then for a parameter its type, dimensions and values, and a description.
 """
 
 import math
@@ -16,17 +16,17 @@ CHARACTERS = 0xFF
 TYPES = {CHARACTERS: 1, 1: 1, 2: 2, 4: 4}
 """Bytes of a value: characters, bytes, 16-bit whole numbers, floats."""
 NEEDED = {"USED": 2, "SCALE": 4, "RATE": 4, "DATA_START": 2, "FRAMES": 2}
-"""Parameters of the group POINT, and bytes of their value at least."""
+"""Parameters that the group POINT must have, and the least number of bytes of their value."""
 SCALARS = ("USED", "RATE", "RATIO", "DATA_START", "GEN_SCALE")
 """Parameters whose first value ezc3d takes, in the groups that it interprets."""
 INTERPRETED = ("ANALOG", "ROTATION", "FORCE_PLATFORM")
 MOST_DIMENSIONS = 7
 MOST_BYTES = 1 << 26
-"""Of a file [B]: ezc3d takes 17 bytes of memory for an analog sample, of which the file has 2 or 4."""
+"""Largest file [B]: ezc3d takes 17 bytes of memory for an analog sample, which takes 2 or 4 in the file."""
 MOST_SAMPLES = 3 << 20
-"""Points times frames: ezc3d takes 265 bytes of memory for one, of which the file has 8 or 16."""
+"""Most points times frames: ezc3d takes 265 bytes of memory for each, which takes 8 or 16 in the file."""
 ROTATION_BYTES = 17 * 4
-"""A matrix of 4 x 4 and its reliability."""
+"""Bytes of a rotation: a matrix of 4 x 4 and its reliability."""
 
 
 def fault_of(data: bytes) -> str:
@@ -108,7 +108,7 @@ def _fault_of_section(section: bytes, order: str, held: dict[tuple[str, str], _V
 
 
 def _fault_of_values(held: Mapping[tuple[str, str], _Value]) -> str:
-    """Return what is missing or is no number."""
+    """Return which parameter is missing or is no number; "" for none."""
     for (group, name), value in held.items():
         if group in INTERPRETED and name in SCALARS and value.n == 0:
             return f"parameter {group}:{name} has no value"
@@ -120,7 +120,7 @@ def _fault_of_values(held: Mapping[tuple[str, str], _Value]) -> str:
 
 
 def _fault_of_sizes(data: bytes, order: str, held: Mapping[tuple[str, str], _Value]) -> str:
-    """Return what would take too much memory, or lies behind the end of the file."""
+    """Return what would take too much memory, or lies behind the end of the file; "" for nothing."""
 
     def stated(group: str, name: str) -> int:
         return held.get((group, name), _Value(0, 0, 0)).first

@@ -25,8 +25,8 @@ def write_columns(path: Path, names: Sequence[str], columns: Sequence[Sequence[s
 def read_columns(path: Path, names: Sequence[str], kind: str) -> dict[str, Sequence[str]]:
     """Return the cells (n) of each column of a CSV file that begins with the line ``names``.
 
-    ``kind``: how such a file is called. Raises InputError where it cannot be read, begins otherwise, or a row is too
-    short or too long.
+    ``kind``: the name of such files in errors. Raises InputError where the file cannot be read or begins otherwise,
+    or a row is too short or too long.
     """
     rows = read_rows(path)
     if not rows or rows[0] != list(names):
@@ -35,10 +35,10 @@ def read_columns(path: Path, names: Sequence[str], kind: str) -> dict[str, Seque
 
 
 def read_named(path: Path, needed: Sequence[str], optional: Sequence[str], kind: str) -> dict[str, Sequence[str]]:
-    """Return the cells (n) of the columns ``needed`` and of those ``optional`` that there are, in any order.
+    """Return the cells (n) of the columns ``needed``, and of those ``optional`` ones that the file has.
 
-    Other columns are left alone. ``kind``: how such a file is called. Raises InputError where it cannot be read,
-    lacks a column or names one twice, or a row is too short or too long.
+    Columns may be in any order; others are ignored. ``kind``: the name of such files in errors. Raises InputError
+    where the file cannot be read, lacks a column or names one twice, or a row is too short or too long.
     """
     rows = read_rows(path)
     header = rows[0] if rows else []
@@ -81,12 +81,12 @@ def integers(values: Array) -> list[str]:
 
 
 def reals(values: Array) -> list[str]:
-    """Return the shortest decimals that read back to the same float64; nothing for an unknown one (NaN)."""
+    """Return the shortest decimals that read back to the same float64; an empty text for an unknown one (NaN)."""
     return ["" if value != value else repr(value) for value in values.tolist()]
 
 
 def parsed(cells: Sequence[str], name: str, kind: type[int] | type[float], path: Path) -> Array:
-    """Return a column's cells as numbers (n,), nothing as NaN; InputError names an invalid row."""
+    """Return a column's cells as numbers (n,), empty ones as NaN; InputError names an invalid row."""
     try:
         if kind is int:
             return np.array(decimals.integers(cells), dtype=np.int64)

@@ -38,8 +38,8 @@ class MarkerTable:
 def table_from_tracks(tracks: Tracks, rate_hz: float) -> MarkerTable:
     """Return ``tracks`` as a table from their first to their last frame.
 
-    A marker is called by its label. Tracks of one label share a column (a marker that was lost and found again)
-    unless they have a frame in common; then, and without a label, the track's number is appended.
+    A marker's name is its label. Tracks of one label share a column (a marker that was lost and found again) unless
+    they have a frame in common; then, and for tracks without a label, the track's number is appended.
     """
     if len(tracks) == 0:
         none = np.empty((0, 0))
@@ -68,7 +68,7 @@ def table_from_tracks(tracks: Tracks, rate_hz: float) -> MarkerTable:
 def plain_names(names: tuple[str, ...], longest: int | None = None) -> tuple[str, ...]:
     """Return names that a line of a file can hold: no line breaks, tabs or blanks at the ends, all distinct.
 
-    ``longest``: characters, in a one-byte encoding; others are written as ?.
+    ``longest``: most characters, in a one-byte encoding; characters outside it are written as ?.
     """
     plain: list[str] = []
     for k, name in enumerate(names, start=1):

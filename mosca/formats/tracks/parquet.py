@@ -2,7 +2,7 @@
 
 Whole numbers are int64, positions [m], covariances [m^2] and residuals [px] float64, unknown ones null. Pages have
 checksums; the schema's metadata state the units and, under ``sha256``, the digest of all columns. Files of other
-programs with these columns are read without them.
+programs with these columns are read without such metadata.
 """
 
 from pathlib import Path
@@ -23,7 +23,7 @@ UNITS = {"x, y, z": "m", "sxx ... syz": "m^2", "residual_px": "px", "time_ns": "
 
 
 def write_tracks_parquet(tracks: Tracks, path: Path) -> None:
-    """Write ``tracks`` to ``path``, whole or not at all. Raises InputError where that cannot be."""
+    """Write ``tracks`` to ``path``, whole or not at all. Raises InputError where that fails."""
     import pyarrow
     from pyarrow import parquet
 
@@ -39,7 +39,7 @@ def write_tracks_parquet(tracks: Tracks, path: Path) -> None:
 
 
 def read_tracks_parquet(path: Path) -> Tracks:
-    """Read tracks from a Parquet file with the columns of ``tracks.csv``, in any order; others are left alone.
+    """Read tracks from a Parquet file with the columns of ``tracks.csv``, in any order; others are ignored.
 
     Raises InputError where it cannot be read, lacks a column, is damaged, or would take far more memory than it has
     bytes.
@@ -76,7 +76,7 @@ def _columns_of(tracks: Tracks) -> dict[str, Array]:
     """Return the columns (n,) of ``tracks`` by their names, as they are written."""
     elements = (tracks.covariance[:, i, j] for i, j in COVARIANCE_ELEMENTS)
     reals = zip(COLUMNS[4:13], (*tracks.xyz.T, *elements), strict=True)
-    # one bit pattern for unknown, as for zero
+    # one bit pattern for NaN, and one for zero
     floats = {
         name: np.where(np.isnan(one), np.nan, one + 0.0) for name, one in (*reals, (COLUMNS[14], tracks.residual_px))
     }

@@ -1,8 +1,8 @@
-"""``tracks.csv``: one line a track and frame, every number at full precision.
+"""``tracks.csv``: one line for each track and frame, every number at full precision.
 
 Columns ``frame,time_ns,track,label,x,y,z,sxx,syy,szz,sxy,sxz,syz,n_cameras,residual_px,status``: position in m
-and covariance of the measurement in m^2, world frame; empty where unknown. The covariance is symmetric, so
-six of its elements are written.
+and covariance of the measurement in m^2, world frame; cells are empty where unknown. The covariance is symmetric,
+so six of its elements are written.
 """
 
 from pathlib import Path
@@ -20,7 +20,7 @@ COVARIANCE_ELEMENTS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 
 
 def write_tracks_csv(tracks: Tracks, path: Path) -> None:
-    """Write ``tracks`` to ``path``, whole or not at all. Raises InputError where that cannot be."""
+    """Write ``tracks`` to ``path``, whole or not at all. Raises InputError where that fails."""
     write_columns(path, COLUMNS, cells_of(tracks))
 
 

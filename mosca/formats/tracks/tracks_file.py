@@ -1,4 +1,4 @@
-"""Tracks from and to a file, in the format that its suffix names; and written while they are measured."""
+"""Reading and writing of tracks in the format that the file's suffix names, also while they are measured."""
 
 import csv
 from collections.abc import Mapping
@@ -21,7 +21,7 @@ SUFFIXES = (".npz", ".csv", ".parquet", ".c3d", ".trc")
 
 
 def check_tracks_file(path: Path) -> None:
-    """Raise InputError where ``path`` is no file for tracks; ask before long work, not after it."""
+    """Raise InputError where ``path`` is no file for tracks; to be called before long work."""
     _check_suffix(path)
     check_writable(path)
 
@@ -71,12 +71,12 @@ def write_tracks(tracks: Tracks, path: Path, frame_rate_hz: float) -> None:
 
 
 class TracksLog:
-    """Tracks on the disk while they are measured, whatever becomes of the program.
+    """Tracks written to disk while they are measured, so that they survive the end of the program.
 
-    Appends samples to ``PATH.part.csv``, in the order in which they become certain.
+    Samples are appended to ``PATH.part.csv``, in the order in which they become certain.
 
     ``finish`` writes them, sorted, to ``path`` in the format of its suffix and removes the part file; without it the
-    part file stays. InputError for another suffix and where a part file of an earlier run still lies there.
+    part file stays. InputError for another suffix and where a part file of an earlier run still exists.
     """
 
     def __init__(self, path: Path) -> None:

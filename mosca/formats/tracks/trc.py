@@ -1,6 +1,6 @@
 """TRC files (Motion Analysis; read by OpenSim and Pose2Sim): tab-separated text, here in millimetres.
 
-A sample that is not there is left blank. The axes stay those of the world, Z up; OpenSim expects Y up and rotates
+A missing sample is left blank. The axes stay those of the world, Z up; OpenSim expects Y up and rotates
 them on import. Numbers are written at full precision.
 """
 
