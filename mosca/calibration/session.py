@@ -331,7 +331,8 @@ def _diameters_m(calibration: Calibration, target: CalibrationTarget) -> Array |
 def _mean_detections(source: FrameSource, settings: EstimateSettings) -> dict[str, Detections]:
     """Return the mean detections of stationary targets, by camera.
 
-    Those of the first image of a camera are followed by nearness; what is not there in half the images is left out.
+    Those of the image with most detections, of a camera's first half, are followed by nearness; targets that are
+    missing in half of the images are left out.
     """
     images: dict[str, list[Detections]] = {info.name: [] for info in source.cameras}
     depth = {info.name: info.bit_depth for info in source.cameras}

@@ -32,7 +32,8 @@ FREE_SHARE = 0.15
 GLINT_PX, GLINT_FRAMES = 0.5, 0.8
 """A spot that stays within this distance [px] of one place, in this share of the frames, is no moving marker."""
 MIRROR_M, MIRROR_VOTES = 0.01, 3
-"""Largest distance of a mirror image from its marker mirrored in a plane [m]; number of these that make a plane."""
+"""Largest distance of a mirror image from its marker mirrored in a plane [m]; number of these in two frame
+sets that make a plane, ten in all at least."""
 
 
 @dataclass

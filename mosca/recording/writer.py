@@ -57,7 +57,8 @@ class RecordingWriter:
     lossless. ``holds``: "frames", or "detections" without images. ``about``: tables for ``recording.toml``, to be
     filled before ``close``. ``tail_bytes``: size of memory for waiting frames (``keep``) that outlives this process,
     where the system has such; 0 for none. When the body raises, or the disk is full (InputError), what was written
-    stays readable as an unfinished recording. Not to be shared by threads, except ``pack``.
+    stays readable as an unfinished recording. Not to be shared by threads,
+    except ``pack``, ``reserve``, ``keep`` and ``forget``.
     """
 
     def __init__(

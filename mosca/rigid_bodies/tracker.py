@@ -3,8 +3,8 @@
 ``BodyTracker`` follows bodies from instant to instant (live). A marker is assigned the track that it had before, else
 the point nearest to the position that the body's motion predicts. A point that disagrees with the others is left out.
 Ambiguous poses are withheld (``mosca.rigid_bodies.pose``). A lost body is searched for among all free points.
-``body_poses`` does the same over whole tracks (offline): forwards, and then backwards for poses that are missing
-before a body is first found.
+``body_poses`` does the same over whole tracks (offline): forwards, and then backwards for frames without a
+pose.
 """
 
 from collections.abc import Iterator, Sequence

@@ -22,7 +22,10 @@ def seconds(tracks: Tracks) -> Array:
 
 
 def frames_expected(tracks: Tracks, time_s: tuple[float, float] | None) -> int:
-    """Return the number of frames of a stretch, also those without samples; 0 where the rate is not known."""
+    """Return the number of frames of a stretch, also those without samples.
+
+    Where the rate is not known: 1, or 0 without any sample.
+    """
     period_s = tracks.frame_period_s
     if period_s is None:
         return min(len(tracks), 1)

@@ -42,7 +42,8 @@ Told = ParameterEstimate | NotTold
 def root(variance: float, sigma: float) -> tuple[float, float]:
     """Return a standard deviation and its own standard deviation, from a variance and that of the variance.
 
-    A variance that is not above its own uncertainty gives 0, with the root of what it may be.
+    A variance that is not above its own uncertainty gives its root, 0 where it is negative, and the root of what
+    it may be for the uncertainty.
     """
     if variance <= sigma:
         return math.sqrt(max(variance, 0.0)), math.sqrt(max(variance, 0.0) + sigma)

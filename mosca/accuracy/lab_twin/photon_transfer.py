@@ -38,7 +38,7 @@ HOT_SIGMAS = 8.0
 DEAD_SHARE = 0.2
 """Share of the usual response below which a pixel is dead."""
 LEAST_RISE = 4.0
-"""Least ratio of a lit recording's variance to that of the dark one's rounding and noise to estimate the gain."""
+"""Least ratio of a lit recording's variance to the dark one's to estimate the gain."""
 SATURATED_SHARE = 1e-3
 """Share of pixels at the largest grey value from which a lit recording is not used for the gain."""
 

@@ -102,7 +102,7 @@ def precision_of(
         reduced_cofactors, block_cofactors = in_free_network(layout, solution, block_cofactors)
     loose = undetermined(layout, solution.inverse)
     points = np.zeros((len(problem.points), 3, 3))
-    # points without observations keep their a-priori covariance
+    # held points are exact; points without observations have no covariance
     absent = ~problem.points.held
     absent[np.concatenate([layout.members, layout.kept])] = False
     points[absent] = np.nan

@@ -63,8 +63,9 @@ def frame_sums(
 
 
 def _fitted(slope: Array, weight: Array, rest: Array, seen: Array) -> tuple[Array, Array, Array]:
-    """Return weights, residuals at each point's best position, and which points (n,) have three equations to spare
-    or a pair's one; images far off lose their weight.
+    """Return weights, residuals at each point's best position, and which points (n,) are used.
+
+    Used are points that two cameras and more determine and of which no image is far off.
     """
     weighted = np.swapaxes(slope, 2, 3) @ weight
     total = (weighted @ slope).sum(axis=1)

@@ -102,7 +102,7 @@ def openptv_directions(interior: OpenPTVInterior, xy_px: Array) -> Array:
 def to_lens(interior: OpenPTVInterior) -> Exchanged:
     """Return our lens: OpenCV's, exact where distortion and principal point agree; a Mosca lens for a shear.
 
-    Where neither is exact, both are fitted and the closer is taken.
+    A Mosca lens is fitted where there is a shear alone; where it is not exact, the closer of both is taken.
     """
     one, c = interior, interior.c_mm
     fx, fy = (one.scx * c / pixel for pixel in one.pixel_mm)
