@@ -122,7 +122,7 @@ def _moments(values: Array) -> tuple[Array, Array]:
 
 
 def _sides(xyz: Array, mean: Array, sigma: Array, same: Array) -> tuple[Array, Array]:
-    """Return sets of four (q, 4) whose volume (q,) keeps its sign, formed by each marker and near ones of its limb."""
+    """Return sets of four (q, 4) whose volume (q,) keeps its sign: each marker with near ones of its limb."""
     tight = np.where(same & np.isfinite(sigma), sigma / np.maximum(mean, 1e-6), np.inf)
     np.fill_diagonal(tight, np.inf)
     sets = set()
