@@ -10,7 +10,7 @@ from mosca.machines.vibration.spectra import NoiseFloor, Spectra
 HIGHEST_SHARE = 0.4
 """Share of the frame rate up to which frequencies are stated without a warning of aliasing."""
 _ABOVE_FLOOR = 2.0
-"""A spectrum has not ended at half the frame rate if it is this many times its low level near there."""
+"""A spectrum has not ended at the Nyquist frequency if it is this many times its low level near there."""
 _LOW = 0.25
 """Quantile of a spectrum that is taken as its low level."""
 _TOLD_FILLED = 0.01
