@@ -1,4 +1,4 @@
-"""Findings from the residuals of curves: whether stamps fit, which clocks are ambiguous, what is no marker."""
+"""Findings from the residuals of curves: stamps that do not fit, ambiguous clocks, images of no marker."""
 
 from dataclasses import replace
 
@@ -13,16 +13,16 @@ from mosca.data.arrays import Array
 from mosca.data.rig import Rig
 
 GROSS = 16.0
-"""Squared residuals above this, in the variances stated, are not used to test stamps."""
+"""Largest squared residual, relative to the stated variance, that is used to test stamps."""
 LATE_SIGMA, LATE_S = 8.0, 1e-4
-"""Report a time offset above this: in standard deviations, and in time."""
+"""Least time offset that is reported: in standard deviations, and in seconds."""
 STEP_S = 1e-3
 """Half the step of the numerical derivative of an image position by time [s]."""
 PASSES = 5
 
 
 def on_curves_clock(found: TimedObservations, estimated: ContinuousEstimate) -> TimedObservations:
-    """Return observations whose times are those of the estimated curves."""
+    """Return the observations with times on the clock of the estimated curves."""
     at, rate, row = (
         np.array([getattr(one, name) for one in estimated.clocks])[found.camera]
         for name in ("offset_s", "drift", "row_time_s")
@@ -31,10 +31,10 @@ def on_curves_clock(found: TimedObservations, estimated: ContinuousEstimate) -> 
 
 
 def late_cameras(curves: Curves, observations: TimedObservations, rig: Rig) -> tuple[str, ...]:
-    """Return a line where cameras' stamps, taken as right, do not fit the images: points lie ahead or behind.
+    """Return a line for each camera whose stamps, assumed right, do not fit the images: points lie ahead or behind.
 
-    The delay is the residuals' share along the images' motion. Curves follow all cameras, so that it is by how much a
-    camera differs from the others at least.
+    The delay is estimated from the residuals along the images' motion. Curves follow all cameras, so it is the least
+    difference of a camera from the others.
     """
     rest = residuals_px(curves, observations, rig)
     lines = []
@@ -58,9 +58,9 @@ def late_cameras(curves: Curves, observations: TimedObservations, rig: Rig) -> t
 
 
 def _delay(rest: Array, flow: Array, covariance: Array) -> tuple[float, float]:
-    """Return by how much residuals (n, 2) lie along their points' flow (n, 2) [px/s], and its standard deviation [s].
+    """Return the delay [s] of residuals (n, 2) along the points' flow (n, 2) [px/s], and its standard deviation [s].
 
-    Gross errors are left out by what remains.
+    Gross errors are left out, by the residuals that remain after the delay.
     """
     delay, sigma = 0.0, np.inf
     for _pass in range(PASSES):
@@ -76,7 +76,7 @@ def _delay(rest: Array, flow: Array, covariance: Array) -> tuple[float, float]:
 
 
 def association_findings(gathered: Associated, found: TimedObservations) -> tuple[str, ...]:
-    """Return what became of frames, clocks and image points, where it is not as it should be."""
+    """Return lines about problems with frames, clocks and image points."""
     lines = [
         f"camera '{name}': {count} of {gathered.count.frames[name]} frames without a usable image"
         for name, count in gathered.count.unusable.items()

@@ -21,18 +21,19 @@ from mosca.data.tracks import Tracks
 from mosca.errors import InputError
 
 FEW_TOGETHER = 6
-"""Points whose curves are estimated together before clocks are known."""
+"""Most points whose curves are estimated together before clocks are known."""
 BETTER_PX = 0.1
-"""Gate for assigning image points again to the estimated curves."""
+"""Gate for assigning image points to the estimated curves again [px]."""
 ALMOST = 1.1
-"""Image errors are stated well enough when residuals change them by less than this factor."""
+"""Factor of change by residuals below which image errors are stated well enough."""
 LEAST_PX = 0.005
-"""Image errors besides the detections', at least (``mosca.diagnostics.camera_health``)."""
+"""Least image error besides the detections' [px] (``mosca.diagnostics.camera_health``)."""
 LEFT_OUT = 2.0**5
-"""Variance of an interpolation across an exposure that is left out against one between exposures, as ``Tracklets``
-takes it."""
+"""Ratio of the variance of an interpolation across a left-out exposure to that between exposures, as in
+``Tracklets``."""
 MOST_ROUNDS, SETTLED = 16, 0.005
-"""Image points are assigned again to better curves, so often at most and until their number changes by less."""
+"""Most rounds of assigning image points to better curves again, and the relative change of their number at which the
+rounds end."""
 
 
 @dataclass(frozen=True)
@@ -40,8 +41,8 @@ class EstimatedClock(Clock):
     """A camera's clock by its stamps.
 
     An instant of the common clock [s], which counts from the first camera's ``origin_ns``, is
-    ``offset_s + (1 + drift) (stamp_ns - origin_ns) / 1e9 + row_time_s y``; ``row_time_s`` comes on top of what the
-    frames state.
+    ``offset_s + (1 + drift) (stamp_ns - origin_ns) / 1e9 + row_time_s y``; ``row_time_s`` is added to that stated by
+    the frames.
     """
 
     origin_ns: int = 0
@@ -49,8 +50,8 @@ class EstimatedClock(Clock):
 
 @dataclass(frozen=True, eq=False)
 class Reconstructed:
-    """Result from frames of free-running cameras. ``observations``: on the curves' clock. ``findings``: what a person
-    should know, a line each. ``cameras``: their paths where they move; ``observations`` are then those of markers.
+    """Result from frames of free-running cameras. ``observations``: on the curves' clock. ``findings``: notes for the
+    user, one line each. ``cameras``: their paths where they move; ``observations`` are then those of markers.
     """
 
     gathered: Associated
@@ -63,11 +64,11 @@ class Reconstructed:
 
     @property
     def origin_ns(self) -> int:
-        """Stamp of the first camera at which the common clock is 0."""
+        """Stamp of the first camera at which the common clock is 0 [ns]."""
         return self.gathered.ties[0].origin_ns
 
     def span_ns(self) -> tuple[int, int]:
-        """Return the first and last instant of an image point, the first camera's stamps."""
+        """Return the first and last instant of an image point, as stamps of the first camera [ns]."""
         first = self.clocks[0]
         span = np.array([self.observations.time_s.min(), self.observations.time_s.max()])
         own = (span - first.offset_s) / (1.0 + first.drift)
@@ -86,7 +87,7 @@ class Reconstructed:
         return tracks_on_grid(curves, self.observations, self.rig, instants_s, time_ns, periods_s, self.cameras)
 
     def residual_rms_px(self) -> float:
-        """Return how far image points lie from their curves, rms an axis [px]."""
+        """Return the rms deviation of image points from their curves, per axis [px]."""
         rest = residuals_px(self.estimated.curves, self.observations, self.rig, self.cameras)
         return float(np.sqrt(np.nanmean(rest**2)))
 
@@ -99,8 +100,8 @@ def reconstruct(
     backgrounds: Mapping[str, Array] | None = None,
     attend: Callable[[int], None] | None = None,
 ) -> Reconstructed:
-    """Reconstruct from frames of fixed, calibrated, free-running cameras the curves of markers, and the cameras'
-    clocks.
+    """Reconstruct the curves of markers and the cameras' clocks, from frames of fixed, calibrated, free-running
+    cameras.
 
     ``settings.clocks`` "known" becomes "drift" where clocks had to be searched for. InputError: see ``associate``.
     """
@@ -108,11 +109,11 @@ def reconstruct(
 
 
 def reconstruct_gathered(gathered: Associated, rig: Rig, settings: ContinuousSettings | None = None) -> Reconstructed:
-    """As ``reconstruct``, of what is associated already."""
+    """As ``reconstruct``, from a given data association."""
     settings = ContinuousSettings() if settings is None else settings
     if gathered.searched and settings.clocks == "known":
         settings = replace(settings, clocks="drift")
-    # a camera sees a point up to a period before two of them do, and after
+    # one camera sees a point up to a period before and after two cameras do
     reach_s = max(one.period_s for one in gathered.seen)
     settings = replace(settings, reach_s=reach_s)
     # clocks and names need curves, not the correlations between points, which are expensive
@@ -147,7 +148,7 @@ def reconstruct_gathered(gathered: Associated, rig: Rig, settings: ContinuousSet
 
 
 def _with_names(gathered: Associated, ties: tuple[ClockTie, ...], sigma_px: Array) -> TimedObservations:
-    """Return the observations, whose names are given, by better clocks and image errors."""
+    """Return the observations, whose names are given, with better clocks and image errors."""
     found = gathered.observations
     time_s, covariance = np.empty(len(found)), np.empty((len(found), 2, 2))
     for c, (one, tie) in enumerate(zip(gathered.seen, ties, strict=True)):
@@ -161,10 +162,11 @@ def _with_names(gathered: Associated, ties: tuple[ClockTie, ...], sigma_px: Arra
 def _as_residuals(sigma_px: Array, gathered: Associated, rig: Rig, of_camera: Array) -> Array:
     """Return the image errors (c,) [px] besides the detections' with which residuals are as large as stated.
 
-    ``of_camera`` (c,): the residuals in units of what was stated. How large cameras' errors are against each other is
-    learned here: at common instants interpolation hides it. Curves take up errors that last, as lenses', 3 of 2 C
-    parts where C cameras see a point: these come on top of what residuals show. Not less than what common instants
-    showed without what interpolation may have added there: at most what it is off where an exposure is left out.
+    ``of_camera`` (c,): the residuals in units of the stated errors. The cameras' errors relative to each other are
+    estimated here, since interpolation hides them at common instants. Curves take up lasting errors, such as those of
+    lenses, 3 of 2 C parts where C cameras see a point; this part is added to that shown by residuals. The result is
+    at least the error at common instants less the largest part that interpolation may have added there: its error
+    where an exposure is left out.
     """
     covariances = [one.covariance_px2 for one in gathered.seen]
     detected = np.array([0.5 * np.median(np.trace(one, axis1=1, axis2=2)) for one in covariances])
@@ -176,7 +178,7 @@ def _as_residuals(sigma_px: Array, gathered: Associated, rig: Rig, of_camera: Ar
 
 
 def _tied(ties: tuple[ClockTie, ...], estimated: ContinuousEstimate) -> tuple[ClockTie, ...]:
-    """Return the ties with what was estimated on top of them."""
+    """Return the ties combined with the estimated clocks."""
     return tuple(
         replace(
             tie,

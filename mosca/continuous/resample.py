@@ -1,9 +1,8 @@
-"""Curves -> tracks on a grid of instants: positions, covariances, and whether image points support
-them.
+"""Curves -> tracks on a grid of instants: positions, covariances, and whether image points support them.
 
-A sample is "measured" where two cameras and more have an image point of it within one frame period before or after,
-"filled" where the curve carries on between such instants, over at most LONGEST_FILL_S, and where only one camera
-has seen it yet, or does still: depth is extrapolated there. Beyond a point's first and last image point there are no
+A sample is "measured" where two or more cameras have an image point of it within one frame period before or after. It
+is "filled" where the curve continues between such instants, over at most LONGEST_FILL_S, and at the ends where only
+one camera sees the point: depth is extrapolated there. Beyond a point's first and last image point there are no
 samples.
 """
 
@@ -21,16 +20,16 @@ from mosca.data.tracks import Tracks
 LONGEST_FILL_S = 1.0
 """Longest gap in a curve's observations [s] over which it is sampled."""
 BEYOND = 0.1
-"""How far beyond the second camera's image points a sample still counts as measured, in frame periods: triggered
-cameras do not expose at quite the same instant."""
+"""Largest time, in frame periods, beyond the second camera's image points at which a sample still counts as measured:
+triggered cameras do not expose at exactly the same instant."""
 CHUNK = 1000
-"""Instants whose covariances are computed at a time."""
+"""Number of instants whose covariances are computed at a time."""
 
 
 def residuals_px(
     curves: Curves, observations: TimedObservations, rig: Rig, cameras: CameraPaths | None = None
 ) -> Array:
-    """Return how far each image point (n, 2) lies from its curve's image [px]; NaN where the curve is unknown.
+    """Return the offsets (n, 2) [px] of image points from their curves' images; NaN where the curve is unknown.
 
     ``cameras``: the rig's poses where they change. Curves and observations are of one clock; within a frame with a
     rolling shutter images follow a parabola in time.
@@ -67,9 +66,9 @@ def tracks_on_grid(
     near_s: Sequence[float],
     cameras: CameraPaths | None = None,
 ) -> Tracks:
-    """Return samples of all points at ``instants_s`` (t,), the curves' clock; stamped ``time_ns`` (t,).
+    """Return samples of all points at ``instants_s`` (t,) on the curves' clock, with stamps ``time_ns`` (t,).
 
-    ``observations`` of these points, on the curves' clock; ``near_s``: each camera's frame period [s]; ``cameras``:
+    ``observations``: of these points, on the curves' clock; ``near_s``: each camera's frame period [s]; ``cameras``:
     the rig's poses where they change. Covariances are the curves' own.
     """
     t, m = len(instants_s), len(curves.points)

@@ -1,4 +1,4 @@
-"""The file of edits, TOML: operations in the order in which they are done, each a table of its own.
+"""The TOML file of edits: operations in the order in which they are done, each a table of its own.
 
 ::
 
@@ -8,7 +8,7 @@
     [[edit]]
     swap = { labels = ["LKNE", "RKNE"], frames = [200, 230] }
 
-A new operation is a frozen dataclass with ``apply`` and a line in TRACK_OPERATIONS or MOTION_OPERATIONS.
+A new operation needs a frozen dataclass with ``apply``, and a line in TRACK_OPERATIONS or MOTION_OPERATIONS.
 """
 
 from collections.abc import Mapping
@@ -77,7 +77,7 @@ class _Edits(Table):
 
 
 class Edits(Generic[Take]):
-    """Operations in their order, each with its name and as it stands in the file."""
+    """Operations in their order, each with its name and its table in the file."""
 
     def __init__(self, path: Path, document: Mapping[str, Any], model: BaseModel) -> None:
         self.path = path
@@ -107,7 +107,7 @@ def read_track_edits(path: Path) -> Edits[Tracks]:
 
 
 def read_motion_edits(path: Path) -> Edits[Motion]:
-    """Read edits of a motion; files that they name are seen from the folder of ``path``. InputError as above."""
+    """Read edits of a motion; files named in them are relative to the folder of ``path``. InputError as above."""
     edits: Edits[Motion] = _read(path, MOTION_OPERATIONS)
     edits.operations = [
         one.within(Path(path).parent) if isinstance(one, Retarget) else one for one in edits.operations

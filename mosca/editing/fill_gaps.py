@@ -15,11 +15,11 @@ from mosca.smoothing.gap_filling import filled
 from mosca.smoothing.rts import SmoothSettings
 
 FEWEST = 3
-"""Markers of a cluster that determine its pose, not in a line."""
+"""Fewest markers of a cluster, not in a line, that determine its pose."""
 IN_LINE = 0.05
-"""Second largest extent of a cluster to its largest below which it is a line: its spin is 20 times less sure."""
+"""Ratio of a cluster's second largest to largest extent below which it is a line: its spin is 20 times less sure."""
 TRIALS = 12
-"""Stretches that were seen and are predicted all the same, as far apart as can be, to measure the error."""
+"""Most stretches of measured frames, as far apart as possible, that are predicted to measure the error."""
 
 
 @dataclass(frozen=True, config=SETTINGS)
@@ -36,7 +36,7 @@ class FillGaps:
     frames: Frames | None = None
 
     def apply(self, take: Tracks) -> Tracks:
-        """Return the take with samples added; EditError where a marker that is named has none to fill."""
+        """Return the take with samples added; EditError where a named marker has no gap to fill."""
         inside = np.unique(take.frame[rows_between(take.frame, self.frames)])
         names = marker_names(take) if self.labels is None else list(self.labels)
         # a sample without a position is a gap
@@ -72,7 +72,7 @@ def _without(name: str, gaps: list[_Gap], longest_s: float) -> str:
 
 
 def _gaps(take: Tracks, rows: Array, inside: Array) -> list[_Gap]:
-    """Return the gaps of a marker all of whose frames are ``inside`` (k,), the frames that the take has there."""
+    """Return the gaps of a marker that lie wholly within ``inside`` (k,), frames of the take."""
     own = np.flatnonzero(rows)
     own = own[np.argsort(take.frame[own], kind="stable")]
     found = []
@@ -98,7 +98,7 @@ def _new(take: Tracks, gap: _Gap, xyz: Array, covariance: Array) -> Tracks:
 
 
 def _by_smoothing(take: Tracks, gaps: dict[str, list[_Gap]], longest_s: float) -> list[Tracks]:
-    # One track a marker: a gap may lie between two of them. Others are there for their instants alone.
+    # One track per marker, since a gap may lie between two tracks. Other tracks only provide their instants.
     track = np.full(len(take), -1)
     covariance = np.array(take.covariance)
     for k, name in enumerate(gaps):
@@ -123,8 +123,8 @@ def _by_smoothing(take: Tracks, gaps: dict[str, list[_Gap]], longest_s: float) -
 def _noise_m(xyz: Array) -> float:
     """Return the standard deviation per axis [m] of positions (n, 3) without a covariance.
 
-    By their third differences, in which smooth motion is small and white noise 20 times its variance; the median
-    leaves gaps and jerks out. At least a micrometre.
+    It is estimated from third differences, in which smooth motion is small and white noise has 20 times its variance.
+    Their median excludes gaps and jerks. The result is at least a micrometre.
     """
     third = np.abs(np.diff(xyz, 3, axis=0))
     return max(float(np.median(third)) / 0.6745 / np.sqrt(20.0), 1e-6) if len(third) else 1e-3
@@ -155,9 +155,10 @@ def _by_cluster(take: Tracks, name: str, gaps: list[_Gap], cluster: Labels) -> T
 
 
 def _carried(marker: Array, others: Array, start: int, n: int) -> Array:
-    """Return the marker's path (n, 3) from ``start`` on as fixed to the ``others`` (t, m, 3); NaN where open.
+    """Return the marker's path (n, 3) from ``start`` on, fixed to the ``others`` (t, m, 3); NaN if undetermined.
 
-    Fixed as in the frame before it and as in the frame after it, from one to the other in proportion to time.
+    It is computed with the place in the frame before the path and with that in the frame after it, and blended from
+    one to the other in proportion to time.
     """
     share = (np.arange(n) + 1.0)[:, None] / (n + 1)
     ends = [
@@ -169,7 +170,7 @@ def _carried(marker: Array, others: Array, start: int, n: int) -> Array:
 
 
 def _moved(before: Array, after: Array, point: Array) -> Array:
-    """Return ``point`` (3,) moved as the markers (m, 3) from ``before`` to ``after`` (Kabsch 1976); NaN if open."""
+    """Return ``point`` (3,) moved as the markers (m, 3) from ``before`` to ``after`` (Kabsch 1976), or NaN."""
     both = np.isfinite(before).all(axis=1) & np.isfinite(after).all(axis=1)
     if both.sum() < FEWEST:
         return np.full(3, np.nan)
@@ -182,7 +183,7 @@ def _moved(before: Array, after: Array, point: Array) -> Array:
 
 
 def _error2(marker: Array, others: Array, n: int) -> float:
-    """Return the variance per axis [m^2] of n frames predicted so, by stretches that were seen; NaN without any."""
+    """Return the variance per axis [m^2] of such predictions over n measured frames; NaN without such stretches."""
     seen = np.isfinite(marker).all(axis=1)
     whole = np.convolve(seen, np.ones(n + 2), "valid") > n + 1.5
     starts = np.flatnonzero(whole) + 1

@@ -1,4 +1,4 @@
-"""The operation ``foot_lock``: a foot's joint is held where it stands, by two-bone inverse kinematics of its leg."""
+"""The operation ``foot_lock``: holds the ankle of a standing foot, by two-bone inverse kinematics of its leg."""
 
 from dataclasses import replace
 
@@ -13,11 +13,11 @@ from mosca.editing.motion_operations import beside, frames_of, joint_index, quat
 from mosca.editing.operation import EditError, Frames, eased, rows_between
 
 STRAIGHT_RAD = 1e-2
-"""Bend of the knee below which the plane of hip, knee and ankle is not told by them."""
+"""Bend of the knee below which hip, knee and ankle do not determine their plane."""
 STILL_SHARE = 0.25
-"""Of the 95 % quantile of an ankle's speed, below which it stands: about its peak in the swing of a walk."""
+"""An ankle stands below this share of the 95 % quantile of its speed, which is about its peak in a walk's swing."""
 SWAY_MPS = 0.05
-"""Speed of an ankle that stands all the time, which has no swing to compare with."""
+"""Least speed limit of a standing ankle: one that stands all the time has no swing to compare with."""
 
 
 @dataclass(frozen=True, config=SETTINGS)
@@ -56,7 +56,7 @@ class FootLock:
             away = np.maximum(first - frame, frame - last)
             over = np.where(frame < first, min(lead, before), min(lead, after)) + 1.0
             own = np.where(away <= 0, 1.0, eased(np.clip(1.0 - away / over, 0.0, 1.0), "smooth"))
-            # what fades is the correction at the contact's end: a foot in swing is not pulled to the place
+            # the correction at the contact's end fades out: a foot in swing is not pulled to the contact's place
             target += own[:, None] * (found[k][1] - ankle[np.clip(frame, first, last)])
             weight = np.maximum(weight, own)
         rows = weight > 0
@@ -71,7 +71,7 @@ class FootLock:
         return replace(take, rotations=changed)
 
     def _contacts(self, take: Motion, leg: Array) -> list[tuple[Frames, Array]]:
-        """Return contacts and the places (3,) that are held in them; ``leg`` (t, 3, 3) hip, knee, ankle."""
+        """Return contacts and the places (3,) held in them; ``leg`` (t, 3, 3): hip, knee, ankle."""
         speed, shortest = speeds(leg[:, 2], take.frame_rate_hz), self.shortest_s * take.frame_rate_hz
         if self.contacts is not None:
             last = -1
@@ -94,9 +94,9 @@ class FootLock:
 
 
 def _within_reach(leg: Array, speed: Array, frames: Frames) -> tuple[tuple[Frames, Array], float]:
-    """Return the part of ``frames`` in which the place of the ankle when slowest is in reach, and that place (3,).
+    """Return the part of ``frames`` in which the place (3,) of the slowest ankle is in reach, and this place.
 
-    Then by how much [m] it is out of reach at worst.
+    The last value is the largest distance [m] by which the place is out of reach.
     """
     first, last = frames
     slowest = first + int(np.argmin(speed[first : last + 1]))
@@ -125,7 +125,7 @@ def still_stretches(speed: Array, still_mps: float, shortest: float) -> list[Fra
 
 
 def _mean_hinge(leg: Array, hip: Array) -> Array:
-    """Return the knee's axis (3,) in the hip's axes, from all frames by how much it is bent; EditError if never."""
+    """Return the knee's axis (3,) in the hip's axes, from all frames, weighted by the bend; EditError if none."""
     normals = np.cross(leg[:, 2] - leg[:, 1], leg[:, 0] - leg[:, 1])
     mean = np.einsum("tji,tj->i", hip, normals)
     bones = np.linalg.norm(leg[0, 1] - leg[0, 0]) * np.linalg.norm(leg[0, 2] - leg[0, 1])
@@ -138,8 +138,8 @@ def _mean_hinge(leg: Array, hip: Array) -> Array:
 def _turned(leg: Array, world: Array, target: Array, hinge: Array) -> Array:
     """Return world rotations (n, 3, 3, 3) of hip, knee and ankle that put the ankle at ``target`` (n, 3).
 
-    ``leg`` (n, 3, 3) positions, ``world`` (n, 3, 3, 3) rotations now. The knee opens or closes about its axis until
-    the distance is right (law of cosines), then the leg turns about the hip the shortest way.
+    ``leg`` (n, 3, 3) positions, ``world`` (n, 3, 3, 3) present rotations. The knee turns about its axis until the
+    distance from hip to ankle is right (law of cosines); then the leg turns about the hip the shortest way.
     """
     hip, knee, ankle = np.moveaxis(leg, 1, 0)
     thigh, shin, aim = hip - knee, ankle - knee, target - hip

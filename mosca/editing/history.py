@@ -1,4 +1,4 @@
-"""Beside an edited file: FILE.edits.toml, the edits and digests, and FILE.edits.npz, what they changed."""
+"""Files beside an edited file: FILE.edits.toml with edits and digests, FILE.edits.npz with what they changed."""
 
 import hashlib
 from collections.abc import Callable, Mapping
@@ -26,7 +26,7 @@ _OF = "of"
 
 @dataclass(frozen=True)
 class Edited(Generic[Take]):
-    """A take and what led to it, one ``Change`` a table of ``edits``: undone from the last on."""
+    """A take and its edits, with one ``Change`` for each table of ``edits``; undone from the last one back."""
 
     take: Take
     source: str
@@ -35,7 +35,7 @@ class Edited(Generic[Take]):
     changes: tuple[Change, ...] = ()
 
     def edited(self, edits: Edits[Take]) -> "Edited[Take]":
-        """Return it with more edits done; InputError as ``Edits.states``."""
+        """Return the take with more edits done; InputError as ``Edits.states``."""
         states = edits.states(self.take)
         more: list[Change] = [change(before, after) for before, after in pairwise(states)]
         return Edited(
@@ -43,7 +43,7 @@ class Edited(Generic[Take]):
         )
 
     def undone(self, last: int) -> "Edited[Take]":
-        """Return it without the ``last`` edits, to the bit."""
+        """Return the take without the ``last`` edits, bit for bit."""
         take: Any = self.take
         left = len(self.edits) - last
         for one in reversed(self.changes[left:]):
@@ -53,7 +53,7 @@ class Edited(Generic[Take]):
 
 @dataclass(frozen=True)
 class TakeFormat(Generic[Take]):
-    """How takes of one kind are read and written, and their edits read."""
+    """Functions that read and write takes of one kind, and read their edits."""
 
     read: Callable[[Path], Take]
     write: Callable[[Take, Path], None]
@@ -68,7 +68,8 @@ def sidecars(path: Path) -> tuple[Path, Path]:
 def read_edited(path: Path, form: TakeFormat[Take]) -> Edited[Take]:
     """Read a take, and the edits beside it where there are any.
 
-    InputError where it was changed by something else since, or one of the two files is missing or another's.
+    InputError where the take was changed by another program since, or where one of the two files beside it is missing
+    or belongs to another take.
     """
     edits_path, record_path = sidecars(path)
     if not (edits_path.exists() or record_path.exists()):
@@ -91,7 +92,7 @@ def read_edited(path: Path, form: TakeFormat[Take]) -> Edited[Take]:
             raise ValueError(f"it is not that of {path.name} as it is read now; give the unit and rate of the edit")
         changes = _split(arrays, 1 + len(edits.documents))
         try:
-            last: Any = undone(take, changes[-1])  # what the file's format could not hold
+            last: Any = undone(take, changes[-1])  # restores what the file's format cannot hold
         except IndexError:
             raise ValueError(f"it does not fit {path.name}") from None
         return Edited(last, history.source, history.source_sha256, tuple(edits.documents), changes[:-1])
@@ -100,9 +101,9 @@ def read_edited(path: Path, form: TakeFormat[Take]) -> Edited[Take]:
 
 
 def write_edited(edited: Edited[Take], path: Path, form: TakeFormat[Take]) -> bool:
-    """Write a take with the edits and the record beside it; return whether the file holds it to the bit.
+    """Write a take with the edits and the record beside it; return whether the file holds it bit for bit.
 
-    Whole or not at all, the take last. A take without edits has no files beside it.
+    Each file is written whole or not at all, the take last. A take without edits has no files beside it.
     """
     edits_path, record_path = sidecars(path)
     for one in (path, edits_path, record_path):
@@ -136,7 +137,7 @@ def digest(path: Path) -> str:
 
 
 def _split(arrays: Mapping[str, Array], n: int) -> tuple[Change, ...]:
-    """Return the changes of n edits from the arrays of a record; ValueError where they are not that many."""
+    """Return the changes of n edits from the arrays of a record; ValueError where their number is not n."""
     parts: list[dict[str, Array]] = [{} for _ in range(n)]
     for name in arrays:
         number, _, rest = name.partition(".")

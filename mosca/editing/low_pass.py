@@ -1,4 +1,4 @@
-"""Zero-phase Butterworth low-pass: forwards and backwards, with what it does to independent errors."""
+"""Zero-phase Butterworth low-pass, forwards and backwards, and the covariance of independent errors after it."""
 
 from dataclasses import dataclass
 
@@ -9,9 +9,10 @@ from mosca.data.arrays import Array
 from mosca.editing.operation import EditError
 
 ORDER = 2
-"""Of each pass: together the "fourth order, zero lag" of biomechanics (Winter 2009, section 2.2.4.4)."""
+"""Order of each pass; both together are the "fourth order, zero lag" of biomechanics (Winter 2009, section
+2.2.4.4)."""
 SHORTEST = 10
-"""Frames in a row that are filtered; fewer are left as they are."""
+"""Fewest frames in a row that are filtered; shorter runs stay as they are."""
 MEMORY = 1.55
 """Cut-off periods after which the response has fallen to 1e-3: its poles decay by exp(-2 pi f t / sqrt 2)."""
 _MOST_BLOCK = 4000
@@ -25,17 +26,17 @@ class LowPass:
     memory: int
 
     def filtered(self, values: Array) -> Array:
-        """Return ``values`` (n, k) of n frames in a row, filtered; they go on point-mirrored at both ends."""
+        """Return ``values`` (n, k) of n frames in a row, filtered; at both ends they are extended point-mirrored."""
         from scipy.signal import sosfiltfilt  # takes a second to import
 
         result: Array = sosfiltfilt(self.sections, values, axis=0, padlen=min(len(values) - 1, self.memory))
         return result
 
     def covariance(self, given: Array) -> Array:
-        """Return the covariances (n, ...) after the filter of errors that were independent from frame to frame.
+        """Return the covariances (n, ...) after the filter, for errors that are independent from frame to frame.
 
-        A filtered value is a sum of the given ones with weights: their squares weigh the covariances. They are the
-        filter's answers to single impulses, the same ones wherever the ends are too far to matter.
+        A filtered value is a weighted sum of the given values; the covariances are summed with the squared weights.
+        The weights are the filter's impulse responses, which are the same wherever the ends are too far to matter.
         """
         n, block = len(given), 6 * self.memory
         flat = np.reshape(given, (n, -1))
@@ -53,7 +54,7 @@ class LowPass:
 
 
 def low_pass(cutoff_hz: float, rate_hz: float) -> LowPass:
-    """Return the filter that leaves 1/sqrt 2 of an oscillation of ``cutoff_hz``, both passes together.
+    """Return the filter whose two passes together leave 1/sqrt 2 of an oscillation of ``cutoff_hz``.
 
     EditError where the cut-off is half of the frame rate or more, or too low for the filter's memory.
     """
@@ -66,6 +67,6 @@ def low_pass(cutoff_hz: float, rate_hz: float) -> LowPass:
             "cutoff_hz",
             f"{cutoff_hz:g} given; from {lowest:.3g} to below {0.5 * rate_hz:g}, half of the frame rate, is allowed",
         )
-    # |H|^2 = 1 / (1 + (w / w0)^2n) of one pass is to be 1 / sqrt 2 at the cut-off, w = tan(pi f / rate)
+    # |H|^2 = 1 / (1 + (w / w0)^2n) of one pass must be 1 / sqrt 2 at the cut-off, with w = tan(pi f / rate)
     tangent = np.tan(np.pi * cutoff_hz / rate_hz) / (np.sqrt(2.0) - 1.0) ** (0.5 / ORDER)
     return LowPass(butter(ORDER, 2.0 / np.pi * np.arctan(tangent), output="sos"), memory)

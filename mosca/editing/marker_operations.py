@@ -1,7 +1,7 @@
 """Operations on tracks: trim, delete, rename, swap, filter, offset.
 
-``status`` says where a position comes from. Moved by hand it is "edited"; cut, renamed and swapped samples keep it,
-and so do filtered ones, as smoothed ones do.
+``status`` is the origin of a position. It becomes "edited" for samples moved by hand. Cut, renamed, swapped and
+filtered samples keep it, as smoothed ones do.
 """
 
 from dataclasses import replace
@@ -100,7 +100,7 @@ class SwapLabels:
             label = np.where(rows, take.label[other][0], label)
             track[rows] = _main_track(take, other)
         pairs = np.unique(np.column_stack([take.frame, track]), axis=0)
-        if len(pairs) < len(take):  # that number is another sample's in one of these frames
+        if len(pairs) < len(take):  # another sample has that number in one of these frames
             for k, rows in enumerate(moved):
                 track[rows] = take.track.max() + 1 + k
         return _in_order(replace(take, label=label, track=track))

@@ -45,7 +45,7 @@ class FilterMotion:
     joints: Labels | None = None
 
     def apply(self, take: Motion) -> Motion:
-        """Return the filtered motion; ``joints`` alone where they are given, the path with the root."""
+        """Return the filtered motion: only ``joints`` where they are given, and the path with the root."""
         made = low_pass(self.cutoff_hz, take.frame_rate_hz)
         t = len(take.root_xyz)
         if t < SHORTEST:
@@ -68,7 +68,7 @@ class RotateJoint:
     blend: Blend = "smooth"
 
     def apply(self, take: Motion) -> Motion:
-        """Return the motion with this joint turned, and with it all that hangs on it."""
+        """Return the motion with this joint and all joints below it turned."""
         k = joint_index(take.skeleton, self.joint, "joint")
         vectors = np.deg2rad(between_keyframes(frames_of(take), self.keyframes, self.blend))
         turned = np.any(vectors != 0.0, axis=1)
@@ -84,7 +84,7 @@ def frames_of(take: Motion) -> Array:
 
 
 def joint_index(skeleton: Skeleton, name: str, key: str) -> int:
-    """Return the index of a joint; EditError suggests those that are alike."""
+    """Return the index of a joint; EditError suggests joints with similar names."""
     if name not in skeleton.names:
         raise EditError(key, unknown_name(name, skeleton.names, "joint"))
     return skeleton.index(name)

@@ -1,4 +1,4 @@
-"""What operations share: their errors, stretches of frames, markers by their names, keyframes with blends."""
+"""Common parts of operations: errors, stretches of frames, markers by their names, keyframes with blends."""
 
 import difflib
 from collections.abc import Sequence
@@ -25,7 +25,7 @@ Take = TypeVar("Take")
 
 
 class EditError(InputError):
-    """An operation that cannot be done: ``key`` of it, and in words the value given and what is allowed."""
+    """An operation that cannot be done: its ``key``, and a text with the given value and what is allowed."""
 
     def __init__(self, key: str, text: object) -> None:
         super().__init__(text)
@@ -36,7 +36,7 @@ class Operation(Protocol[Take]):
     """One operation of an edit file: a frozen dataclass whose fields are the keys of its table."""
 
     def apply(self, take: Take) -> Take:
-        """Return the edited take; the one given stays as it is. Raises EditError where that cannot be."""
+        """Return the edited take; the given take is not changed. Raises EditError where this is impossible."""
 
 
 @dataclass(frozen=True, config=SETTINGS)
@@ -75,8 +75,9 @@ def between_keyframes(
 ) -> Array:
     """Return values (n, 3) at ``frame`` (n,): blended between keyframes, held before the first and after the last.
 
-    Of the way u from one to the next, ``linear`` takes u, ``smooth`` 3 u^2 - 2 u^3 (at rest at both ends), ``step``
-    none until the next. EditError where a keyframe is not among the frames.
+    With u the share of the time from one keyframe to the next, the share of the change is u for ``linear``,
+    3 u^2 - 2 u^3 for ``smooth`` (at rest at both ends), and 0 until the next for ``step``. EditError where a keyframe
+    is not among the frames.
     """
     at = np.array([one.frame for one in keyframes])
     values = np.array(
@@ -95,7 +96,7 @@ def between_keyframes(
 
 
 def eased(share: Array, blend: Blend) -> Array:
-    """Return how much of a change is done after the ``share`` (n,) of its time, both from 0 to 1."""
+    """Return the share (n,) of a change that is done after a ``share`` (n,) of its time, both from 0 to 1."""
     if blend == "step":
         return np.floor(share)
     return share * share * (3.0 - 2.0 * share) if blend == "smooth" else share
@@ -120,9 +121,9 @@ def marker_names(tracks: Tracks) -> list[str]:
 
 
 def rows_of(tracks: Tracks, name: str, key: str = "labels") -> Array:
-    """Return the mask of the samples of a marker, one of ``marker_names``; EditError suggests those alike.
+    """Return the mask of the samples of a marker, one of ``marker_names``; EditError suggests similar names.
 
-    The subject before a colon may be left out where one label alone ends so: LKNE for Walker:LKNE.
+    The subject before a colon may be left out where the rest is unique: LKNE for Walker:LKNE.
     """
     known = marker_names(tracks)
     full = [one for one in known if one == name] or [one for one in known if one.endswith(f":{name}")]
@@ -134,7 +135,7 @@ def rows_of(tracks: Tracks, name: str, key: str = "labels") -> Array:
 
 
 def unknown_name(name: str, known: Sequence[str], what: str) -> str:
-    """Return that ``name`` is not known, with those that look like it or, without any, the first that are."""
+    """Return a text that ``name`` is unknown, with similar known names or, without any, the first known ones."""
     short = {one.rpartition(":")[2]: one for one in reversed(known)}
     near = dict.fromkeys(short[one] for one in difflib.get_close_matches(name, list(short), n=3))
     if near:
@@ -144,7 +145,7 @@ def unknown_name(name: str, known: Sequence[str], what: str) -> str:
 
 
 def rate_hz(tracks: Tracks, key: str) -> float:
-    """Return the frame rate [Hz] by the samples' times; EditError where they do not tell it."""
+    """Return the frame rate [Hz] from the samples' times; EditError where they do not determine it."""
     frames, first = np.unique(tracks.frame, return_index=True)
     duration_s = 1e-9 * float(tracks.time_ns[first[-1]] - tracks.time_ns[first[0]])
     if duration_s <= 0:

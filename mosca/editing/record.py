@@ -1,8 +1,8 @@
-"""What an edit changed, so that the state before it comes back to the bit.
+"""Record of the changes of an edit, from which the state before it is restored bit for bit.
 
-A take is a table of rows; a motion's are its root's position and each joint's quaternion, frame by frame. The record
-of an edit says of each row before it which row after it is the same, bit by bit, and keeps those of which there is
-none. So it works for any operation, and what did not change costs next to nothing.
+A take is a table of rows; the rows of a motion are its root's position and each joint's quaternion, frame by frame.
+For each row before the edit, the record holds the index of the identical row after it, or, without one, the row
+itself. So it works for any operation, and unchanged rows take almost no space.
 """
 
 import hashlib
@@ -21,29 +21,29 @@ _ROW, _HEAD, _SAME = "row.", "head.", "same"
 
 @dataclass(frozen=True)
 class Change:
-    """From a state back to the one before it, as arrays by their names: what a file can hold."""
+    """Change from a state back to the one before it, as named arrays that a file can hold."""
 
     arrays: Arrays
 
     @property
     def rows(self) -> int:
-        """Rows before the edit that are not there after it: changed or removed."""
+        """Number of rows before the edit that are missing after it: changed or removed."""
         return next(len(values) for name, values in self.arrays.items() if name.startswith(_ROW))
 
 
 def change(before: Tracks | Motion, after: Tracks | Motion) -> Change:
-    """Return what leads from ``after`` back to ``before``."""
+    """Return the change from ``after`` back to ``before``."""
     heads, rows = _table(before)
     own, other = _as_bytes(rows, _table(after)[1])
     place = {one: k for k, one in enumerate(other)}
     same = np.array([place.get(one, -1) for one in own], np.int64)
     kept = {_ROW + name: values[same < 0] for name, values in rows.items()}
-    # differences: rows that follow each other become ones, which a file packs to nothing
+    # differences: successive rows become ones, which compress to almost nothing
     return Change({_SAME: np.diff(same, prepend=0), **kept, **{_HEAD + n: v for n, v in heads.items()}})
 
 
 def undone(after: Tracks | Motion, made: Change) -> Tracks | Motion:
-    """Return the state before an edit. Raises KeyError, IndexError or ValueError where the two do not fit."""
+    """Return the state before an edit. Raises KeyError, IndexError or ValueError where the two do not match."""
     same = np.cumsum(made.arrays[_SAME])
     there = _table(after)[1]
     rows = {}
@@ -56,7 +56,7 @@ def undone(after: Tracks | Motion, made: Change) -> Tracks | Motion:
 
 
 def fingerprint(take: Tracks | Motion) -> bytes:
-    """Return a digest (SHA-256) of all that is in a take: equal ones are equal to the bit."""
+    """Return a digest (SHA-256) of the whole contents of a take: takes with equal digests are equal bit for bit."""
     total = hashlib.sha256()
     for part in _table(take):
         for name, values in part.items():
@@ -66,7 +66,7 @@ def fingerprint(take: Tracks | Motion) -> bytes:
 
 
 def _table(take: Tracks | Motion) -> tuple[Arrays, Arrays]:
-    """Return what stands once in a take, and its rows as columns (n, ...)."""
+    """Return the data that a take holds once, and its rows as columns (n, ...)."""
     if isinstance(take, Tracks):
         return {}, {name: getattr(take, name) for name in Tracks.__dataclass_fields__}
     places = np.concatenate([take.root_xyz, np.zeros((len(take.root_xyz), 1))], axis=1)
@@ -90,7 +90,7 @@ def _take(heads: Arrays, rows: Arrays) -> Tracks | Motion:
 
 
 def _as_bytes(one: Arrays, other: Arrays) -> tuple[list[bytes], list[bytes]]:
-    """Return each row of two tables of the same columns as bytes; texts of both as long as the longer ones."""
+    """Return each row of two tables of the same columns as bytes, texts of both padded to the longer length."""
     kinds = {name: np.result_type(one[name], other[name]) for name in one}
     packed = []
     for rows in (one, other):

@@ -32,7 +32,7 @@ class Retarget:
     metres_per_unit: Positive = 0.01
 
     def within(self, folder: Path) -> "Retarget":
-        """Return the same with the skeleton's file seen from ``folder``."""
+        """Return the same operation with the skeleton's path relative to ``folder``."""
         return replace(self, skeleton=folder / self.skeleton)
 
     def apply(self, take: Motion) -> Motion:
@@ -42,7 +42,7 @@ class Retarget:
 
 
 def retargeted(take: Motion, other: Skeleton, feet: tuple[str, ...], joints: dict[str, str]) -> Motion:
-    """Return ``take`` on the skeleton ``other``, as ``Retarget`` says."""
+    """Return ``take`` on the skeleton ``other``, as described in ``Retarget``."""
     for name, mine in joints.items():
         joint_index(other, name, "joints"), joint_index(take.skeleton, mine, "joints")
     sources = [joints.get(name, name) for name in other.names]
@@ -81,7 +81,7 @@ def _leg_m(skeleton: Skeleton, feet: list[int]) -> float:
 
 
 def _lowest_m(take: Motion, feet: list[int]) -> Array:
-    """Return the height (t,) [m] of the lowest of the feet and of what hangs on them."""
+    """Return the height (t,) [m] of the lowest of the feet and the joints below them."""
     below = set(feet)
     for k, parent in enumerate(take.skeleton.parents.tolist()):
         if parent in below:

@@ -1,10 +1,10 @@
 """Labels for tracks: assigns tracks to the markers of a model by the distances between tracks.
 
-A beam search names the tracks of the fullest stretch: marker after marker, each with many firm links to those before,
-is given every track or none, and the cheapest assignments are kept (Lowerre 1976). A link's cost is the mean squared
-deviation of its distance in units of the model's, bounded, so that one wrong track does not decide. A marker for
-which assignments of about the same cost differ stays without a track. Tracks that begin or end elsewhere are then
-named by their distances from those that have a name.
+A beam search names the tracks of the stretch that shows most. One marker after another, each with many firm links to
+those before, is given every track or none, and the cheapest assignments are kept (Lowerre 1976). A link's cost is the
+mean squared deviation of its distance in units of the model's variance, bounded, so that one wrong track does not
+decide. A marker that differs between assignments of about the same cost gets no track. Tracks that begin or end
+elsewhere are then named by their distances from named tracks.
 """
 
 from dataclasses import replace
@@ -19,10 +19,10 @@ from mosca.data.tracks import Tracks
 from mosca.labelling.marker_model import MarkerModel
 
 TIGHTEST = 4
-"""Links that are averaged; the others, which depend on each other, weigh as the root of their number."""
+"""Number of links that are averaged; the others depend on each other and are weighted by the root of their number."""
 LINKS = 12
 LEAST_FIRM = 2
-"""Firm links, within a limb, that a marker's name must rest on (all where the model has fewer)."""
+"""Least firm links (within a limb) that a marker's name is based on (all where the model has fewer)."""
 NEUTRAL = 1.0
 """Mean cost of a correct link, and cost of an unknown one."""
 
@@ -55,7 +55,7 @@ DEFAULTS = LabelSettings()
 def label_tracks(tracks: Tracks, model: MarkerModel, settings: LabelSettings = DEFAULTS) -> Tracks:
     """Return ``tracks`` with the model's names as labels; ambiguous tracks, and those of no marker, keep theirs.
 
-    A track has one label all its life, and no two tracks have the same at once.
+    A track keeps one label over all its frames; no two tracks have the same label in one frame.
     """
     found = marker_of_tracks(tracks, model, settings)
     names = np.array(["", *model.names], dtype=object)
@@ -91,7 +91,7 @@ def marker_of_tracks(tracks: Tracks, model: MarkerModel, settings: LabelSettings
 def _without_misfits(
     chosen: Array, first: Array, second: Array, model: MarkerModel, settings: LabelSettings
 ) -> Array:
-    """Return ``chosen`` (m,) without tracks that do not fit, worst first: each was chosen before others were."""
+    """Return ``chosen`` (m,) after removing misfits, the worst first: each was chosen before the others were."""
     chosen = chosen.copy()
     while (chosen >= 0).any():
         named = np.flatnonzero(chosen >= 0)
@@ -101,7 +101,7 @@ def _without_misfits(
         sigma = sigma + np.diag(np.full(len(named), np.inf))
         tight = np.argsort(sigma, axis=1, kind="stable")[:, :TIGHTEST]
         each = np.take_along_axis(cost, tight, axis=1).mean(axis=1)
-        # loose links alone name nothing where the model has firm ones
+        # loose links alone do not name a track where the model has firm ones
         firm = model.rigid[markers].sum(axis=1)
         each[firm < np.minimum(model.rigid[named].sum(axis=1), LEAST_FIRM)] = np.inf
         worst = int(each.argmax())
@@ -114,7 +114,7 @@ def _without_misfits(
         of_track = (chosen[i], np.delete(named, k), chosen, first, second, model, settings)
         as_free = min((_firm_cost(int(j), *of_track) for j in free), default=np.inf)
         better.append(as_free < _firm_cost(int(i), *of_track))
-    chosen[named[np.array(better, dtype=bool)]] = -1  # these would do better as markers that have no track
+    chosen[named[np.array(better, dtype=bool)]] = -1  # these fit a marker without a track better
     return chosen
 
 
@@ -137,7 +137,7 @@ def _firm_cost(
 
 
 def _beam(xyz: Array, first: Array, second: Array, model: MarkerModel, settings: LabelSettings) -> Array:
-    """Return the track (m,) of ``xyz`` (t, n, 3) of each marker, -1 where there is none or it is ambiguous."""
+    """Return the track (m,) of each marker among ``xyz`` (t, n, 3), -1 where there is none or it is ambiguous."""
     still = xyz[np.isfinite(xyz).all(axis=2).sum(axis=1).argmax()]  # sides are decided in the fullest frame
     m, n = len(model.names), xyz.shape[1]
     order = _order(model)
@@ -156,13 +156,13 @@ def _beam(xyz: Array, first: Array, second: Array, model: MarkerModel, settings:
         chosen, cost = chosen[parent], total[best]
         chosen[:, i] = np.where(track < n, track, -1)
     near = chosen[cost < cost[0] + settings.margin]
-    # another track in an assignment about as good: the marker is ambiguous; a missing one is no other track
+    # a marker with another track in an assignment about as good is ambiguous; no track is not another track
     doubtful = ((near != chosen[0]) & (near >= 0)).any(axis=0)
     return np.where(doubtful, -1, chosen[0])
 
 
 def _order(model: MarkerModel) -> list[int]:
-    """Return the markers so that each has the firmest links to those before it."""
+    """Return the markers in an order in which each has the firmest links to those before it."""
     firm = np.nan_to_num(1.0 / model.sigma_m**2)
     np.fill_diagonal(firm, 0.0)
     order = [int(np.sort(firm, axis=1)[:, -3:].sum(axis=1).argmax())]
@@ -219,7 +219,7 @@ def _extension(
 def _side_costs(
     i: int, before: list[int], chosen: Array, still: Array, model: MarkerModel, settings: LabelSettings
 ) -> Array:
-    """Return the cost (b, n) of what becomes mirrored when marker ``i`` is each track."""
+    """Return the cost (b, n) of sets of four that are mirrored when marker ``i`` is given each track."""
     cost = np.zeros((len(chosen), len(still)))
     count = np.zeros(len(chosen))
     known = set(before)
@@ -241,7 +241,7 @@ def _side_costs(
 
 
 def _name_the_rest(xyz: Array, there: Array, of_column: Array, model: MarkerModel, settings: LabelSettings) -> None:
-    """Name tracks ``of_column`` (n,) that have no marker yet, the most certain first, until none is certain."""
+    """Name tracks without a marker in ``of_column`` (n,), the most certain first, until none is certain."""
     while True:
         best: tuple[float, int, int] | None = None
         for k in np.flatnonzero((of_column < 0) & (there.sum(axis=0) >= settings.least_samples)):
@@ -262,7 +262,7 @@ def _name_the_rest(xyz: Array, there: Array, of_column: Array, model: MarkerMode
 def _cost_as(
     i: int, k: int, xyz: Array, there: Array, of_column: Array, model: MarkerModel, settings: LabelSettings
 ) -> float:
-    """Return the mean cost of the firmest links of track ``k`` as marker ``i``; infinite with fewer than three."""
+    """Return the mean cost of the firmest links of track ``k`` as marker ``i``; infinite for fewer than three."""
     costs: list[float] = []
     firm = 0
     for j in np.argsort(model.sigma_m[i], kind="stable"):

@@ -1,8 +1,8 @@
-"""Active markers by their blinks: which lamp each track is, from the frames in which it is lit.
+"""Active markers by their blinks: the lamp of each track, from the frames in which it is lit.
 
 A lamp shows its number's 16 bits over and over, one bit for ``frames_per_bit`` pulses, in step with them
-(``mosca.data.lamp_codes``). A track that bridges the dark bits has a sample where its lamp is lit. Each number, and
-each start where that is unknown, has the likelihood of the observations under a missed-detection and a
+(``mosca.data.lamp_codes``). A track that bridges the dark bits has a sample where its lamp is lit. The likelihood of
+the observations is computed for each number, and each start where that is unknown, with a missed-detection and a
 false-alarm probability. The most likely number is accepted where its likelihood ratio to the next is large enough.
 """
 
@@ -25,15 +25,15 @@ class BlinkSettings:
     frames_per_bit: int = 1
     """Pulses that a bit lasts."""
     in_step: bool = False
-    """Bit 0 begins at pulse 0 (a rig whose lamps count its trigger); False: at any."""
+    """True: bit 0 begins at pulse 0 (a rig whose lamps count its trigger). False: at any pulse."""
     missed: float = 0.05
     """Probability that a lit lamp has no sample."""
     stray: float = 0.01
-    """Probability that a dark one has one."""
+    """Probability that a dark lamp has a sample."""
     odds: float = 1e4
-    """Likelihood ratio of a number to any other, at least."""
+    """Least likelihood ratio of a number to any other."""
     least_bits: int = LAMP_BITS
-    """Bits that must be observed."""
+    """Least number of bits that must be observed."""
 
     def __post_init__(self) -> None:
         if self.frames_per_bit < 1 or self.least_bits < 1:
@@ -54,8 +54,8 @@ DEFAULTS = BlinkSettings()
 def lamp_numbers(tracks: Tracks, settings: BlinkSettings = DEFAULTS, pulses: Array | None = None) -> dict[int, int]:
     """Return track -> number of its lamp, for the tracks that can be identified.
 
-    ``pulses`` (p,): the pulses whose frame sets were there; by default those with a measured sample of any track. A
-    track counts from its first measured sample to its last, and as dark where it has none.
+    ``pulses`` (p,): the pulses with a frame set; by default those with a measured sample of any track. A track counts
+    from its first measured sample to its last, and as dark where it has no sample.
     """
     measured = tracks.select(tracks.status == "measured")
     known = np.unique(measured.frame if pulses is None else np.asarray(pulses, dtype=np.int64))
@@ -73,9 +73,9 @@ def label_lamps(
     settings: BlinkSettings = DEFAULTS,
     pulses: Array | None = None,
 ) -> Tracks:
-    """Return ``tracks`` with the names of the lamps that they are as labels; other tracks keep theirs.
+    """Return ``tracks`` with the names of their lamps as labels; tracks of no lamp keep theirs.
 
-    ``names``: number -> label, and no other number is there; by default ``lamp/00`` to ``lamp/74``.
+    ``names``: number -> label of the lamps that are present; by default ``lamp/00`` to ``lamp/74``.
     """
     names = {k: f"lamp/{k:02d}" for k in range(LAMP_NUMBERS)} if names is None else names
     found = lamp_numbers(tracks, settings, pulses)
@@ -85,7 +85,7 @@ def label_lamps(
 
 
 def _number_of(seen: Array, known: Array, settings: BlinkSettings) -> int | None:
-    """Return the lamp that is lit at pulses ``seen``, a subset of ``known``, from the first to the last of them."""
+    """Return the lamp lit at pulses ``seen``, a subset of ``known``, between the first and last of them; or None."""
     during = known[(known >= seen[0]) & (known <= seen[-1])]
     bit = during // settings.frames_per_bit
     if len(np.unique(bit)) < settings.least_bits:
@@ -95,7 +95,7 @@ def _number_of(seen: Array, known: Array, settings: BlinkSettings) -> int | None
     off = np.bincount(bit[~lit] % LAMP_BITS, minlength=LAMP_BITS)
     best = _likelihoods(on, off, settings)
     first, second = np.argsort(best, kind="stable")[[-1, -2]]
-    # a lamp always on, or a reflection that comes and goes, is less likely under any number than under chance
+    # a lamp that is always on, or an intermittent reflection, is less likely under any number than under chance
     share = lit.mean()
     chance = sum(p * math.log(p) for p in (share, 1 - share) if p > 0) * len(lit)
     if best[first] - best[second] < math.log(settings.odds) or best[first] - chance < math.log(settings.odds):

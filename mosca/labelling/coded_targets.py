@@ -1,4 +1,4 @@
-"""Coded targets as points with numbers: the number is the correspondence and the identity."""
+"""Coded targets as points with numbers: the number gives correspondence and identity."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from mosca.data.rig import Rig
 from mosca.data.tracks import Points, Samples
 
 BLUNDER_CHI2 = 25.0
-"""A ray without which the others meet better by more than this, chi-square, was misread."""
+"""A ray was misread if chi-square of the others is smaller by more than this without it."""
 REWEIGHTINGS = 4
 
 
@@ -21,9 +21,9 @@ def coded_points(
 ) -> tuple[Points, Array]:
     """Return the coded targets of one frame set as points, and their numbers (n,), rising.
 
-    A number seen by two cameras or more is one point; of three and more rays one that does not meet the others is
-    left out (a number misread, a mirror). ``camera_sigma_px``: what besides the detection's own error moves an image
-    point at random. ``diameter_m`` is that of the centre dot. A camera of ``found`` that the rig lacks is not used.
+    A number seen by two cameras or more is one point. Of three or more rays, one that does not meet the others (a
+    misread number, a mirror) is left out. ``camera_sigma_px``: random error of an image point besides the detection's
+    own error. ``diameter_m`` is that of the centre dot. A camera of ``found`` that the rig lacks is not used.
     """
     seen = [found.get(camera.name) for camera in rig.cameras]
     every = np.unique(np.concatenate([one.number for one in seen if one is not None] or [np.empty(0, int)]))
@@ -39,7 +39,7 @@ def coded_points(
 
 
 def coded_samples(points: Points, number: Array, frame: int, time_ns: int) -> Samples:
-    """Return coded points of one instant as measured samples whose tracks are their numbers."""
+    """Return coded points of one instant as measured samples, with their numbers as tracks."""
     n = len(points)
     return Samples(
         np.full(n, frame), np.full(n, time_ns), np.asarray(number), points.xyz, points.covariance,
@@ -48,7 +48,7 @@ def coded_samples(points: Points, number: Array, frame: int, time_ns: int) -> Sa
 
 
 def coded_label(number: int) -> str:
-    """Return the label of a coded target: as its name in ``mosca.data.targets``."""
+    """Return the label of a coded target, which is its name in ``mosca.data.targets``."""
     return f"code/{number:03d}"
 
 
@@ -59,11 +59,11 @@ class _Table:
     origin: Array
     """(c, 3)"""
     row: Array
-    """(n, c) of the detection."""
+    """(n, c) row of the detection."""
     direction: Array
     """(n, c, 3)"""
     white: Array
-    """(n, c, 2, 3) whitened reprojection error by direction."""
+    """(n, c, 2, 3) derivative of the whitened reprojection error by direction."""
     sigma_px: Array
     """(n, c)"""
     angle: Array
@@ -86,14 +86,14 @@ class _Table:
             direction[at, k] = bundle.direction
             white[at, k] = np.linalg.solve(np.linalg.cholesky(covariance), bundle.pixel_by_direction)
             sigma[at, k] = np.linalg.det(covariance) ** 0.25
-            # px a radian across the ray: the geometric mean of both axes
+            # pixels per radian across the ray: geometric mean of both axes
             angle[at, k] = 2 * np.sqrt(one.semi_axes_px.prod(axis=1)) / np.linalg.det(gram) ** 0.25
         origin = np.array([camera.world_from_camera.translation for camera in rig.cameras])
         return cls(origin, row, direction, white, sigma, angle)
 
 
 def _without_blunders(table: _Table) -> tuple[Array, Array, Array, Array]:
-    """Return rays used (n, c), points, covariances, squared errors, without a ray that spoils its point."""
+    """Return rays used (n, c), points, covariances, squared errors; a ray that spoils its point is not used."""
     whole = np.asarray(np.isfinite(table.direction).all(axis=2))
     xyz, covariance, total = _solved(whole, table)
     best = whole.copy()
@@ -113,8 +113,8 @@ def _without_blunders(table: _Table) -> tuple[Array, Array, Array, Array]:
 def _solved(used: Array, table: _Table) -> tuple[Array, Array, Array]:
     """Intersect the rays ``used`` (n, c): points (n, 3), covariances (n, 3, 3), squared whitened errors (n,).
 
-    For given depths linear in the point, re-weighted with the new ones, as in ``mosca.triangulation.triangulate``;
-    NaN where fewer than two rays meet in front of the cameras.
+    The problem is linear in the point for given depths, and re-weighted with the new depths, as in
+    ``mosca.triangulation.triangulate``. NaN where fewer than two rays meet in front of the cameras.
     """
     n = len(used)
     white = np.where(used[:, :, None, None], table.white, 0.0)

@@ -1,7 +1,7 @@
-"""A marker model: which markers a subject carries, how far they are from each other, and how much that changes.
+"""A marker model: the markers of a subject, their distances from each other, and how much these change.
 
-Learned from a labelled stretch of tracks. Within a limb distances hardly change; across limbs they have a wide range,
-which still separates a head from a foot. Distances are the same for the mirror image of a subject, so that the sides
+It is learned from a labelled stretch of tracks. Within a limb distances hardly change; across limbs they have a wide
+range, which still separates a head from a foot. The mirror image of a subject has the same distances, so the sides
 are decided by sets of four markers whose volume keeps its sign.
 """
 
@@ -16,17 +16,18 @@ from mosca.data.tracks import Tracks
 from mosca.errors import InputError
 
 SOFT_M = 0.004
-"""What skin and clothes move a marker against its limb [m], in addition to what was seen while learning."""
+"""Movement of a marker on its limb by skin and clothes [m], in addition to that seen while learning."""
 ACROSS_M, ACROSS_SHARE = 0.05, 0.25
-"""Across limbs a distance may change by this [m] and this share of itself at least: a T-pose shows no motion."""
+"""Least change of a distance across limbs: a length [m] and a share of the distance. A T-pose shows no motion."""
 RIGID_M = 0.01
 """Distances that change by less [m] are within a limb."""
 BEYOND, BEYOND_SHARE = 2.0, 0.1
-"""Other motions reach farther than those learned from: by this factor, and this share of the distance."""
+"""Other motions reach farther than the learned ones, by this factor and this share of the distance."""
 FLAT = 0.03
-"""Sets of four markers with less volume than this share of a box of their longest edges are not used for sides."""
+"""Sets of four markers are not used for sides if their volume is less than this share of the box of their longest
+edges."""
 STEADY = 4.0
-"""A volume that is this many of its standard deviations away from zero keeps its sign."""
+"""A volume farther from zero than this many standard deviations is taken to keep its sign."""
 NEIGHBOURS = 6
 
 
@@ -66,9 +67,10 @@ class MarkerModel:
 def learn_model(tracks: Tracks, limbs: Mapping[str, Sequence[str]] | None = None) -> MarkerModel:
     """Return the marker model of the labelled, measured samples of ``tracks``.
 
-    ``limbs``: limb -> labels of the markers on it; a marker may be on two (at a joint), and one without is its own.
-    A T-pose is enough then. None: the stretch must show the motions that the subject makes, for what does not
-    change in it is taken for rigid. Raises InputError where a limb names an unknown label or fewer than 3 are there.
+    ``limbs``: limb -> labels of the markers on it; a marker may be on two limbs (at a joint), and one on no limb is a
+    limb of its own. A T-pose is enough then. None: the stretch must show the subject's motions, for distances that do
+    not change in it are assumed rigid. Raises InputError where a limb has an unknown label, or for fewer than 3
+    labels.
     """
     names, xyz = by_label(tracks)
     if len(names) < 3:
@@ -120,7 +122,7 @@ def _moments(values: Array) -> tuple[Array, Array]:
 
 
 def _sides(xyz: Array, mean: Array, sigma: Array, same: Array) -> tuple[Array, Array]:
-    """Return sets of four (q, 4) whose volume (q,) keeps its sign, each marker's among its nearest in the limb."""
+    """Return sets of four (q, 4) whose volume (q,) keeps its sign: each marker with near ones of its limb."""
     tight = np.where(same & np.isfinite(sigma), sigma / np.maximum(mean, 1e-6), np.inf)
     np.fill_diagonal(tight, np.inf)
     sets = set()

@@ -1,1 +1,1 @@
-"""What is measured of machines: models of robots, vibration, flights on poses, cameras that orient themselves."""
+"""Measurements of machines: models of robots, vibration, flights on poses, cameras that orient themselves."""

@@ -2,21 +2,21 @@
 
 Each segment's axes, x forward, y up, z to the right in the anatomical position, are fixed in the model's body:
 
-- pelvis: z along LASI to RASI, x forward in the plane of these and the middle of LPSI and RPSI; in a set with waist
-  markers instead of iliac spines (CMU's) LFWT, RFWT, LBWT, RBWT stand for them, which tilts the pelvis a little;
-- thorax: y from the middle of STRN and T10 to that of CLAV and C7, z perpendicular to the plane of CLAV, C7 and the
-  former;
-- head: x from the middle of LBHD and RBHD to that of LFHD and RFHD, z nearest to left to right;
+- pelvis: z from LASI to RASI, x forward in the plane of these two and the midpoint of LPSI and RPSI; a set with waist
+  markers instead of iliac spine markers (CMU's) uses LFWT, RFWT, LBWT, RBWT, which tilts the pelvis a little;
+- thorax: y from the midpoint of STRN and T10 to the midpoint of CLAV and C7, z perpendicular to the plane of CLAV, C7
+  and the midpoint of STRN and T10;
+- head: x from the midpoint of LBHD and RBHD to that of LFHD and RFHD, z nearest to the direction from left to right;
 - thigh, upper arm: y from the distal joint's centre to the proximal one's, z nearest to the flexion axis of knee or
   elbow;
 - shank: y from ankle to knee, z nearest to the knee's flexion axis;
 - forearm: y from wrist to elbow, z nearest to the line through WRA and WRB;
-- foot: x from HEE to TOE, z nearest to the line through TOE and MT5, which slopes: inversion has an offset;
-- hand: y from the middle of FIN and PNK to the wrist, z nearest to the line through these.
+- foot: x from HEE to TOE, z nearest to the line through TOE and MT5; this line slopes, so inversion has an offset;
+- hand: y from the midpoint of FIN and PNK to the wrist, z nearest to the line through FIN and PNK.
 
 A knee's flexion axis is the direction that stays most nearly the same in thigh and shank over the take (SARA: Ehrig
-et al. 2007). An elbow's is perpendicular to the plane, or the cone's base, that the forearm's length sweeps in the
-upper arm: pronation leaves that length where it is.
+et al. 2007). An elbow's flexion axis is perpendicular to the plane, or to the base of the cone, that the forearm's
+long axis sweeps relative to the upper arm. Pronation does not move this long axis.
 """
 
 from collections.abc import Callable, Mapping
@@ -60,11 +60,11 @@ CHAINS: Mapping[str, Chain] = {
 KNEES: Mapping[str, tuple[str, str]] = {f"{s}_knee": (f"{s}_thigh", f"{s}_shank") for s in "lr"}
 """Joint that is nearly a hinge -> the bodies that it turns against each other."""
 ELBOWS: Mapping[str, tuple[str, str]] = {f"{s}_elbow": (f"{s}_upper_arm", f"{s}_distal_forearm") for s in "lr"}
-"""Joint that bends, and twists about the distal bone's own length -> its bodies."""
+"""Joint that bends, and twists about the distal bone's long axis -> its bodies."""
 
 
 PELVIS_MARKERS = (("ASI", "PSI"), ("FWT", "BWT"))
-"""Front and back markers of the pelvis, the better first."""
+"""Names of front and back markers of the pelvis, the preferred pair first."""
 
 
 def axes_from(first: int, along: Array, second: int, toward: Array) -> Array:
@@ -93,7 +93,7 @@ def segment_axes(body: str, at: Landmark, hinges: Mapping[str, Array]) -> Array:
     """Return body_from_anatomical (3, 3) of ``body``.
 
     ``at`` gives places in the body's axes; the body's own joint is its origin. ``hinges``: joint -> its flexion axis
-    in this body's axes, pointing right. KeyError where a landmark is not there.
+    in this body's axes, pointing right. KeyError where a landmark is missing.
     """
     side, _, name = body.rpartition("_") if body[:2] not in ("l_", "r_") else (body[0], "", body[2:])
     origin = np.zeros(3)

@@ -1,7 +1,7 @@
 """Fit of a skeleton to a take: joint places, marker places and all poses in one sparse least squares.
 
-Poses are eliminated frame by frame (Schur complement, as camera poses in a bundle adjustment), so that the system
-left is that of the parameters. How far each marker moves on the skin is estimated from its residuals.
+Poses are eliminated frame by frame (Schur complement, as camera poses in a bundle adjustment); the remaining system
+has only the parameters as unknowns. How far each marker moves on the skin is estimated from its residuals.
 """
 
 from collections.abc import Callable
@@ -22,24 +22,24 @@ from mosca.skeleton.start import size_of, starting_pose
 FRAMES = 150
 """Frames that a fit reads, evenly spread."""
 LEAST_SEEN = 0.6
-"""Share of the markers that a frame shows, to be fitted."""
+"""Least share of the markers that a frame must show to be fitted."""
 FIRST_SKIN_M = 0.01
 """Movement on the skin assumed at first [m]."""
 LEAST_SIGMA_M = 2e-5
-"""No marker is known better than this on its body [m]: below any rig's noise, it keeps weights finite."""
+"""Least standard deviation of a marker against its body [m]: below any rig's noise; it keeps weights finite."""
 ROUNDS, ITERATIONS = 8, 12
-"""Estimates of the skin's movement, and steps of a fit in each, at most."""
+"""Most estimates of the skin's movement, and most steps of the fit for each of them."""
 LEAST_REDUNDANCY = 0.1
-"""Least share of a marker's error that its residual is taken to show: divided by less, it is noise alone."""
+"""Least redundancy of a marker (share of its error that its residual shows): divided by less, it is noise alone."""
 POOLED = 20.0
-"""Degrees of freedom that the median over all markers counts in each marker's movement on the skin."""
+"""Degrees of freedom with which the median over all markers is weighted in each marker's movement on the skin."""
 SIGNIFICANT = 3.0
 """Standard deviations by which residuals must exceed the measurement's covariance to be movement on the skin."""
 POSTURES = 6.0
-"""Independent postures of a take for a marker on moving skin: it slides as the neighbouring joint's three rotations
-go, to either side, and a movement repeated slides the same way again, so that frames in between add nothing."""
+"""Independent postures of a take for a marker on moving skin: it slides with the neighbouring joint's three
+rotations, to either side, and a repeated movement repeats the slide, so that frames in between add nothing."""
 SETTLED = 0.3
-"""Decrease of chi squared that a step still promises when a fit has converged: a small part of one sigma."""
+"""Predicted decrease of chi squared by a step below which a fit has converged: a small part of one sigma."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,9 +47,9 @@ class FittedSubject:
     """A model fitted to one person.
 
     ``parameters`` (p,) as in ``model`` [m], with ``covariance`` (p, p) [m^2]; ``skin_m`` (m,) standard deviation of
-    each marker against its body, a coordinate [m]; ``size`` relative to the model as it was given; ``q`` (nq,) a pose
-    of the take, to start others from, ``posture`` (nv,) the mean of its rotation vectors [rad]; ``axes`` of its
-    segments; ``residual_rms_m`` of all markers.
+    each marker against its body, per coordinate [m]; ``size`` relative to the given model; ``q`` (nq,) a pose of the
+    take as a starting value for others; ``posture`` (nv,) the mean of the take's rotation vectors [rad]; ``axes`` of
+    the segments; ``residual_rms_m`` of all markers.
     """
 
     model: SkeletonModel
@@ -77,8 +77,9 @@ def fit_subject(
 ) -> FittedSubject:
     """Return ``model`` fitted to the person in ``frames``, whose labels are the model's.
 
-    The take must move every joint that is to be found: what it leaves open comes from the model's proportions, and
-    the covariance says so. InputError, naming ``source``, where the markers are too few or of the wrong size.
+    The take must move every joint that is to be found: what it does not determine is taken from the model's
+    proportions, and the covariance shows this. InputError, naming ``source``, where the markers are too few or of
+    the wrong size.
     """
     full = np.flatnonzero(frames.seen.mean(axis=1) >= LEAST_SEEN)
     if len(full) < 2:
@@ -119,7 +120,7 @@ class SkeletonAdjustment:
         self.q = [poses[k] for k in range(len(frames))]
 
     def _started(self, k: int, near: Array, information: Array) -> Array:
-        """Return a pose of frame ``k``: from its neighbour's, or afresh, whichever fits."""
+        """Return a pose of frame ``k``, started from its neighbour's pose or without one, whichever fits better."""
         xyz = self.frames.xyz[k]
         first = solve_pose(self.kinematics, near, xyz, information)
         if first.converged and (first.weight[self.frames.seen[k]] < 0.3).sum() <= 2:
@@ -172,12 +173,12 @@ class SkeletonAdjustment:
         return Equations(normal, gradient, cost, posture, frames)
 
     def _move(self, at: "Equations", damping: float) -> float:
-        """Take a step of everything; return the decrease of the cost that it promises."""
+        """Take a step of poses and parameters; return the predicted decrease of the cost."""
         normal = at.normal + damping * np.diag(np.diag(at.normal))
         step = np.asarray(cho_solve(cho_factor(normal), at.gradient))
         self.parameters = self.parameters + step
         for k, part in enumerate(at.frames):
-            # Undamped: poses that do not follow the parameters raise the cost however small the step.
+            # Undamped: poses that do not follow the parameters raise the cost, however small the step is.
             moved = limited(part.pose_step - part.follow(step))
             self.q[k] = self.kinematics.moved(self.q[k], moved)
         return float(at.gradient @ step) + sum(part.decrease for part in at.frames) / self.correlated
@@ -191,12 +192,12 @@ class SkeletonAdjustment:
         share = np.where(seen, np.stack([part.redundancy for part in self.last.frames]), 0).sum(axis=0) / count
         share = np.clip(share, LEAST_REDUNDANCY, 1.0)
         square = np.nansum(residuals**2, axis=(0, 2)) / count / 3 / share
-        # Residuals of one marker are few once their correlation is counted: all markers' steady the estimate.
+        # A marker has few independent residuals, as they are correlated: those of all markers stabilise the estimate.
         together = _correlation_length(residuals)
         own = 3 * share * count / together
         square = (own * square + POOLED * np.median(square)) / (own + POOLED)
         measured = np.trace(self.frames.covariance, axis1=2, axis2=3).mean(axis=0) / 3
-        # Noise alone varies by this much: less is no sign of movement.
+        # Noise alone varies by this factor: a smaller excess is no sign of movement.
         chance = 1 + SIGNIFICANT * np.sqrt(2 / (own + POOLED))
         new = np.sqrt(np.where(square > chance * measured, square - measured, 0.0))
         changed = np.abs(np.log((new**2 + measured) / (self.skin**2 + measured))).max() > 0.1
@@ -218,10 +219,10 @@ class SkeletonAdjustment:
         )  # fmt: skip
 
     def _common_movement(self) -> Array:
-        """Return the covariance (p, p) of the gradient from segments whose markers slide together.
+        """Return the covariance (p, p) of the gradient that comes from segments whose markers slide together.
 
-        A take has POSTURES independent ones: what they add up to in n frames has n / POSTURES times the variance of
-        as many independent slides.
+        A take has POSTURES independent slides. Their sum over n frames has n / POSTURES times the variance of n
+        independent slides.
         """
         kinematics, body = self.kinematics, self.kinematics.body_of_marker
         modes = common_modes(kinematics.local, body, common_m(self.skin, body))
@@ -257,11 +258,11 @@ class Equations:
 
 @dataclass(frozen=True, eq=False)
 class Reduced:
-    """What one frame says of the parameters, the pose of its equations ``at`` eliminated.
+    """Normal equations of the parameters from one frame, the pose of its equations ``at`` eliminated.
 
-    ``normal`` (p, p), ``gradient`` (p,); ``pose_step`` (nv,) is the pose's best where the parameters stay. ``root``
-    (nv, nv) upper triangular, root' root the pose's normal matrix, ``mixed`` (nv, p) root'^-1 times its block with
-    the parameters.
+    ``normal`` (p, p), ``gradient`` (p,); ``pose_step`` (nv,) is the pose's best step for unchanged parameters.
+    ``root`` (nv, nv) is upper triangular, root' root is the pose's normal matrix; ``mixed`` (nv, p) is root'^-1 times
+    the block of the pose with the parameters.
     """
 
     at: PoseSolution
@@ -272,7 +273,7 @@ class Reduced:
     mixed: Array
 
     def follow(self, change: Array) -> Array:
-        """Return the pose's step (nv, ...) that a ``change`` (p, ...) of the parameters takes off ``pose_step``."""
+        """Return the step (nv, ...) to subtract from ``pose_step`` for a ``change`` (p, ...) of the parameters."""
         return np.asarray(solve_triangular(self.root, self.mixed @ change))
 
     @property
@@ -282,7 +283,7 @@ class Reduced:
 
     @property
     def decrease(self) -> float:
-        """Decrease of the cost that ``pose_step`` promises."""
+        """Predicted decrease of the cost by ``pose_step``."""
         return float(self.at.gradient @ self.pose_step)
 
     @property
@@ -294,7 +295,7 @@ class Reduced:
 
     @property
     def weighted_residual(self) -> Array:
-        """(m, 3) residual by the root of its weight [m]."""
+        """(m, 3) residual times the square root of its weight [m]."""
         return np.asarray(np.sqrt(self.at.weight)[:, None] * self.at.residual)
 
 
@@ -323,7 +324,7 @@ def reduced(kinematics: Kinematics, at: PoseSolution) -> Reduced:
 
 
 def _correlation_length(residuals: Array) -> float:
-    """Return how many successive residuals (n, m, 3) count as one: 1 + 2 times the sum of their autocorrelation."""
+    """Return how many successive residuals (n, m, 3) count as one: 1 + 2 times the sum of their autocorrelations."""
     series = np.nan_to_num(residuals - np.nanmean(residuals, axis=0))
     series = series / np.maximum(np.sqrt(np.mean(series**2, axis=0)), 1e-12)
     length, n = 1.0, len(series)

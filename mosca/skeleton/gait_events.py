@@ -1,8 +1,8 @@
-"""Heel strikes from joints in motion: a foot is farthest before the pelvis when it meets the floor.
+"""Heel strikes from joints in motion: a foot is farthest in front of the pelvis when it meets the floor.
 
 Zeni, Richards & Higginson 2008 (Gait & Posture 27:710): heel strikes are maxima over time of the forward distance of
-the heel from the sacrum, on a treadmill and overground. Here the pelvis' centre stands for the sacrum, a fixed
-distance that moves no maximum, and the ankle's centre for the heel where no heel markers are given. Forward is the
+the heel from the sacrum, on a treadmill and overground. Here the pelvis' centre replaces the sacrum: their distance
+is fixed and moves no maximum. The ankle's centre replaces the heel where no heel markers are given. Forward is the
 pelvis' x axis, level with the floor, so that it turns with the subject. Against force plates (250 Hz, two takes of
 OpenSim's test data, contact at 20 N) strikes came 13 to 20 ms early, by ankles and by heels.
 """
@@ -17,7 +17,7 @@ from mosca.data.motion.motion import matrices_from_quaternions
 from mosca.errors import InputError
 
 _TOP = 0.1
-"""Share of a maximum's height over its valleys within which a parabola is fitted: of a cosine, +-37 deg of phase."""
+"""Share of a maximum's height over its valleys within which a parabola is fitted; for a cosine +-37 deg of phase."""
 
 
 def heel_strikes(
@@ -25,8 +25,9 @@ def heel_strikes(
 ) -> dict[str, Array]:
     """Return the instants (k,) [ns] of the heel strikes of each foot, "l" and "r", in order.
 
-    Frames in which pelvis or heel are unknown are passed over. The first and last half stride may lack theirs, since
-    a maximum needs a valley on both sides. Raises InputError where there is no pelvis, or neither ankle nor heel.
+    Frames in which pelvis or heel is unknown are skipped. A strike in the first or last half stride may be missed,
+    since a maximum needs a valley on both sides. Raises InputError where there is no pelvis, or neither ankle nor
+    heel.
 
     Parameters
     ----------
@@ -35,8 +36,9 @@ def heel_strikes(
     heels
         Side -> path (n, 3) [m] of a marker on the heel in the frames of ``motion``, NaN where unknown.
     least_swing
-        How far a foot must swing against the pelvis, there and back, as a share of its mean distance from it. Healthy
-        steps are 0.7 to 0.9 of it; at 0.1 shuffling in place counts too, at 0.4 short steps of patients are missed.
+        How far a foot must swing relative to the pelvis, forth and back, as a share of its mean distance from the
+        pelvis. Healthy steps are 0.7 to 0.9 of this distance; at 0.1 shuffling in place counts too, at 0.4 short
+        steps of patients are missed.
     """
     if "pelvis" not in motion.joints:
         raise InputError(
@@ -73,7 +75,7 @@ def _maxima(time_ns: Array, ahead: Array, least: float) -> Array:
         t = 1e-9 * (time_ns[top] - time_ns[peak])
         place = 0.0
         if len(t) > 2:
-            # noise decides which sample of a flat top is the highest; all of them together know better
+            # noise decides which sample of a flat top is the highest; a fit to all of them is more accurate
             a, b, _ = np.polyfit(t, ahead[top], 2)
             place = float(np.clip(-b / (2 * a), t[0], t[-1])) if a < 0 else 0.0
         times.append(int(time_ns[peak]) + round(1e9 * place))

@@ -9,11 +9,11 @@ position (arms down, palms forward). ``CONVENTIONS`` is the table of all angles.
 and an angle is the ``sign`` of its row times a, b or c. On the left b and c, of the shoulder a, b and c, have the
 other sign: a motion and its mirror image have equal angles on opposite sides.
 
-Singular positions. First and third angle are about one line where b is +-90 deg (Cardan) and where the arm hangs down
-or points up (shoulder): only their sum or difference is determined there. Their standard deviation grows with
-1 / cos b (1 / sin b); where it exceeds pi / sqrt(3), that of an angle of which nothing is known, both are NaN. The
-middle angle is determined everywhere. A joint that passes through a singular position comes out of it with first and
-third angle half a turn on.
+Singular positions. The axes of the first and third angle coincide where b is +-90 deg (Cardan) and where the arm
+hangs down or points up (shoulder): only their sum or difference is determined there. Their standard deviation grows
+with 1 / cos b (1 / sin b). Where it exceeds pi / sqrt(3), the value for a wholly unknown angle, both are NaN. The
+middle angle is determined everywhere. After a joint has passed through a singular position, its first and third angle
+differ by half a turn from before.
 """
 
 from typing import NamedTuple
@@ -35,9 +35,9 @@ class Convention(NamedTuple):
     position: int
     """In the sequence: 0, 1, 2 for a, b, c."""
     sign: int
-    """Of the right side and the middle of the body."""
+    """Sign for the right side and the middle of the body."""
     left_sign: int
-    """Of the left side."""
+    """Sign for the left side."""
     positive: str
     """The sense in which it grows."""
 
@@ -73,7 +73,7 @@ CONVENTIONS = (
 )
 """All angles; their names are joint and name, ``l_hip_flexion``, ``pelvis_tilt``."""
 UNKNOWN_RAD = np.pi / np.sqrt(3)
-"""Standard deviation of an angle of which nothing is known: uniform on a circle."""
+"""Standard deviation of a wholly unknown angle: uniform on a circle [rad]."""
 _SINGULAR = 1e-6
 """Sine of the distance from a singular position below which rounding of R, 1e-16, spoils 10 digits of a and c."""
 _SEQUENCES = {"shoulder": (1, 0, 1)}
@@ -83,9 +83,10 @@ _CARDAN = (2, 0, 1)
 def isb_angles(motion: JointMotion, *, heading_rad: float = 0.0) -> JointAngles:
     """Return the angles of all joints that ``CONVENTIONS`` has, in the order of ``motion.joints``.
 
-    The pelvis is seen in a world whose x is turned by ``heading_rad`` about the vertical from the world's x: for
-    walking, the direction of progression, since tilt and obliquity are about fixed axes. Standard deviations are
-    those of first order in ``rotation_covariance``: NaN where it is. Joints of other names have no angles.
+    The pelvis' angles refer to a world whose x is turned by ``heading_rad`` about the vertical from the world's x.
+    For walking this is the direction of progression, since tilt and obliquity are about fixed axes. Standard
+    deviations are first order in ``rotation_covariance``, and NaN where it is NaN. Joints of other names have no
+    angles.
     """
     names: list[str] = []
     angles, sigmas = [np.empty((len(motion), 0))], [np.empty((len(motion), 0))]
@@ -109,7 +110,7 @@ def isb_angles(motion: JointMotion, *, heading_rad: float = 0.0) -> JointAngles:
 
 
 def _y_up_from_world(heading_rad: float) -> Array:
-    """Return the rotation (3, 3) to axes of which x has this heading, y is up and z to its right."""
+    """Return the rotation (3, 3) to axes with x along this heading, y up and z to its right."""
     c, s = np.cos(heading_rad), np.sin(heading_rad)
     return np.asarray(WORLD_FROM_Y_UP.T @ [[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
 
@@ -118,7 +119,7 @@ def _turns(rotations: Array, sequence: tuple[int, int, int], *, left: bool) -> A
     """Return a, b and c (n, 3) [rad] of rotations (n, 3, 3)."""
     if sequence == _CARDAN:
         return angles_from_matrices(rotations, "ZXY")
-    # On the left elevation is a positive turn about x: the branch whose signs make it positive on both sides.
+    # On the left, elevation is a positive turn about x: take the branch whose signs make it positive on both sides.
     s = -1.0 if left else 1.0
     r = rotations
     a = np.arctan2(-s * r[:, 0, 1], -s * r[:, 2, 1])
@@ -130,8 +131,8 @@ def _turns(rotations: Array, sequence: tuple[int, int, int], *, left: bool) -> A
 def _sigma(turns: Array, covariance: Array, sequence: tuple[int, int, int]) -> Array:
     """Return standard deviations (n, 3) [rad] of the turns; infinite where first and third are not determined.
 
-    A small rotation vector in the distal axes is r = u0 da + u1 db + u2 dc with the axes u of the three turns as the
-    distal segment has them; u1 is at right angles to both others. The rows of its inverse are below.
+    A small rotation vector in the distal axes is r = u0 da + u1 db + u2 dc, with the axes u of the three turns in the
+    distal segment's axes; u1 is perpendicular to both others. ``rows`` are those of the inverse of (u0, u1, u2).
     """
     last = _about(sequence[2], turns[:, 2])
     u0 = (_about(sequence[1], turns[:, 1]) @ last)[:, sequence[0]]
@@ -159,7 +160,7 @@ def _about(axis: int, angle: Array) -> Array:
 
 
 def _running_on(angles: Array) -> Array:
-    """Return angles (n, a) with whole turns added such that known neighbours in time are within half a turn."""
+    """Return angles (n, a) with whole turns added so that successive known values differ by at most half a turn."""
     result = angles.copy()
     for column in result.T:
         known = np.isfinite(column)

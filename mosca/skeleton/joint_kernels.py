@@ -1,10 +1,10 @@
-"""Covariances of joints' centres and rotations by a pose and the parameters of its model, compiled.
+"""Covariances of joints' centres and rotations from those of a pose and of its model's parameters, compiled.
 
-A joint's change is A y + D c: y that of the pose, c that of the parameters. Least squares gives y = -H^-1 M c, with
-H the normal matrix of the pose and M its block with the parameters, and y has the covariance H^-1 by noise. Neither M
-nor A is ever made: columns of a root of the covariance of c go up and down the tree of bodies, as displacements of
-the markers, forces at them, sums of forces over the bodies below, and turns and shifts of bodies (Featherstone 2008,
-chapter 5), WIDE at a time.
+A joint's change is A y + D c, with y the change of the pose and c that of the parameters. Least squares gives
+y = -H^-1 M c, with H the normal matrix of the pose and M its block with the parameters; noise gives y the covariance
+H^-1. Neither M nor A is ever formed. Instead, columns of a root of the covariance of c are passed up and down the
+tree of bodies, WIDE at a time: as displacements of the markers, forces at them, sums of forces over the bodies below,
+and turns and shifts of bodies (Featherstone 2008, chapter 5).
 """
 
 from typing import NamedTuple
@@ -24,9 +24,9 @@ FAST = {"contract", "reassoc"}
 
 
 class JointTable(NamedTuple):
-    """j joints: the two bodies ``ends`` (j, 2) whose origins' middle is each one's centre, -1 for none; bodies
-    ``near`` and ``far`` (j,) that it joins, their axes ``near_axes``, ``far_axes`` (j, 3, 3), 0 where not ``known``
-    (j,).
+    """j joints. A joint's centre is the midpoint of the origins of the two bodies ``ends`` (j, 2), -1 for none; it
+    joins the bodies ``near`` and ``far`` (j,) with the axes ``near_axes``, ``far_axes`` (j, 3, 3), 0 where not
+    ``known`` (j,).
     """
 
     ends: Array
@@ -39,8 +39,8 @@ class JointTable(NamedTuple):
 
 class Spread(NamedTuple):
     """Roots of covariances, k columns in blocks of WIDE: ``columns`` (blocks, p, WIDE) displacements of joints in
-    their parents and of markers in their bodies [m], with ``near``, ``far`` (blocks, j, 3, WIDE) turns of the axes of
-    the joints' bodies that go with them [rad]; ``near_own``, ``far_own`` (j, 3, l) turns of the axes alone.
+    their parents and of markers in their bodies [m]; ``near``, ``far`` (blocks, j, 3, WIDE) the turns of the axes of
+    the joints' bodies by these displacements [rad]; ``near_own``, ``far_own`` (j, 3, l) turns of the axes alone.
     """
 
     columns: Array
@@ -70,7 +70,7 @@ def _add_transposed(matrix, first, x, sign, y):
 
 @bare_step(fastmath=FAST)
 def _add_moved(placed, point, turn, shift, share, y):
-    """Add ``share`` of how a ``point`` (3,) of a body moves by its ``turn`` and ``shift`` at the root's origin."""
+    """Add ``share`` of a ``point``'s (3,) movement by its body's ``turn`` and ``shift`` at the root's origin."""
     wide = y.shape[1]
     arm_x, arm_y, arm_z = (
         share * (point[0] - placed.origin[1, 0]),
@@ -128,7 +128,7 @@ def _solve(tree, rows, y):
 
 @step
 def _pose_noise(tree, placed, table, rows, covariance):
-    """Add what noise of the pose gives to ``covariance`` (2, j, 3, 3): A H^-1 A'."""
+    """Add the part from noise of the pose, A H^-1 A', to ``covariance`` (2, j, 3, 3)."""
     nv = len(rows)
     slopes, ends = np.empty((3, nv)), np.empty((3, nv))
     for j in range(len(table.near)):
@@ -177,7 +177,7 @@ def _turn_slopes(tree, placed, body, axes, carrier, sign, slopes):
 
 @step
 def _rotations(placed, table, far_from_world, far_from_near, rotation):
-    """Fill far's axes from the world's and from near's, (j, 3, 3), and ``rotation`` near from far, NaN if unknown."""
+    """Fill far_from_world, far_from_near (j, 3, 3), and ``rotation``, near from far (j, 3, 3), NaN if unknown."""
     near = np.empty((3, 3))
     for j in range(len(table.near)):
         for a in range(3):
@@ -196,7 +196,7 @@ def _rotations(placed, table, far_from_world, far_from_near, rotation):
 
 @step
 def _own_axes(table, spread, far_from_near, covariance):
-    """Add what the axes' own turns give to the rotations' ``covariance`` (j, 3, 3)."""
+    """Add the part from the axes' own turns to the rotations' ``covariance`` (j, 3, 3)."""
     turn = np.empty(3)
     for j in range(len(table.near)):
         for k in range(spread.far_own.shape[2]):
@@ -211,10 +211,10 @@ def _own_axes(table, spread, far_from_near, covariance):
 
 @kernel
 def read_joints(tree, placed, normal, weighted, tiny, table, spread, out):
-    """Fill ``out``: centres (j, 3), rotations (j, 3, 3), covariances (2, j, 3, 3) of both; whether H is positive.
+    """Fill ``out``: centres (j, 3), rotations (j, 3, 3), covariances (2, j, 3, 3) of both.
 
     ``placed``: the pose, with its ``normal`` matrix H (nv, nv), to whose diagonal ``tiny`` is added; ``weighted``
-    (m, 3, 3) information of the markers.
+    (m, 3, 3) information of the markers. Returns whether H is positive definite.
     """
     centre, rotation, covariance = out
     nbody, j = len(tree.parent), len(table.near)
@@ -266,8 +266,8 @@ def _torques(placed, i, weighted, out):
 
 @step
 def _turns_and_shifts(tree, placed, rows, weighted, torque, columns, work):
-    """Fill ``work``, each (nbody, 3, WIDE): bodies' ``moved`` origins at a held pose by ``columns`` (p, WIDE), the
-    pose's change, and with it the bodies' turns and their shifts at the root's origin.
+    """Fill ``work``, each (nbody, 3, WIDE): displacements of the bodies' origins by ``columns`` (p, WIDE) at a fixed
+    pose, the pose's change, and the bodies' turns and shifts at the root's origin by this change.
     """
     wide = columns.shape[1]
     moved, change, turn, shift = work
@@ -313,7 +313,7 @@ def _turns_and_shifts(tree, placed, rows, weighted, torque, columns, work):
 
 @step
 def _add_joints(placed, table, far_from_world, far_from_near, spread, block, work, covariance):
-    """Add what a block of columns gives to the joints' ``covariance`` (2, j, 3, 3)."""
+    """Add the part from a block of columns to the joints' ``covariance`` (2, j, 3, 3)."""
     moved, _, turn, shift = work
     found, difference = np.empty((3, WIDE)), np.empty((3, WIDE))
     wide = found.shape[1]

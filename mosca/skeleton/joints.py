@@ -1,4 +1,4 @@
-"""Centres and rotations of a person's joints from a pose, with the covariance of markers and fitted parameters."""
+"""Centres and rotations of a person's joints from a pose, with covariances from markers and fitted parameters."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -15,17 +15,17 @@ from mosca.skeleton.pose import TINY, PoseSolution
 from mosca.skeleton.skin import common_modes
 
 LEAST_SPREAD = 1 - float(np.cos(np.deg2rad(10.0)))
-"""A hinge that has turned by less than 10 degrees rms shows no axis: difference of the singular values of its mean
-rotation, which is the mean of one less the cosine of the turn."""
+"""A hinge that has turned by less than 10 degrees rms shows no axis. Compared with the difference of the first two
+singular values of its mean rotation, which is the mean of 1 - cos(turn)."""
 STEP_M = 1e-5
-"""For derivatives of landmarks' axes by central differences [m]."""
+"""Step of central differences for the derivatives of landmarks' axes [m]."""
 
 
 @dataclass(frozen=True, eq=False)
 class SegmentAxes:
-    """Anatomical axes of segments: body -> body_from_anatomical (3, 3), and its derivative (3, p) as a rotation
-    vector in anatomical axes by the model's parameters [rad/m]. A body whose landmarks or axis are not known is not
-    there.
+    """Anatomical axes of segments. ``axes``: body -> body_from_anatomical (3, 3). ``slopes``: body -> its derivative
+    (3, p) by the model's parameters, as a rotation vector in anatomical axes [rad/m]. Bodies whose landmarks or axis
+    are unknown are left out.
     """
 
     axes: Mapping[str, Array]
@@ -35,7 +35,7 @@ class SegmentAxes:
 def fitted_axes(kinematics: Kinematics, poses: Sequence[Array], pose_by_parameters: Sequence[Array]) -> SegmentAxes:
     """Return the axes of a fitted take: ``poses`` (nq,) each, with their derivatives (nv, p) by the parameters.
 
-    The derivative of a pose is that of its least squares solution, hence with the opposite sign of
+    The derivative of a pose is that of its least squares solution, hence the negative of
     ``Reduced.pose_by_parameters``.
     """
     hinges = _flexion_axes(kinematics, poses, pose_by_parameters)
@@ -60,7 +60,10 @@ def _bodies(kinematics: Kinematics) -> list[str]:
 def _flexion_axes(
     kinematics: Kinematics, poses: Sequence[Array], pose_by_parameters: Sequence[Array]
 ) -> dict[str, dict[str, tuple[Array, Array]]]:
-    """Return joint -> body -> flexion axis (3,) in its axes and derivative (3, p); without those that hardly bend."""
+    """Return joint -> body -> flexion axis (3,) in the body's axes and its derivative (3, p).
+
+    Joints that hardly bend are left out.
+    """
     names = _bodies(kinematics)
     both = {j: (names.index(a), names.index(b)) for j, (a, b) in {**KNEES, **ELBOWS}.items() if {a, b} <= set(names)}
     relative: dict[str, list[Array]] = {joint: [] for joint in both}
@@ -88,13 +91,13 @@ def _flexion_axes(
 def _hinge(rotations: Array, vectors: Array) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
     """Return a hinge's axis (3,) and derivative (3, p) in proximal, then in distal axes.
 
-    ``rotations`` (n, 3, 3) proximal_from_distal, ``vectors`` (n, 3, p) derivatives of their vectors in distal axes.
-    a, b minimise the sum of |R_i b - a|^2 (SARA): first singular vectors of the mean of R_i.
+    ``rotations`` (n, 3, 3) proximal_from_distal; ``vectors`` (n, 3, p) derivatives of their rotation vectors in
+    distal axes. The axes a, b minimise the sum of |R_i b - a|^2 (SARA): first singular vectors of the mean of R_i.
     """
     left, sigma, right = np.linalg.svd(rotations.mean(axis=0))
     a, b = left[:, 0], right[0]
-    # The change of R is R [v], whose columns are R (v x e); taken to b it is R (v x b), taken to a from the left
-    # (R^T a) x v.
+    # The change of R is R [v], whose columns are R (v x e); applied to b it is R (v x b), multiplied by a from the
+    # left it is (R^T a) x v.
     forward = np.mean(rotations @ cross_matrices(b[None])[0].T @ vectors, axis=0)
     backward = np.mean(cross_matrices(rotations.transpose(0, 2, 1) @ a) @ vectors, axis=0)
     da, db = np.zeros_like(forward), np.zeros_like(forward)
@@ -108,10 +111,10 @@ def _hinge(rotations: Array, vectors: Array) -> tuple[tuple[Array, Array], tuple
 
 
 def _swept(rotations: Array, vectors: Array, kinematics: Kinematics, wrist: str) -> tuple[Array, Array]:
-    """Return the axis (3,), in proximal axes, that the distal bone's length turns about, and its derivative (3, p).
+    """Return the axis (3,), in proximal axes, about which the distal bone's long axis turns; its derivative (3, p).
 
-    The length is from the distal body's origin to ``wrist``; see ``_hinge`` for the others. The axis is the direction
-    of least variance of the length's direction.
+    The long axis runs from the distal body's origin to ``wrist``; see ``_hinge`` for the other parameters. The axis
+    is the direction in which the direction of the long axis has the least variance.
     """
     rows = kinematics.model.joint_rows(wrist)
     bone = kinematics.parameters[rows]
@@ -179,8 +182,8 @@ class JointReader:
     """Reads the joints of poses of one subject."""
 
     def __init__(self, kinematics: Kinematics, axes: SegmentAxes, covariance: Array, landmarks_m: Array) -> None:
-        """``covariance`` (p, p) of the parameters [m^2]; ``landmarks_m`` (m,) standard deviation of each marker's
-        mean place against its landmark, a coordinate: what skin carries it away for the whole take [m].
+        """``covariance`` (p, p) of the parameters [m^2]; ``landmarks_m`` (m,) standard deviation per coordinate of
+        each marker's mean place against its landmark: its displacement with the skin for the whole take [m].
         """
         self.kinematics = kinematics
         names = _bodies(kinematics)
@@ -205,7 +208,7 @@ class JointReader:
             far_axes,
             np.array([near in known and far in known for near, far in ends]),
         )
-        # axes come with the fitted parameters; what skin does in one instant does not change them
+        # axes come from the fitted parameters; movement of the skin at one instant does not change them
         turns = np.zeros((2, len(self.joints), 3, columns.shape[1]))
         turns[0, :, :, :p], turns[1, :, :, :p] = near_slopes @ root, far_slopes @ root
         landmarks = np.repeat(landmarks_m, 3)
@@ -216,7 +219,7 @@ class JointReader:
         )  # fmt: skip
 
     def _centre_bodies(self, joint: str) -> tuple[int, int]:
-        """Return the two bodies whose origins' middle is the joint's centre, -1 for none."""
+        """Return the two bodies the midpoint of whose origins is the joint's centre, -1 for none."""
         joints = self.kinematics.model.joints
         if CHAINS[joint].centre:
             return (2 + joints.index(joint),) * 2
@@ -225,9 +228,10 @@ class JointReader:
         return -1, -1
 
     def read(self, solution: PoseSolution) -> tuple[Array, Array, Array, Array]:
-        """Return centres (j, 3) [m], covariances (j, 3, 3), rotations (j, 3, 3) and theirs, NaN for what is unknown.
+        """Return centres (j, 3) [m], their covariances (j, 3, 3), rotations (j, 3, 3) and their covariances.
 
-        The covariances are of the markers' noise, of their segments' movement over skin and of the parameters.
+        Unknown values are NaN. The covariances cover the markers' noise, the movement of their segments under the
+        skin, and the errors of the parameters.
         """
         kinematics, j = self.kinematics, len(self.joints)
         kinematics.pose(solution.q)

@@ -2,9 +2,10 @@
 
 Degrees of freedom come in threes: those of body b's rotation, about its own axes, are 3 b to 3 b + 2, and the root's
 translation is 0 to 2, so that three degrees of freedom belong to each body, the world included. What moves a body is
-moved by its parent too. So matrices of the pose have elements only where one body is above the other, and a row is
-kept packed: element n is that of the n-th degree of freedom above, from the root, which is the same one in the rows
-of all bodies between. The factor without fill-in is that of the joint-space inertia (Featherstone 2008, section 6.5).
+moved by its parent too. So matrices of the pose have non-zero elements only where one body is above the other. Rows
+are stored packed: element n belongs to the n-th degree of freedom above, counted from the root, which is the same one
+in the rows of all bodies between. The factorisation without fill-in is that of the joint-space inertia (Featherstone
+2008, section 6.5).
 """
 
 import math
@@ -19,9 +20,9 @@ from mosca.numba_support.decorators import bare_step, kernel, step
 class Tree(NamedTuple):
     """Bodies, parents first, and their markers.
 
-    ``parent`` (nbody,), -1 for the world, ``offset`` (nbody, 3) [m] and ``turn`` (nbody, 4) wxyz of each body in it;
-    ``body`` (m,) that carries each marker at ``local`` (m, 3) [m]; ``dofs`` (nbody, k) degrees of freedom that move
-    a body, ascending, -1 at the end, ``dof_count`` (nbody,) of them.
+    ``parent`` (nbody,), -1 for the world; ``offset`` (nbody, 3) [m] and ``turn`` (nbody, 4) wxyz of each body in its
+    parent; ``body`` (m,) that carries each marker at ``local`` (m, 3) [m]; ``dofs`` (nbody, k) degrees of freedom
+    that move a body, ascending, padded with -1; ``dof_count`` (nbody,) their number.
     """
 
     parent: Array
@@ -46,7 +47,7 @@ class Placed(NamedTuple):
 
 @bare_step
 def multiply(a, q, first, out):
-    """Fill ``out`` (4,) with the product of quaternions ``a`` (4,) and that from element ``first`` of ``q`` on."""
+    """Fill ``out`` (4,) with the product of the quaternions ``a`` (4,) and q[first : first + 4]."""
     w, x, y, z = q[first], q[first + 1], q[first + 2], q[first + 3]
     out[0], out[1], out[2], out[3] = (
         a[0] * w - a[1] * x - a[2] * y - a[3] * z,
@@ -162,14 +163,14 @@ def factor(tree, rows):
 
 @kernel
 def fill_slopes(tree, placed, bodies, points, slopes):
-    """Fill the derivatives (n, 3, nv), 0 before, of ``points`` (n, 3) fixed to ``bodies`` (n,) by the pose."""
+    """Fill the derivatives (n, 3, nv), given as 0, of ``points`` (n, 3) fixed to ``bodies`` (n,) by the pose."""
     for j in range(len(points)):
         point_slopes(tree, placed, bodies[j], points[j], slopes[j])
 
 
 @kernel
 def unpack(tree, rows, normal):
-    """Fill a symmetric matrix (nv, nv), 0 before, from its packed rows."""
+    """Fill a symmetric matrix (nv, nv), given as 0, from its packed rows."""
     for d in range(len(rows)):
         for n in range(tree.dof_count[d // 3] - 2 + d % 3):
             normal[d, tree.dofs[d // 3, n]] = normal[tree.dofs[d // 3, n], d] = rows[d, n]
@@ -177,7 +178,7 @@ def unpack(tree, rows, normal):
 
 @bare_step
 def point_slopes(tree, placed, body, point, slopes):
-    """Fill the derivatives (3, nv), 0 before, of a ``point`` (3,) fixed to a body by the pose."""
+    """Fill the derivatives (3, nv), given as 0, of a ``point`` (3,) fixed to a body by the pose."""
     x, y, z = point[0] - placed.origin[1, 0], point[1] - placed.origin[1, 1], point[2] - placed.origin[1, 2]
     for n in range(tree.dof_count[body] if body > 0 else 0):
         d = tree.dofs[body, n]

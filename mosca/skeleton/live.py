@@ -1,9 +1,9 @@
 """A fitted subject followed live among unlabelled tracks: names, pose and joints, frame set by frame set.
 
-Names are carried by the tracks' numbers. After each pose they are checked: a point too far from its marker loses its
-name, and points without one are assigned to the markers that are missing where the pose expects these. When a pose
-is not known, or points that last fit nowhere, the tracks of the last half second are named by the distances between
-the subject's markers (``naming.searched``), and what the pose confirms is taken.
+Names follow the tracks' numbers. They are checked after each pose: a point too far from its marker loses its name,
+and points without a name are assigned to missing markers near the places that the pose predicts. When no pose is
+known, or lasting points fit no marker, the tracks of the last half second are named by the distances between the
+subject's markers (``naming.searched``). Names that a pose confirms are taken.
 """
 
 from collections import deque
@@ -40,7 +40,7 @@ from mosca.skeleton.track import FEWEST_MARKERS, NO_SHIFT, SkeletonTracker
 from mosca.triangulation.camera_shake import without
 
 SEARCH_S = 0.5
-"""Tracks of this time are searched for names [s]."""
+"""Length of tracks that is searched for names [s]."""
 SEARCHED_FRAMES = 25
 """Frames of that time, evenly spread, that a search reads."""
 LOST_S = 0.25
@@ -50,21 +50,21 @@ AGAIN_S = 2.0
 CONFIRMED = 0.6
 """Share of the named points that must fit a pose found by a search."""
 BAD = 4.0
-"""A pose whose median squared distance is this many times what is stated is a wrong one."""
+"""A pose is wrong whose median squared distance is this many times the stated one."""
 UNEXPLAINED = 3
-"""So many points that last without a name, and missing markers, are worth a search: a segment's."""
+"""So many lasting points without a name, and so many missing markers, start a search: those of a segment."""
 ROUNDS = 2
-"""Poses of one frame, at most, as names change."""
+"""Most poses of one frame, as names change."""
 STEADY_S = 0.05
-"""Time over which the same points must be a lost segment's markers [s]."""
+"""Time over which the same points must be found as a lost segment's markers [s]."""
 LOST_MARKERS = 2
-"""A segment that misses so many is looked for by its markers' distances."""
+"""A segment with so many missing markers is searched for by its markers' distances."""
 GRAVITY = 9.81
-"""Least acceleration that a marker is predicted with [m/s^2]."""
+"""Least acceleration assumed in a marker's prediction [m/s^2]."""
 SHIFT_S = 0.05
-"""Time for which what the cameras' shake does to a person is kept [s]. Of one who runs at 8 m/s, 4 m from the
-cameras, that variance is off by 0.2 when it ends, and a frame takes 1.2 ms; with half it gives 0.1 and 1.3 ms, with
-twice 0.4 and 1.2 ms."""
+"""Time for which the covariance of a person's shift by camera shake is kept [s]. For a person who runs at 8 m/s, 4 m
+from the cameras, this variance is off by 0.2 at its end, and a frame takes 1.2 ms; with half it gives 0.1 and 1.3 ms,
+with twice 0.4 and 1.2 ms."""
 NO_TRACK = -1
 MEASURED = STATUSES.index("measured")
 LEARNED_S = 0.1
@@ -73,11 +73,11 @@ LEARNED_S = 0.1
 
 @dataclass(frozen=True, eq=False)
 class LivePose:
-    """What is known at one instant.
+    """Names, pose and joints at one instant.
 
-    ``track`` (n,) numbers of the points and ``label`` (n,) their names, "" for none. ``q`` (nq,) and ``joints``, one
-    instant with covariances, are None where no pose is known; ``residual_m`` (m,) distance of each marker from the
-    model's, NaN where there is none.
+    ``track`` (n,) numbers of the points and ``label`` (n,) their names, "" for none. ``q`` (nq,) and ``joints`` (one
+    instant, with covariances) are None where no pose is known; ``residual_m`` (m,) distance of each marker from the
+    model's, NaN where not measured.
     """
 
     frame: int
@@ -92,8 +92,8 @@ class LivePose:
 class LiveSkeleton:
     """Follows one subject. ``background``: searches run on a thread of their own, and their names come later.
 
-    Use it in a ``with`` block, or call ``close``. ``searches``, ``losses``: how many there were so far. ``rig``: the
-    cameras that measure, whose shake is told apart from the markers' own errors; None where it is not known.
+    Use it in a ``with`` block, or call ``close``. ``searches``, ``losses``: their numbers so far. ``rig``: the
+    cameras that measure, whose shake is separated from the markers' own errors; None where not known.
     """
 
     def __init__(self, subject: FittedSubject, background: bool = False, rig: Rig | None = None) -> None:
@@ -124,12 +124,12 @@ class LiveSkeleton:
         self.close()
 
     def close(self) -> None:
-        """End the search that may run."""
+        """End a search that is still running."""
         if self._worker is not None:
             self._worker.shutdown(cancel_futures=True)
 
     def step(self, frame: int, time_ns: int, samples: Samples) -> LivePose:
-        """Return names and pose at one instant, of the measured ones of ``samples`` that are of ``frame``."""
+        """Return names and pose at one instant, from those of ``samples`` that were measured in ``frame``."""
         mine = samples.select((samples.frame == frame) & (samples.status == MEASURED))
         mine, shared = self._told_apart(time_ns, mine)
         self._remember(time_ns, mine)
@@ -151,7 +151,7 @@ class LiveSkeleton:
         return self._pose(frame, time_ns, mine, points, solution, shared)
 
     def _told_apart(self, time_ns: int, mine: Samples) -> tuple[Samples, Array]:
-        """Return samples with the covariances that they have for themselves, and that (3, 3) of a shift of all."""
+        """Return samples with the covariances of their own errors, and the covariance (3, 3) of a shift of all."""
         covariance = np.nan_to_num(mine.covariance)
         mine = replace(mine, covariance=covariance)
         if self.rig is None or not len(mine) or not any(camera.shake_px for camera in self.rig.cameras):
@@ -173,7 +173,7 @@ class LiveSkeleton:
         self._since = {track: self._since.get(track, time_ns) for track in mine.track.tolist()}
 
     def _followed(self, time_ns: int, mine: Samples) -> tuple[NamedPoints, PoseSolution | None]:
-        """Return names and pose from the names that the tracks have; no pose where none can be trusted."""
+        """Return names and pose from the names that the tracks have; None for a pose that cannot be trusted."""
         point, marker = np.nonzero(mine.track[:, None] == self._track_of)
         named = np.full(len(mine), -1)
         named[point] = marker
@@ -202,7 +202,7 @@ class LiveSkeleton:
         return points, solution
 
     def _squared(self, points: NamedPoints, solution: PoseSolution) -> Array:
-        """Return squared distances (n,) of the points from their markers, in what skin and measurement state."""
+        """Return squared Mahalanobis distances (n,) of the points from their markers, by skin and measurement."""
         squared = np.zeros(len(points.marker))
         rows = np.flatnonzero(points.marker >= 0)
         of = points.marker[rows]
@@ -211,7 +211,7 @@ class LiveSkeleton:
         return squared
 
     def _checked(self, points: NamedPoints, solution: PoseSolution, squared: Array, scale: float) -> NamedPoints:
-        """Return the points without names that do not fit, and with those of markers that are missing."""
+        """Return the points with names that do not fit removed and names of missing markers assigned."""
         marker = np.where(squared > RELEASED, -1, points.marker)
         doubtful = squared > NAMED
         sure = marker[~doubtful]
@@ -228,7 +228,7 @@ class LiveSkeleton:
     def _with_lost_segments(
         self, time_ns: int, mine: Samples, points: NamedPoints, solution: PoseSolution
     ) -> tuple[NamedPoints, PoseSolution]:
-        """Return names and pose with segments whose markers' distances told them, the same for STEADY_S."""
+        """Return names and pose with lost segments found by their markers' distances, unchanged for STEADY_S."""
         missing = np.ones(self._m, dtype=bool)
         missing[points.marker[points.marker >= 0]] = False
         found, marker = {}, np.array(points.marker)
@@ -286,7 +286,7 @@ class LiveSkeleton:
         return [self._recent[k][1] for k in rows.tolist()]
 
     def _adopt(self, found: Mapping[int, int], tracker: SkeletonTracker, mine: Samples) -> bool:
-        """Take names that a search found if a pose confirms them and more than there are; return whether it does."""
+        """Take names found by a search if a pose confirms them, and more than at present; return whether it does."""
         marker = np.array([found.get(track, -1) for track in mine.track.tolist()], dtype=np.int64)
         points = NamedPoints(mine.xyz, mine.covariance, marker)
         named = int((marker >= 0).sum())
@@ -306,7 +306,7 @@ class LiveSkeleton:
         return True
 
     def _carry(self, time_ns: int, mine: Samples, points: NamedPoints, solution: PoseSolution | None) -> None:
-        """Keep what the next instant needs, and give up a pose that was not found for long."""
+        """Keep what the next instant needs, and give up a pose that was not found for LOST_S."""
         if solution is not None:
             named = points.marker >= 0
             here = np.isin(self._track_of, mine.track)
@@ -340,7 +340,7 @@ class LiveSkeleton:
 
 
 class _Path:
-    """Places of the markers at the last instants, and how much segments accelerate: constant velocity, as learned."""
+    """Places of the markers at the last two instants; prediction by constant velocity and learned accelerations."""
 
     def __init__(self, body: Array) -> None:
         self.seen = 0
@@ -348,7 +348,7 @@ class _Path:
         self.forget()
 
     def forget(self) -> None:
-        """Know nothing."""
+        """Drop all places and learned accelerations."""
         self._times: list[int] = []
         self._places: list[Array] = []
         self._squared = np.full(len(self._body), GRAVITY**2)
@@ -366,7 +366,7 @@ class _Path:
         return places, (self._squared * (ahead**2 / 2) ** 2)[:, None, None] * np.eye(3)
 
     def add(self, time_ns: int, places: Array, points: NamedPoints) -> None:
-        """Learn from markers where the pose has them."""
+        """Add the markers' ``places`` in the pose, and learn the segments' accelerations from them."""
         self.seen = int((points.marker >= 0).sum())
         if self.known and time_ns > self._times[-1]:
             ahead = 1e-9 * (time_ns - self._times[-1])

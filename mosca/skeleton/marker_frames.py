@@ -16,8 +16,8 @@ class MarkerFrames:
     """Measured places of m labelled markers in n frames.
 
     ``frame``, ``time_ns`` (n,); ``xyz`` (n, m, 3) world [m], NaN where not measured; ``covariance`` (n, m, 3, 3) of
-    the measurement [m^2], 0 where not known. Where the cameras' shake is told apart, that is of the errors that each
-    marker has for itself, and ``shared`` (n, 3, 3) [m^2] of a shift of all markers of a frame; else 0.
+    the measurement [m^2], 0 where not known. Where the cameras' shake is separated, ``covariance`` covers each
+    marker's own errors, and ``shared`` (n, 3, 3) [m^2] a shift of all markers of a frame; else ``shared`` is 0.
     """
 
     labels: tuple[str, ...]
@@ -43,7 +43,7 @@ class MarkerFrames:
         return np.asarray(np.isfinite(self.xyz[:, :, 0]))
 
     def select(self, rows: Array) -> "MarkerFrames":
-        """Return the frames that a boolean mask or an index array names."""
+        """Return the frames selected by a boolean mask or an index array."""
         columns = (self.frame, self.time_ns, self.xyz, self.covariance, self.shared)
         return MarkerFrames(self.labels, *(column[rows] for column in columns))
 
@@ -65,9 +65,9 @@ def labels_of(tracks: Tracks) -> tuple[str, ...]:
 
 
 def marker_frames(tracks: Tracks, labels: Sequence[str], rig: Rig | None = None) -> MarkerFrames:
-    """Return the measured samples of ``labels`` in all frames of ``tracks``; of two with one label, the surer one.
+    """Return the measured samples of ``labels`` in all frames of ``tracks``; of two with one label, the more certain.
 
-    ``rig``: of the cameras that measured them, whose shake is told apart; None where it is not known.
+    ``rig``: the cameras that measured them, whose shake is separated; None where not known.
     """
     frame, first, row = np.unique(tracks.frame, return_index=True, return_inverse=True)
     xyz = np.full((len(frame), len(labels), 3), np.nan)
@@ -88,7 +88,7 @@ def marker_frames(tracks: Tracks, labels: Sequence[str], rig: Rig | None = None)
 
 
 def _told_apart(rig: Rig, xyz: Array, covariance: Array, n_cameras: Array) -> tuple[Array, Array]:
-    """Return what the cameras' shake shifts all markers of a frame by (n, 3, 3), and the markers' own covariances.
+    """Return the covariances (n, 3, 3) of the shift of all markers by camera shake, and of the markers' own errors.
 
     ``xyz`` (n, m, 3), ``covariance`` (n, m, 3, 3), ``n_cameras`` (n, m), 0 where not measured.
     """
@@ -103,22 +103,22 @@ def _told_apart(rig: Rig, xyz: Array, covariance: Array, n_cameras: Array) -> tu
 
 
 def common_shift(rig: Rig, middle: Array, images: Array) -> tuple[Array, Array]:
-    """Return what the cameras' shake shifts a body by (n, 3, 3) [m^2], and what of it turns no segment (n, 3, 3).
+    """Return the covariance (n, 3, 3) [m^2] of a body's shift by camera shake, and the part that turns no segment.
 
-    ``middle`` (n, 3) of its markers [m]; ``images`` (n,) that each of them has on average.
+    ``middle`` (n, 3): mean place of its markers [m]; ``images`` (n,): mean number of images of a marker.
     """
     shared, most = shake_covariance(rig, middle)
     return shared, turned_alike(images / np.maximum(most, 1))[:, None, None] * shared
 
 
 def turned_alike(seen_by: Array) -> Array:
-    """Return which share (n,) of a body's common shift by shake does not turn its segments, where each marker is
+    """Return the share (n,) of a body's common shift by shake that does not turn its segments, where each marker is
     ``seen_by`` a share (n,) of the cameras.
 
-    Markers around a body are seen by the cameras on their own side. Of two whose normals differ by the angle f, a
-    share o(f) of the cameras that see one sees the other, the overlap of two arcs of 2 w = 2 pi ``seen_by``; their
-    errors have the covariance o pi / w of the common shift. A turn weights pairs by their squared distances,
-    sin^2 (f / 2). 1 where all cameras see all markers, 0.6 where half of them do.
+    Markers around a body are seen by the cameras on their own side. If the normals of two markers differ by the angle
+    f, a share o(f) of the cameras that see one also sees the other: the overlap of two arcs of 2 w = 2 pi
+    ``seen_by``. The covariance of their errors is o pi / w times that of the common shift. A turn weights pairs by
+    their squared distances, sin^2 (f / 2). The share is 1 where all cameras see all markers, 0.6 where half do.
     """
     f = (np.arange(180) + 0.5) * np.pi / 180
     w = np.pi * np.clip(seen_by, 1e-3, 1.0)[:, None]

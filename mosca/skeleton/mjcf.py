@@ -1,7 +1,7 @@
-"""Models of skeletons as MJCF text: what may stand in it, before MuJoCo compiles it.
+"""Models of skeletons as MJCF text: check of the elements in it, before MuJoCo compiles it.
 
-A model may come from anybody. So it is one text, with elements that place bodies, joints and sites: nothing that
-names another file (include, assets, plugins) and nothing that multiplies itself (replicate, composite).
+A model may come from anybody. So it must be one text, with elements that place bodies, joints and sites. Elements
+that name another file (include, assets, plugins) or multiply themselves (replicate, composite) are refused.
 """
 
 import xml.etree.ElementTree as ElementTree
@@ -15,26 +15,27 @@ import numpy as np
 from mosca.errors import InputError
 
 MOST_BYTES = 1 << 20
-"""Of a model's text [B]: that of a person has 16 kB."""
+"""Largest size of a model's text [B]: that of a person has 16 kB."""
 MOST_DEPTH, MOST_BODIES, MOST_SITES = 64, 200, 500
-"""Elements inside each other, bodies and sites: fitting takes matrices of three times bodies and sites squared."""
+"""Most nested elements, bodies and sites: fitting takes matrices of three times bodies and sites squared."""
 FARTHEST_M = 100.0
 """No joint and no marker is farther than this from its body's origin [m]: the unit would be wrong."""
 NEAREST_M, LEAST_DEG = 1e-6, 1e-3
-"""Distances and standard deviations [m], and those of rotations [deg], are 0 or larger: their squares divide."""
+"""Least distances and standard deviations [m], if not 0, and least standard deviations of rotations [deg]: their
+squares are divisors."""
 ELEMENTS = frozenset((
     "mujoco", "compiler", "option", "flag", "size", "visual", "global", "quality",
     "headlight", "map", "scale", "rgba", "statistic", "default", "custom", "numeric",
     "text", "tuple", "element", "worldbody", "body", "joint", "freejoint", "site",
     "geom", "inertial", "camera", "light",
 ))  # fmt: skip
-"""What may stand in a model. An element that is not here may read a file, or make any number of others."""
+"""Elements that a model may have. Any other may read a file, or create any number of others."""
 SIGMA, MIDPOINT = "rotation_sigma_deg/", "midpoint/"
 _WRONG = "{source}: not a skeleton model: {reason}; docs/people.md says what a model holds"
 
 
 class _PlainTree(ElementTree.TreeBuilder):
-    """Elements and comments, not too deep, without a document type: no entities, which could stand for any text."""
+    """Builder of elements and comments, of limited depth, without a document type: entities could be any text."""
 
     def __init__(self) -> None:
         super().__init__(insert_comments=True)
@@ -58,7 +59,7 @@ class _PlainTree(ElementTree.TreeBuilder):
 
 
 def mjcf_tree(text: str, source: str) -> Element:
-    """Return the elements of an MJCF text; InputError, naming ``source``, where one stands there that must not."""
+    """Return the elements of an MJCF text; InputError, naming ``source``, where one is not allowed."""
     try:
         if len(text) > MOST_BYTES:
             raise ValueError(f"it has {len(text)} characters, {MOST_BYTES} are read at most")
@@ -86,8 +87,8 @@ def _check_element(element: Element) -> None:
 def compiled(text: str, source: str) -> mujoco.MjModel:
     """Return the model that an MJCF text holds, compiled by MuJoCo.
 
-    InputError, naming ``source``, where it is no skeleton: a body with a free joint, all others below it with one
-    ball joint at their origin, all joints and sites with names.
+    InputError, naming ``source``, where it is no skeleton. A skeleton has a root body with a free joint; all other
+    bodies are below it, with one ball joint at their origin; all joints and sites have names.
     """
     mjcf_tree(text, source)
     try:
@@ -142,7 +143,7 @@ def _check_structure(mj: mujoco.MjModel) -> None:
 
 
 def _check_knowledge(mj: mujoco.MjModel) -> None:
-    """Raise ValueError where custom elements with the names that have a meaning here say nothing that has one."""
+    """Raise ValueError where a custom element whose name has a meaning here has invalid contents."""
     joints = [mj.joint(k).name for k in range(1, mj.njnt)]
     if mj.nuser_site not in (0, 3) or ((mj.site_user > 0) & (mj.site_user < NEAREST_M)).any():
         raise ValueError(f"user of a site: standard deviations along x, y, z of {NEAREST_M:g} or more are wanted [m]")

@@ -1,7 +1,7 @@
 """A skeleton with markers as a MuJoCo model: bodies joined by ball joints, markers as sites.
 
-What is estimated once for a subject, the *parameters* (p), are the place of each body's joint in its parent and the
-place of each marker in its body; what is estimated for each instant is the *pose* (nq), MuJoCo's configuration.
+The *parameters* (p) are estimated once for a subject: the place of each body's joint in its parent and the place of
+each marker in its body. The *pose* (nq), MuJoCo's configuration, is estimated for each instant.
 """
 
 from collections.abc import Sequence
@@ -22,27 +22,28 @@ HUMAN = Path(__file__).with_name("human.xml")
 PLACEMENT_M = 0.05
 """Standard deviation of a marker's place on its body where the model states none (site user) [m]."""
 PROPORTION, JOINT_M = 0.06, 0.01
-"""Standard deviation of a joint's place: along the line from its parent's this share of the distance and this in
-addition, across that line this [m]. Segment lengths at equal stature vary by 4 to 6 % (Winter; Pheasant 1986)."""
+"""Standard deviation of a joint's place: along the line from its parent's joint, PROPORTION of the distance and
+JOINT_M [m] in addition; across that line JOINT_M. Segment lengths at equal stature vary by 4 to 6 % (Winter; Pheasant
+1986)."""
 COINCIDENT_M = 1e-4
 """Standard deviation of a joint that the model places in its parent's joint [m]: it stays there."""
 MIDPOINT_M, OFF_MIDPOINT_M = 0.0022, 0.02
-"""Standard deviation of a joint against the middle of the two markers that the model names for it (tuple
-midpoint/JOINT): along the line between them, 2.2 mm from person to person (knees of 40 bodies by CT: Lynnerup et al.
-2014, Biom. Biostat. Int. J. 1, 47), and across it, where palpation is off by 5 to 8 mm (Della Croce et al. 1999) and
-sets place them above or below the joint [m]."""
+"""Standard deviations of a joint against the midpoint of the two markers that the model names for it (tuple
+midpoint/JOINT) [m]: along the line between them, 2.2 mm from person to person (knees of 40 bodies by CT: Lynnerup et
+al. 2014, Biom. Biostat. Int. J. 1, 47); across it, where palpation is off by 5 to 8 mm (Della Croce et al. 1999) and
+marker sets place them above or below the joint."""
 LEFT_RIGHT_M = 0.004
 """Standard deviation of half the difference between the left and the right side of a body's joint places [m]."""
 
 
 @dataclass(frozen=True, eq=False)
 class SkeletonModel:
-    """A model's structure, starting values of its parameters and what is known of them beforehand.
+    """A model's structure, starting values of its parameters and their prior.
 
     ``mjcf``: text of the model. ``labels`` (m): its markers in use. ``joints`` (b): names of the joints of bodies
     that have a parent. ``parameters`` (p): places of these joints in the parent body (b, 3), then of the markers in
-    their body (m, 3) [m]; ``information`` (p, p) about them [1/m^2]. ``rotation_sigma`` (nv): prior standard
-    deviation of the joints' rotation vectors [rad], inf where nothing is known.
+    their body (m, 3) [m]; ``information`` (p, p): their prior information matrix [1/m^2]. ``rotation_sigma`` (nv):
+    prior standard deviation of the joints' rotation vectors [rad], inf where nothing is known.
     """
 
     mjcf: str
@@ -67,7 +68,7 @@ class SkeletonModel:
 
 
 def read_skeleton_model(path: Path, labels: Sequence[str]) -> SkeletonModel:
-    """Return the model in the MJCF file ``path`` with those of its sites that ``labels`` name.
+    """Return the model in the MJCF file ``path`` with those of its sites that are in ``labels``.
 
     InputError where the file is no such model, or fewer than six of its markers are among the labels.
     """
@@ -77,7 +78,7 @@ def read_skeleton_model(path: Path, labels: Sequence[str]) -> SkeletonModel:
 
 
 def model_from_mjcf(text: str, mj: mujoco.MjModel, labels: Sequence[str], source: str) -> SkeletonModel:
-    """Return the model of ``mj``, as ``mjcf.compiled`` gives it for ``text``; see ``read_skeleton_model``."""
+    """Return the model of ``mj``, which ``mjcf.compiled`` returned for ``text``; see ``read_skeleton_model``."""
     known = [mj.site(k).name for k in range(mj.nsite)]
     used = tuple(label for label in known if label in set(labels))
     if len(used) < 6:
@@ -98,7 +99,7 @@ def model_from_mjcf(text: str, mj: mujoco.MjModel, labels: Sequence[str], source
 
 
 def _information(mj: mujoco.MjModel, joints: tuple[str, ...], labels: tuple[str, ...]) -> Array:
-    """Return the information (p, p) of the starting values: proportions, placement, symmetry, middles of markers."""
+    """Return the information (p, p) of the starting values: proportions, placement, symmetry, marker midpoints."""
     sites = [mj.site(label).id for label in labels]
     placed = mj.site_user[sites] if mj.nuser_site == 3 else np.zeros((len(sites), 3))
     placed = np.where(placed > 0, placed, PLACEMENT_M)
@@ -170,7 +171,7 @@ class Kinematics:
         self.set_parameters(model.parameters if parameters is None else parameters)
 
     def set_parameters(self, parameters: Array) -> None:
-        """Place joints and markers as ``parameters`` (p,) say."""
+        """Place joints and markers by ``parameters`` (p,)."""
         self.parameters = np.array(parameters, dtype=np.float64)
         split = 3 * len(self.model.joints)
         self.mj.body_pos[2:] = self.parameters[:split].reshape(-1, 3)

@@ -1,4 +1,4 @@
-"""Names of a subject's markers among unlabelled points: by its pose, or by the distances between its markers."""
+"""Names of a subject's markers among unlabelled points, by its pose or by the distances between its markers."""
 
 from typing import NamedTuple
 
@@ -16,23 +16,24 @@ from mosca.skeleton.model import Kinematics
 from mosca.skeleton.pose import TINY, PoseSolution
 
 NAMED = float(chi2.ppf(1 - 1e-3, 3))
-"""Largest squared Mahalanobis distance of a point that is given a marker's name: one true point in 1000 waits."""
+"""Largest squared Mahalanobis distance of a point that is given a marker's name: one true point in 1000 gets none."""
 RELEASED = float(chi2.ppf(1 - 1e-6, 3))
-"""Largest one of a point that keeps its name."""
+"""Largest squared Mahalanobis distance of a point that keeps its name."""
 MARGIN = 2 * float(np.log(20.0))
-"""By so much another name must be less likely, at odds of 20 to 1; a point keeps its name against one as good."""
+"""Twice the log likelihood by which another name must be less likely, odds of 20 to 1; a point keeps its name against
+an equally likely one."""
 ROOM_M3 = 1.0
-"""Space about a person in which points of no marker are [m^3]."""
+"""Volume about a person in which points that belong to no marker are assumed [m^3]."""
 MEDIAN = float(chi2.ppf(0.5, 3))
 SLIDE_M = 0.005
-"""Movement of a marker on the skin that a fit's take did not show, a coordinate [m]: skin slides as joints turn, and
-other movements turn them farther. Single markers in walking: 4 to 16 mm (docs/people.md)."""
+"""Movement of a marker on the skin that the fitted take did not show, per coordinate [m]: skin slides as joints turn,
+and other movements turn the joints farther. Single markers in walking: 4 to 16 mm (docs/people.md)."""
 POSTURES = 200
 """Postures from which distances between markers are learned: their standard deviations are known to 5 %."""
 
 
 class NamedPoints(NamedTuple):
-    """Points of one instant: ``xyz`` (n, 3) [m], ``covariance`` (n, 3, 3), ``marker`` (n,) of each, -1 for none."""
+    """Points of one instant: ``xyz`` (n, 3) [m], ``covariance`` (n, 3, 3), ``marker`` (n,) index, -1 for none."""
 
     xyz: Array
     covariance: Array
@@ -52,7 +53,7 @@ def squared_distances(away: Array, covariance: Array) -> Array:
 
 
 def spread_about(solution: PoseSolution, skin2: Array, markers: Array) -> Array:
-    """Return the covariance (k, 3, 3) of ``markers`` (k,) about a pose's: the pose's own, and skin ``skin2`` (m,)."""
+    """Return the covariance (k, 3, 3) of ``markers`` (k,) about a pose's: of the pose and the skin ``skin2`` (m,)."""
     slopes = solution.slopes[markers]
     nv = slopes.shape[2]
     shaped = cho_solve(cho_factor(solution.normal + TINY * np.eye(nv)), slopes.reshape(-1, nv).T)
@@ -61,9 +62,9 @@ def spread_about(solution: PoseSolution, skin2: Array, markers: Array) -> Array:
 
 
 def scale_of(squared: Array) -> float:
-    """Return by how much squared distances (k,) of named points are larger than stated, 1 at least.
+    """Return the factor, 1 or more, by which squared distances (k,) of named points are larger than stated.
 
-    Of the median: wrong names do not change it. Skin that moves more than in the take of the fit does.
+    It is taken from the median: wrong names do not change it, but skin that moves more than in the fitted take does.
     """
     return max(1.0, float(np.median(squared)) / MEDIAN) if len(squared) else 1.0
 
@@ -76,11 +77,11 @@ def renamed(
     doubtful: Array | bool = False,
     scale: float = 1.0,
 ) -> NamedPoints:
-    """Return the points after those without a name, and ``doubtful`` (n,) ones, were assigned anew.
+    """Return the points after a new assignment of those without a name and of ``doubtful`` (n,) ones.
 
-    ``open_`` (k,): markers that may be given, those of doubtful points among them; ``places`` (k, 3) and ``spread``
-    (k, 3, 3) of these. One to one, with the least sum of squared distances (and log determinants); a point whose
-    second name is about as likely waits.
+    ``open_`` (k,): markers that may be assigned, including those of doubtful points; ``places`` (k, 3) and ``spread``
+    (k, 3, 3) of these. The assignment is one to one, with the least sum of squared distances (and log determinants).
+    A point whose second name is about as likely gets none.
     """
     rows = np.flatnonzero((points.marker < 0) | doubtful)
     if not len(rows) or not len(open_):
@@ -96,7 +97,7 @@ def renamed(
     squared[at, of] = squared_distances(away[at, of], covariance)
     size[at, of] = np.linalg.slogdet(covariance)[1] if len(at) else 0.0
     now = points.marker[rows, None] == open_
-    # twice the logarithm of the odds of a point of no marker at this place, against the marker's
+    # twice the log odds that a point at this place belongs to no marker, against the marker
     stray = squared + size + 3 * np.log(2 * np.pi) + 2 * np.log(len(rows) / ROOM_M3)
     fits = ((squared < NAMED) & (stray < -MARGIN)) | (now & (squared < RELEASED))
     cost = np.where(fits, squared + size, np.inf)
@@ -124,8 +125,8 @@ def skin_variance(subject: FittedSubject) -> Array:
 def marker_model_of(subject: FittedSubject) -> MarkerModel:
     """Return the distances between a subject's markers: means and spreads over postures drawn about its own.
 
-    ``learn_model`` takes other movements to reach BEYOND times as far as those that it saw: so far the prior of the
-    joints reaches, of which that part is drawn.
+    ``learn_model`` assumes that other movements reach BEYOND times as far as those that it saw. The prior of the
+    joints already reaches that far, so postures are drawn with its standard deviations divided by BEYOND.
     """
     kinematics = Kinematics(subject.model, subject.parameters)
     rng, mj, m = np.random.default_rng(0), kinematics.mj, len(subject.model.labels)

@@ -6,20 +6,21 @@ from mosca.skeleton.fit import FittedSubject
 from mosca.skeleton.model import SkeletonModel
 
 GENERIC_M = {"pelvis": 0.167, "femur": 0.39585, "tibia": 0.43}
-"""gait2354 (Delp et al. 1990) before scaling: between the hips; hip to knee, and knee to ankle, at a straight knee
-[m]."""
+"""Lengths in gait2354 (Delp et al. 1990) before scaling [m]: between the hips; hip to knee, and knee to ankle, at a
+straight knee."""
 GENERIC_STATURE_M, STATURE_M = 1.80, 1.75
-"""Of the person that gait2354 is of, and of mosca's model at size 1."""
+"""Statures of the person of gait2354, and of mosca's model at size 1 [m]."""
 
 
 _LENGTHS = {"pelvis": ("l_hip", "r_hip")} | {
     f"{body}_{side}": (f"{side}_{joint}",) for side in "rl" for body, joint in (("femur", "knee"), ("tibia", "ankle"))
 }
-"""Body of gait2354 -> the joint whose place in its parent is its length, or the two that are so far apart."""
+"""Body of gait2354 -> the joint whose distance from its parent's is the body's length, or the two joints at the
+body's ends."""
 _BY_STATURE = {"torso": "l_shoulder"} | {
     f"{body}_{side}": f"{side}_ankle" for side in "rl" for body in ("talus", "calcn", "toes")
 }
-"""Body without a joint at its other end -> the joint that a model has where it has this body."""
+"""Body without a joint at its other end -> the joint that a model with this body has."""
 
 
 def scaled_bodies(model: SkeletonModel) -> tuple[str, ...]:
@@ -31,8 +32,8 @@ def scaled_bodies(model: SkeletonModel) -> tuple[str, ...]:
 def gait2354_scales(subject: FittedSubject) -> dict[str, tuple[float, float, float]]:
     """Return body of gait2354 -> factors along its x, y, z, the same for all three.
 
-    Pelvis, thighs and shanks are scaled by the distances of the fitted joints; torso and feet, which have no joint at
-    their other end, by stature.
+    Pelvis, thighs and shanks are scaled by the distances between fitted joints. Torso and feet, which have no joint
+    at their other end, are scaled by stature.
     """
     model, stature = subject.model, subject.size * STATURE_M / GENERIC_STATURE_M
     factors = {}

@@ -10,19 +10,19 @@ from mosca.skeleton.model import Kinematics
 from mosca.skeleton.pose_kernels import fit_pose
 
 LARGEST_TURN = 0.6
-"""Largest rotation of a joint in one iteration [rad]: linearised, a step beyond it is not to be trusted."""
+"""Largest rotation of a joint in one iteration [rad]: the linearisation does not hold beyond it."""
 SETTLED = 1e-4
-"""Largest step of a pose that has converged [m, rad]: the next would be of its square's order."""
+"""Largest step of a pose that has converged [m, rad]: the next step would be of the order of its square."""
 TINY = 1e-9
-"""Added to the diagonal of a normal matrix: degrees of freedom that neither markers nor prior hold do not move."""
+"""Added to the diagonal of a normal matrix, so that degrees of freedom not determined by markers or prior stay."""
 ROBUST = 3.0
-"""Markers farther from the model than this many standard deviations weigh less (Huber 1964)."""
+"""Markers farther from the model than this many standard deviations get less weight (Huber 1964)."""
 
 
 @dataclass(frozen=True, eq=False)
 class PoseSolution:
     """A pose ``q`` (nq,) and the equations there: ``normal`` (nv, nv) ``step`` = ``gradient`` (nv,), with the joints'
-    prior; ``cost``. Of the markers ``weight`` (m,), ``residual`` (m, 3) [m], derivatives ``slopes`` (m, 3, nv) and
+    prior; ``cost``. The markers have ``weight`` (m,), ``residual`` (m, 3) [m], derivatives ``slopes`` (m, 3, nv) and
     ``weighted`` information (m, 3, 3). ``converged``: whether the last step was below SETTLED.
     """
 
@@ -48,11 +48,11 @@ def solve_pose(
     iterations: int = 30,
     share: float = 1.0,
 ) -> PoseSolution:
-    """Return the pose that fits markers ``xyz`` (m, 3) best, starting from ``q`` (nq,); ``kinematics`` takes it.
+    """Return the pose that fits markers ``xyz`` (m, 3) best, starting from ``q`` (nq,); ``kinematics`` is set to it.
 
     ``information`` (m, 3, 3): inverse covariance of each marker against the model [1/m^2]; 0 for one not measured.
-    The joints' prior about ``posture`` (nv,), mean of their rotation vectors, holds what the markers leave open, with
-    ``share`` of its weight. LinAlgError where neither holds it.
+    The joints' prior about ``posture`` (nv,), the mean of their rotation vectors, determines what the markers do not,
+    with ``share`` of its weight. LinAlgError where neither determines it.
     """
     tree, prior = kinematics.tree, kinematics.prior(posture, share)
     start, limits = np.array(q, dtype=np.float64), (SETTLED, LARGEST_TURN, TINY)
@@ -79,15 +79,15 @@ def linearised(
     posture: Array | float = 0.0,
     share: float = 1.0,
 ) -> PoseSolution:
-    """Return the equations at the pose ``q`` (nq,), which ``kinematics`` takes; see ``solve_pose``.
+    """Return the equations at the pose ``q`` (nq,), to which ``kinematics`` is set; see ``solve_pose``.
 
-    ``share``: a take's frames share one prior, for its postures are not drawn anew in each.
+    ``share``: all frames of a take share one prior, since their postures are not independent.
     """
     return solve_pose(kinematics, q, xyz, information, posture=posture, robust=robust, iterations=0, share=share)
 
 
 def pose_by_parameters(kinematics: Kinematics, slopes: Array, weighted: Array) -> Array:
-    """Return the block (nv, p) of the normal matrix between a pose, which ``kinematics`` takes, and the parameters.
+    """Return the block (nv, p) of the normal matrix between the pose of ``kinematics`` and the parameters.
 
     ``slopes`` (m, 3, nv) of the markers by the pose, ``weighted`` (m, 3, 3) information.
     """

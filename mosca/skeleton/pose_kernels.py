@@ -1,7 +1,7 @@
 """The pose that fits a skeleton's markers best, compiled: damped Gauss-Newton.
 
-Sums over the bodies below are composite, as those of the joint-space inertia are (Featherstone 2008, section 6.2),
-with the markers' information in place of masses. Rows of matrices are packed as in ``mosca.skeleton.kernels``.
+Sums over the bodies below are composite, as for the joint-space inertia (Featherstone 2008, section 6.2), with the
+markers' information in place of masses. Rows of matrices are packed as in ``mosca.skeleton.kernels``.
 """
 
 import math
@@ -16,7 +16,7 @@ from mosca.skeleton.kernels import factor, multiply, normalise, place_bodies, ro
 
 
 class RotationPrior(NamedTuple):
-    """Of the joints' rotation vectors: ``weight`` and ``mean`` (nbody, 3), 0 for world and root."""
+    """Prior of the joints' rotation vectors: ``weight`` and ``mean`` (nbody, 3), 0 for world and root."""
 
     weight: Array
     mean: Array
@@ -46,7 +46,7 @@ def information_of(xyz, covariance, sigma_m, information):
 
 @step
 def _equations(tree, placed, prior, target, information, robust, filled):
-    """Fill the equations at the pose that ``filled`` has; return their cost (Huber 1964)."""
+    """Fill the equations at the pose of ``filled``; return their cost (Huber 1964)."""
     q, weight, residual, rows, gradient = filled
     place_bodies(tree, q, placed)
     nbody = len(tree.parent)
@@ -210,11 +210,12 @@ def _largest(values, first):
 
 @kernel
 def fit_pose(tree, placed, prior, q, target, information, robust, iterations, limits):
-    """Improve a pose by damped Gauss-Newton; return the equations at the best, the cost and whether it settled.
+    """Improve a pose by damped Gauss-Newton; return the equations at the best, the cost and whether it converged.
 
-    With ``iterations`` 0, the equations at ``q``. ``target`` (m, 3), NaN where not measured, ``information`` (m, 3,
-    3). ``limits``: the step that has settled, the largest turn, what is added to the normal matrix' diagonal. The
-    cost is NaN where the normal matrix is not positive definite. ``placed`` is left in the best pose.
+    With ``iterations`` 0, return the equations at ``q``. ``target`` (m, 3), NaN where not measured; ``information``
+    (m, 3, 3). ``limits``: the step below which a pose has converged, the largest turn, and the term added to the
+    normal matrix' diagonal. The cost is NaN where the normal matrix is not positive definite. ``placed`` is left in
+    the best pose.
     """
     settled_at, largest_turn, tiny = limits
     best, trial = _empty(tree, q), _empty(tree, q)

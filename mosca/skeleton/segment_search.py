@@ -1,6 +1,7 @@
-"""A segment's markers among points by their distances from each other and from the joint above, whose place is known.
+"""A segment's markers found among points by their distances from each other and from the joint above.
 
-For a limb that a pose has lost: where its markers are cannot be predicted, how far they are from each other can.
+For a limb that a pose has lost: the places of its markers cannot be predicted, but their distances from each other
+can, and the place of the joint above is known.
 """
 
 from dataclasses import dataclass
@@ -13,17 +14,17 @@ from mosca.data.distributions import chi2
 from mosca.data.rotations import aligning_rotation
 
 FITS = 0.999
-"""Probability that a segment's own markers pass."""
+"""Probability that a segment's own markers pass the gate."""
 MARGIN = 2 * float(np.log(20.0))
-"""By so much chi squared of other points must be worse, at odds of 20 to 1."""
+"""Amount by which chi squared of other points must be worse: odds of 20 to 1."""
 MOST_POINTS = 24
-"""Points nearest to the joint that are tried, in threes."""
+"""Number of points nearest to the joint that are tried, in threes."""
 
 
 @dataclass(frozen=True, eq=False)
 class MarkerSegment:
     """``markers`` (k,) indices; ``local`` (k, 3) their places from the joint above, in the segment's axes [m];
-    ``skin2`` (k,) their variance on the segment, a coordinate [m^2].
+    ``skin2`` (k,) their variance on the segment, per coordinate [m^2].
     """
 
     markers: Array
@@ -34,10 +35,10 @@ class MarkerSegment:
 def segment_points(
     segment: MarkerSegment, joint: Array, joint_m2: float, xyz: Array, variance: Array
 ) -> tuple[Array, Array] | None:
-    """Return markers (3,) or (2,) of the segment and the points that they are; None where none fit, or several do.
+    """Return markers (3,) or (2,) of the segment and the indices of their points; None where none or several fit.
 
-    ``joint`` (3,) place of the joint above with the variance of a coordinate ``joint_m2``; points ``xyz`` (n, 3) with
-    variances ``variance`` (n,) of a coordinate. Three markers are looked for before two.
+    ``joint`` (3,) place of the joint above, ``joint_m2`` its variance per coordinate; points ``xyz`` (n, 3) with
+    ``variance`` (n,) per coordinate. Three markers are looked for before two.
     """
     from_joint = np.linalg.norm(xyz - joint, axis=1)
     rows = np.argsort(from_joint, kind="stable")[:MOST_POINTS]
@@ -76,7 +77,7 @@ def _gate(size: int) -> float:
 
 
 def _costs(some: tuple[int, ...], by_joint: Array, away: Array, nominal: Array, skin2: Array, spread: Array) -> Array:
-    """Return chi squared (n, n[, n]) of all points as the markers ``some``."""
+    """Return chi squared (n, n[, n]) of all pairs or triples of points taken as the markers ``some``."""
     size, n = len(some), len(spread)
 
     def along(*axes: int) -> tuple[int, ...]:
@@ -95,7 +96,7 @@ def _costs(some: tuple[int, ...], by_joint: Array, away: Array, nominal: Array, 
 def _same_side(
     segment: MarkerSegment, one: tuple[float, tuple[int, ...], Array], joint: Array, points: Array
 ) -> bool:
-    """Return whether the points are no mirror image of the markers: distances are the same for that."""
+    """Return whether the points are no mirror image of the markers, which has the same distances."""
     _, some, at = one
     local = np.concatenate([segment.local[list(some)], np.zeros((1, 3))])
     seen = np.concatenate([points[at], joint[None]])

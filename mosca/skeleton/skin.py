@@ -1,8 +1,9 @@
-"""Movement of markers over the bones that residuals do not show: a segment's markers slide together.
+"""Common movement of a segment's markers over the bone, which residuals do not show.
 
-A marker's own movement shows in its residual. That of all markers of a segment together, a shift and a turn of the
-cluster, looks like a movement of the bone and shows in none; by bone pins it is the larger part (Benoit et al. 2015,
-Camomilla et al. 2017). It is taken for COMMON times the segment's own movement, in shift and in turn alike.
+A marker's own movement shows in its residual. The common movement of all markers of a segment, a shift and a turn of
+the cluster, looks like a movement of the bone and shows in no residual. Bone pins show that it is the larger part
+(Benoit et al. 2015, Camomilla et al. 2017). It is assumed to be COMMON times the markers' own movement, in shift and
+in turn alike.
 """
 
 import numpy as np
@@ -11,9 +12,9 @@ from mosca.camera.projection import cross_matrices
 from mosca.data.arrays import Array
 
 COMMON = 2.0
-"""Standard deviation of a segment's common movement against the rms of its markers' own, which the fit has already
-reduced. Variance ratios of 2 to 4 are published; at 1 errors of joints come out a third, at 4 three times as often
-covered."""
+"""Ratio of the standard deviation of a segment's common movement to the rms of its markers' own movements, which the
+fit has already reduced. Variance ratios of 2 to 4 are published; at 1 errors of joints come out a third, at 4 three
+times as often covered."""
 
 
 def common_m(own_m: Array, body: Array) -> Array:
@@ -22,11 +23,11 @@ def common_m(own_m: Array, body: Array) -> Array:
 
 
 def common_modes(local: Array, body: Array, common: Array) -> Array:
-    """Return how markers move in their bodies' axes as segments shift and turn over skin, (m, 3, k) [m].
+    """Return the displacements (m, 3, k) [m] of markers in their bodies' axes as segments shift and turn under skin.
 
-    ``local`` (m, 3) places in the body's axes, ``body`` (m,) ids, ``common`` (m,) as ``common_m``. Each of the k
-    columns has a standard deviation of 1: three shifts and three turns of each segment, a turn such that it moves
-    the markers by ``common`` in the root mean square over the segment.
+    ``local`` (m, 3) places in the body's axes, ``body`` (m,) ids, ``common`` (m,) from ``common_m``. The coefficient
+    of each of the k columns has a standard deviation of 1. Each segment has three shifts and three turns; a turn
+    moves the markers by ``common`` in the root mean square over the segment.
     """
     columns = []
     for b in np.unique(body):

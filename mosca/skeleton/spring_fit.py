@@ -1,12 +1,12 @@
-"""Bones pulled by springs: the fit of the "Guide to Optical Motion Capture", for comparison only; studies use it.
+"""Bones pulled by springs: the fit of the "Guide to Optical Motion Capture", for comparison in studies only.
 
 "Spring Model": each marker has a spring that pulls on its bone; opposing springs keep the bone in place, and the
 system's damping cancels noise. Bones are rigid and not hinged together; the guide's "loosely coupled" inverse
-kinematics is a spring between the two ends of each joint. In each frame the bones move from where they were, without
-inertia and with friction in the joints, until forces and torques are in equilibrium; a bone whose springs leave it a
-motion makes its parent's. There is no fit of the skeleton: bones are the template's, scaled, and markers rest where
-they are on them on average over the first frames, in which the scaled template is posed by hand (here by
-``solve_pose``).
+kinematics is a spring between the two ends of each joint. In each frame the bones move from their last places,
+without inertia and with friction in the joints, until forces and torques are in equilibrium. In a motion that its
+springs leave free, a bone follows its parent. The skeleton is not fitted: bones are those of the scaled template. The
+rest places of the markers on them are means over the first frames, in which the scaled template is posed by hand
+(here by ``solve_pose``).
 """
 
 from dataclasses import replace
@@ -27,12 +27,12 @@ from mosca.skeleton.start import COARSE_M, size_of, starting_pose
 FIRST_FRAMES = 50
 """Frames in which the animator places the markers: about a second."""
 JOINT_STIFFNESS = 1.0
-"""Of a joint's spring, relative to a marker's."""
+"""Stiffness of a joint's spring, relative to a marker's."""
 FRICTION_M2 = 1e-6
-"""Friction in the joints, relative to a marker's stiffness: that of a millimetre's lever. It sets how fast bones
-settle and decides only what no spring does."""
+"""Friction in the joints, relative to a marker's stiffness: that of a lever of one millimetre. It sets how fast bones
+settle, and determines only what no spring determines."""
 SETTLED = 1e-6
-"""Largest step of a bone in equilibrium [m, rad]."""
+"""Largest step of a bone that counts as in equilibrium [m, rad]."""
 ITERATIONS = 100
 
 
@@ -163,7 +163,7 @@ def _settled(bones: SpringBones, kinematics: Kinematics, frames: MarkerFrames) -
 
 
 def _axes(body: str, bones: SpringBones, kinematics: Kinematics) -> Array:
-    """Return body_from_anatomical (3, 3): flexion axes are the template's; without landmarks, all its axes are."""
+    """Return body_from_anatomical (3, 3) with the template's flexion axes; without landmarks, the template's axes."""
     model = kinematics.model
     places = dict(zip(model.labels, bones.rest, strict=True)) | dict(zip(model.joints, bones.offset, strict=True))
     hinge = np.array([0.0, 0.0, 1.0])

@@ -1,4 +1,4 @@
-"""Where a fit starts: the subject's size from distances on the same body, the pose from bodies with three markers."""
+"""Starting values of a fit: size from distances within bodies, pose from bodies with three markers."""
 
 import numpy as np
 
@@ -10,9 +10,9 @@ from mosca.skeleton.model import Kinematics, SkeletonModel
 from mosca.skeleton.pose import PoseSolution, solve_pose
 
 SHORTEST_M = 0.1
-"""Distances between markers shorter than this say little about size [m]."""
+"""Distances between markers shorter than this determine the size poorly [m]."""
 SIZES = (0.3, 2.5)
-"""Sizes of people against the model's 1.75 m, from small children up; beyond them the unit is wrong."""
+"""Range of sizes of people relative to the model's 1.75 m, from small children up; beyond it the unit is wrong."""
 COARSE_M = (0.2, 0.06, 0.025)
 """Standard deviations of the markers against the unfitted model, from far to near [m]."""
 
@@ -45,9 +45,10 @@ def size_of(model: SkeletonModel, frames: MarkerFrames, source: str) -> float:
 
 
 def starting_pose(kinematics: Kinematics, xyz: Array) -> PoseSolution:
-    """Return the pose for markers ``xyz`` (m, 3), NaN where not measured, without knowing anything before.
+    """Return the pose for markers ``xyz`` (m, 3) [m], NaN where not measured, without an earlier pose.
 
-    Bodies with three markers off a line give their own rotation (Kabsch 1976); others begin as their parent.
+    The rotation of a body with three markers off a line is computed from them (Kabsch 1976); that of others starts
+    as their parent's.
     """
     q = np.array(kinematics.mj.qpos0)
     seen = np.isfinite(xyz[:, 0])
@@ -58,7 +59,7 @@ def starting_pose(kinematics: Kinematics, xyz: Array) -> PoseSolution:
         rows = np.flatnonzero(seen & (kinematics.body_of_marker == body))
         parent = world_from[kinematics.mj.body_parentid[body]]
         if body == 1 and not _spans(local[rows]):
-            # The trunk below the first joints stands for a root that shows too little.
+            # A root with too few markers: use those of all bodies, in the template's posture.
             rows = np.flatnonzero(seen & kinematics.above[kinematics.body_of_marker, 1])
             local_here = kinematics.markers()
         else:
@@ -78,7 +79,7 @@ def starting_pose(kinematics: Kinematics, xyz: Array) -> PoseSolution:
 
 
 def _spans(points: Array) -> bool:
-    """Return whether ``points`` (n, 3) are three or more and off a line."""
+    """Return whether ``points`` (n, 3) are three or more and not on a line."""
     if len(points) < 3:
         return False
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)

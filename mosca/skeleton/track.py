@@ -19,10 +19,10 @@ from mosca.skeleton.skin import common_m
 from mosca.skeleton.start import starting_pose
 
 FEWEST_MARKERS = 6
-"""Fewer markers than this leave a pose to its prior: no result."""
+"""With fewer markers than this a pose is determined by its prior: no result."""
 NO_SHIFT = np.zeros((3, 3))
 LOST = 0.3
-"""A pose is looked for afresh where the mean weight of its markers falls below this."""
+"""A pose is searched for without its predecessor where the mean weight of its markers falls below this."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,13 +68,13 @@ class SkeletonTracker:
         return solution
 
     def joints(self, solution: PoseSolution) -> tuple[Array, Array, Array, Array]:
-        """Return what ``JointReader.read`` does, of a pose that ``step`` has returned."""
+        """Return the result of ``JointReader.read`` for a pose that ``step`` has returned."""
         return self.reader.read(solution)
 
     def joints_at(self, solution: PoseSolution, frame: int, time_ns: int, shared: Array = NO_SHIFT) -> JointMotion:
         """Return the joints of a pose that ``step`` has returned, as the motion of one instant.
 
-        ``shared`` (3, 3) [m^2]: of a shift of all markers, which shifts all joints, and turns none.
+        ``shared`` (3, 3) [m^2]: covariance of a shift of all markers, which shifts all joints and turns none.
         """
         centre, own, matrices, rotation_covariance = self.joints(solution)
         return JointMotion(
@@ -121,7 +121,7 @@ def _quaternions(matrices: Array) -> Array:
 
 
 def motion_of(subject: FittedSubject, q: Array, frame_rate_hz: float) -> Motion:
-    """Return poses ``q`` (n, nq) as a skeleton in motion, standing upright in its rest pose; gaps are held."""
+    """Return poses ``q`` (n, nq) as a skeleton in motion, upright in its rest pose; poses are held over gaps."""
     kinematics = Kinematics(subject.model, subject.parameters)
     mj = kinematics.mj
     good = np.flatnonzero(np.isfinite(q[:, 0]))
@@ -130,7 +130,7 @@ def motion_of(subject: FittedSubject, q: Array, frame_rate_hz: float) -> Motion:
     names = [mj.joint(k).name for k in range(mj.njnt)]
     skeleton = Skeleton(tuple(names), mj.body_parentid[1:] - 1, offsets)
     rotations = held[:, 3:].reshape(len(q), -1, 4).copy()
-    # Axes of the bodies are y up; those of a skeleton at rest are the world's, z up.
+    # Axes of the bodies have y up; axes of a skeleton at rest are the world's, with z up.
     rotations[..., 1:] = rotations[..., 1:] @ WORLD_FROM_Y_UP.T
     rotations[:, 0] = multiply_quaternions(held[:, 3:7], quaternion_from_rotation(WORLD_FROM_Y_UP.T))
     return Motion(skeleton, frame_rate_hz, held[:, :3], without_flips(rotations))

@@ -1,1 +1,1 @@
-"""Frames of unsynchronised cameras to image tracks of one marker each."""
+"""Data association: from frames of unsynchronised cameras to image tracks of one marker each."""

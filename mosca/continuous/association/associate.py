@@ -33,10 +33,10 @@ SHORTEST_S = 0.1
 
 @dataclass(frozen=True)
 class AssociationSettings:
-    """``pipeline``: settings of detection, matching and tracking. ``clocks``: "common" where all stamps are of one
-    clock, "own" where each camera has its own and was started at an unknown time, "auto" by the cameras' own
-    statement (``CameraInfo.clock``: "device" is a clock of its own). ``search_s``: largest difference of start times
-    of cameras with clocks of their own.
+    """Settings of the data association. ``pipeline``: settings of detection, matching and tracking. ``clocks``:
+    "common" where all stamps are of one clock, "own" where each camera has its own and was started at an unknown
+    time, "auto" by the cameras' own statement (``CameraInfo.clock``: "device" is a clock of its own). ``search_s``:
+    largest difference of start times of cameras with clocks of their own [s].
     """
 
     pipeline: PipelineSettings = field(default_factory=PipelineSettings)
@@ -48,13 +48,13 @@ class AssociationSettings:
 class Associated:
     """Result of the data association.
 
-    ``observations``: times on the common clock, as coarsely as it is known; ``row`` (n,): number of each among its
-    camera's image points. ``start``: curves through the interpolated tracks, None where names
-    are given. ``ties``: how each camera's own clock is
-    tied to the common one, seconds of which count from the first camera's ``origin_ns``. ``seen``: what each camera
-    saw. ``sigma_px`` (c,): random error of each camera's image points besides their detections'. ``searched``:
-    whether clocks had to be searched for. ``between_px``: standard deviation of positions interpolated at the common
-    instants, rms; infinite where ``sigma_px`` was not learned there. ``tracklet``: of each camera's image points.
+    ``observations``: image points with times on the common clock, as coarsely as it is known; ``row`` (n,): index of
+    each among its camera's image points. ``start``: curves through the interpolated tracks, None where names are
+    given. ``ties``: maps of the cameras' own clocks to the common one, which counts seconds from the first camera's
+    ``origin_ns``. ``seen``: detections of each camera. ``sigma_px`` (c,): random error of each camera's image points
+    besides their detections'. ``searched``: whether clocks had to be searched for. ``between_px``: rms standard
+    deviation of positions interpolated at the common instants; infinite where ``sigma_px`` was not learned there.
+    ``tracklet``: tracklet of each camera's image points.
     """
 
     observations: TimedObservations
@@ -69,7 +69,7 @@ class Associated:
     tracklet: tuple[Array, ...] = ()
 
     def again(self, rig: Rig, curves: Curves, curve_px: float = 0.1) -> "Associated":
-        """Return all with image points assigned to markers again, by better curves of the same points."""
+        """Return the result with image points assigned to markers again, using better curves of the same points."""
         found, row = observed(self.seen, self.ties, rig, curves, self.sigma_px, curve_px)
         return replace(self, observations=found, row=row)
 
@@ -81,11 +81,11 @@ def associate(
     backgrounds: Mapping[str, Array] | None = None,
     attend: Callable[[int], None] | None = None,
 ) -> Associated:
-    """Return what a source's frames show of markers, for ``mosca.continuous.estimator.estimate``.
+    """Return the observations of markers in a source's frames, for ``mosca.continuous.estimator.estimate``.
 
-    ``backgrounds``: camera -> image (H, W) taken off before detection. ``attend``: called with a rising count of
-    steps. InputError where a camera's stamps do not rise, where it ran at no time together with others, sends too
-    few frames, or no marker is followed by two cameras.
+    ``backgrounds``: camera -> image (H, W) subtracted before detection. ``attend``: called with a rising count of
+    steps. InputError where a camera's stamps do not rise, where it never ran together with others or sends too few
+    frames, or where no marker is followed by two cameras.
     """
     settings = AssociationSettings() if settings is None else settings
     check_source(source, rig)
@@ -101,7 +101,7 @@ def gather_seen(
     count: FrameCount | None = None,
     attend: Callable[[int], None] | None = None,
 ) -> Associated:
-    """As ``associate``, of what the rig's cameras saw already."""
+    """As ``associate``, from given detections of the rig's cameras."""
     for one in seen:
         check_long_enough(one)
     own = settings.clocks == "own" or (
@@ -123,10 +123,10 @@ def markers_of(
     moving: MovingRig | None = None,
     searched: bool = False,
 ) -> Associated:
-    """Return markers' image points and first curves, once clocks are tied: matched, tracked, joined over pauses.
+    """Return markers' image points and first curves for given ``ties``: matched, tracked, joined over pauses.
 
-    ``tracklet``: of each camera's image points; ``count``: frames that were examined, from which ``attend`` goes on;
-    ``moving``: where the cameras are at each instant, None where they are as in ``rig``.
+    ``tracklet``: tracklet of each camera's image points; ``count``: frames that were examined, from which ``attend``
+    continues; ``moving``: the cameras' poses at each instant, None where they are as in ``rig``.
     """
     paths = [
         Tracklets.of(one, of_point, tie.common_s(one.time_s(tie.origin_ns)))
@@ -142,7 +142,7 @@ def markers_of(
         pipeline = settings_for(pipeline, motion, float(np.quantile(np.diff(instants), 0.9)))
     tracks, sigma = tracked(seen, paths, instants, rig, pipeline, on, moving)
     track = pipeline.track
-    # curves through interpolated positions are as uncertain as these; at exposures nothing is interpolated
+    # curves through interpolated positions are as uncertain as these; at exposures there is no interpolation
     between = np.concatenate([path.at(instants).variance_px2 for path in paths])
     between_px = float(np.sqrt(between.sum() / max(len(between), 1)))
     off_px = float(np.hypot(CURVE_PX, between_px)) if moving is None else CURVE_PX

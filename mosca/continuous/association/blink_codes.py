@@ -1,9 +1,9 @@
 """Identification of lamps among a camera's image points by their blink codes.
 
-A lamp shows its number's 16 bits over and over (``mosca.data.lamp_codes``) and a free-running camera exposes at any
-time, so that neither the code's start nor where in a bit a frame falls is known. A tracklet that bridges the dark
-bits is lit in some frames and dark in others; each number at each start is weighed by the likelihood of that, and
-taken where it is far likelier than any other and than chance.
+A lamp shows its number's 16 bits over and over (``mosca.data.lamp_codes``), and a free-running camera exposes at any
+time. So neither the code's start nor a frame's phase in a bit is known. A tracklet that bridges the dark bits is lit
+in some frames and dark in others. The likelihood of this is computed for each number and each start; a number is
+accepted where it is far likelier than any other and than chance.
 """
 
 from collections.abc import Sequence
@@ -19,15 +19,16 @@ from mosca.errors import InputError
 
 NO_LAMP = -1
 DARKEST = 3
-"""Bits that a lamp is dark in a row at most."""
+"""Most successive bits in which a lamp is dark."""
 SHIFTS = 4
-"""Phases in a bit at which the first frame may fall that are tried."""
+"""Number of phases of the first frame in a bit that are tried."""
 
 
 @dataclass(frozen=True)
 class LampSettings:
-    """``bit_s``: duration of a bit [s]. ``missed``, ``stray``: chance that a lit lamp is not seen, that a dark one
-    is. ``odds``: how much likelier than any other a number must be. ``least_bits``: bits that a tracklet must span.
+    """``bit_s``: duration of a bit [s]. ``missed``: probability that a lit lamp is not seen; ``stray``: that a dark
+    one is seen. ``odds``: least likelihood ratio of a number to any other. ``least_bits``: bits that a tracklet must
+    span.
     """
 
     bit_s: float
@@ -66,7 +67,7 @@ def blinking(seen: CameraDetections, numbers: Sequence[int], settings: LampSetti
 def _number_of(
     seen: CameraDetections, lit: Array, numbers: Sequence[int], settings: LampSettings
 ) -> tuple[int, float]:
-    """Return the number of a tracklet that is lit in the frames ``lit``, and its log odds against all else."""
+    """Return the number of a tracklet that is lit in the frames ``lit``, and its log odds against the next best."""
     during = np.arange(lit[0], lit[-1] + 1)
     own_s = (seen.frame_ns[during] - seen.frame_ns[lit[0]]) * 1e-9
     if own_s[-1] < (settings.least_bits - 1) * settings.bit_s:
@@ -84,7 +85,7 @@ def _number_of(
             starts = [float(by_bit @ np.roll(code, s)) for s in range(LAMP_BITS)]
             best[k] = max(best[k], max(starts) + float(if_dark.sum()))
     share = float(on.mean())
-    # a marker is never dark: under chance it is lit as often as it was
+    # a marker is never dark: the chance hypothesis uses the observed share of lit frames
     chance = len(on) * sum(p * np.log(p) for p in (share, 1 - share) if p > 0)
     ranked = np.sort(np.append(best, chance))
     first = int(np.argmax(best))
@@ -93,7 +94,7 @@ def _number_of(
 
 
 def _one_each(frame: Array, number: Array, sure: Array) -> Array:
-    """Return the numbers with each lamp once a frame at most: the surer tracklet's."""
+    """Return the numbers with each lamp at most once per frame: that of the more certain tracklet."""
     lamps = np.flatnonzero(number != NO_LAMP)
     lamps = lamps[np.lexsort((-sure[lamps], number[lamps], frame[lamps]))]
     again = np.zeros(len(lamps), dtype=bool)

@@ -1,11 +1,10 @@
-"""Clocks of cameras that were started at unknown times, from what the cameras saw: a coarse tie, good to match
-with.
+"""Coarse synchronisation, good enough for matching, of cameras started at unknown times, from what they saw.
 
 Rays of two cameras to one point lie in a plane with the line between the cameras (epipolar constraint), if and only
-if they were of one instant. So one camera's clock is shifted against the other's until most rays find a partner in
-their plane, in every part of the recording; chance partners are as many at any shift. The shift is found over the
-whole recording first, then in windows along it, through which a straight line goes: offset and drift. Curves
-(``estimate``) make it fine.
+if they are of one instant. So one camera's clock is shifted against the other's until most rays find a partner in
+their plane, in every part of the recording; chance partners are equally frequent at any shift. The shift is found
+over the whole recording first, then in windows along it. A straight line through these gives offset and drift, which
+are refined with curves (``estimate``).
 """
 
 from collections.abc import Sequence
@@ -22,26 +21,26 @@ from mosca.data.rig import Camera, Rig, principal_distances_px
 from mosca.errors import InputError
 
 COARSE_PX, FINE_PX = 1.5, 0.4
-"""Distance from the epipolar line at which a partner counts exp(-1/2), in the first search and in the windows."""
+"""Distance [px] from the epipolar line at which a partner counts exp(-1/2), in first search and windows."""
 INSTANTS = 60
-"""Instants of a search at which rays are compared."""
+"""Number of instants of a search at which rays are compared."""
 MOST_POINTS = 40
-"""Points of an instant that are compared, of the camera whose clock is held."""
+"""Most points of an instant that are compared, of the camera whose clock is held fixed."""
 CLEAR = 8.0
-"""Peak height of the best shift above the others, in their (robust) standard deviations, from which it is taken even
-where another one rivals it."""
+"""Peak height of the best shift above the others, in their (robust) standard deviations, from which on it is accepted
+in spite of a rival."""
 CHANCE = 1e-3
-"""Chance that the best of all shifts fits as well though none is right."""
+"""Largest chance that the best of all shifts fits as well although none is right."""
 RANKED = 100
-"""Steps to both sides that are compared at least, though fewer are searched: among few no rank is improbable."""
+"""Fewest steps to both sides that are compared, even if fewer are searched: among few no rank is improbable."""
 RIVAL = 0.85
 """A second peak of at least this fraction of the best makes the shift ambiguous, as for periodic motion (gait)."""
 WINDOWS = 8
-"""Parts of a recording that are judged, and timed, each for itself."""
+"""Number of parts of a recording that are ranked, and synchronised, separately."""
 DRIFT_FROM_S = 4.0
-"""Shorter recordings do not determine a drift that matters in them."""
+"""Shortest recording for which a drift is estimated [s]: shorter ones do not determine a drift that matters."""
 WIDEST_DRIFT = 400e-6
-"""Drift between two cameras' clocks that is searched for."""
+"""Largest drift between two cameras' clocks that is searched for."""
 
 
 @dataclass(frozen=True)
@@ -59,12 +58,12 @@ class ClockTie:
     rival_s: float | None = None
 
     def common_s(self, own_s: Array) -> Array:
-        """Return instants of the common clock [s] of the camera's own, counted from ``origin_ns`` [s]."""
+        """Return instants on the common clock [s] for instants on the camera's own clock, from ``origin_ns`` [s]."""
         return self.offset_s + (1.0 + self.drift) * own_s
 
 
 def common_clock(seen: Sequence[CameraDetections]) -> tuple[ClockTie, ...]:
-    """Return the ties of cameras whose stamps are of one clock."""
+    """Return the clock ties of cameras whose stamps are of one clock."""
     origin = min(int(one.frame_ns[0]) for one in seen)
     return tuple(ClockTie(origin) for _one in seen)
 
@@ -106,7 +105,7 @@ def tied_clocks(
 
 @dataclass(frozen=True, eq=False)
 class _Pair:
-    """Two cameras, one whose clock is held (a) and one whose clock is searched (b), with their image points."""
+    """Two cameras with their image points: the clock of a is held fixed, the clock of b is searched."""
 
     camera_a: Camera
     camera_b: Camera
@@ -121,8 +120,8 @@ class _Pair:
 
     @property
     def fine_px(self) -> float:
-        """Distance from the epipolar line at which a partner counts exp(-1/2) in the windows: as positions between
-        exposures are known.
+        """Distance [px] from the epipolar line at which a partner counts exp(-1/2) in the windows: the error of
+        positions between exposures, at least FINE_PX.
         """
         return max(float(np.hypot(self.path_a.interpolation_px, self.path_b.interpolation_px)), FINE_PX)
 
@@ -142,7 +141,7 @@ def _searched(pair: _Pair, search_s: float, origin_ns: int) -> ClockTie | None:
     step = float(np.clip(COARSE_PX / speed, 0.1 * pair.period_s, 2.0 * pair.period_s))
     most = int(np.ceil(search_s / step))
     shifts = step * np.arange(-max(most, RANKED), max(most, RANKED) + 1)
-    # compared where both may have run
+    # compare where both may have been running
     begin_a, end_a = float(pair.path_a.time_s.min()), float(pair.path_a.time_s.max())
     parts = np.array_split(_instants(pair.path_a, begin_a, end_a), WINDOWS)
     each = [_votes(pair, instants, shifts, COARSE_PX) for instants in parts]
@@ -163,7 +162,7 @@ def _searched(pair: _Pair, search_s: float, origin_ns: int) -> ClockTie | None:
     clear = float(height[at]) / max(spread, 0.005)
     if height[at] < 0.1:
         return None
-    # what chance explains is no rival
+    # a shift that chance explains is no rival
     other = rival(np.where(chance < np.log(CHANCE), height, np.minimum(height, 0.5 * height[at])), at)
     if clear < CLEAR and other is not None:
         return None
@@ -176,12 +175,12 @@ def _searched(pair: _Pair, search_s: float, origin_ns: int) -> ClockTie | None:
 
 
 def log_chances(votes: Array, count: Array) -> Array:
-    """Return for each shift (n,) the logarithm of the chance that it fits as well in all parts though it is wrong.
+    """Return for each shift (n,) the logarithm of the chance that a wrong shift fits as well in all parts.
 
-    ``votes``, ``count`` (parts, n) as of ``_votes``. Rays that meet by chance do so for as long as points move alike,
-    and how long that is depends on motion, number of points and overlap. So each part of the recording is ranked
-    among the shifts, which assumes nothing of the scores' distribution, and what the parts say is combined (Fisher
-    1932): the right shift is among the best in every part, chance lasts for one or two.
+    ``votes``, ``count`` (parts, n) as of ``_votes``. Rays that meet by chance do so for as long as points move alike;
+    this time depends on motion, number of points and overlap. So the shifts are ranked in each part of the recording,
+    without an assumption on the scores' distribution, and the parts are combined (Fisher 1932). The right shift is
+    among the best in every part; a chance fit lasts for one or two parts.
     """
     from scipy.stats import chi2, rankdata  # takes a second to import
 
@@ -195,9 +194,9 @@ def log_chances(votes: Array, count: Array) -> Array:
 
 
 def rival(score: Array, best: int) -> int | None:
-    """Return the position of another maximum that is about as high as the ``best``, None where there is none.
+    """Return the index of another maximum that is about as high as the ``best``, None where there is none.
 
-    ``score`` (n,) above what chance makes; the top itself reaches down to half its height on both sides.
+    ``score`` (n,): height above the chance level; the best peak extends down to half its height on both sides.
     """
     begin, end = _extent(score, best)
     others = score.copy()
@@ -207,7 +206,7 @@ def rival(score: Array, best: int) -> int | None:
 
 
 def _extent(score: Array, top: int) -> tuple[int, int]:
-    """Return begin and end of the positions about ``top`` that are at least half as high."""
+    """Return begin and end of the indices about ``top`` whose score is at least half as high."""
     low = np.flatnonzero(score < 0.5 * score[top])
     return int(low[low < top].max(initial=-1)) + 1, int(low[low > top].min(initial=len(score)))
 
@@ -236,7 +235,7 @@ def _line(pair: _Pair, shift: float, step: float, speed: float) -> tuple[float, 
 
 
 def _straight(t: Array, s: Array, worth: Array) -> tuple[float, float]:
-    """Return offset and slope of a line through points, those that lie off being given little weight (Cauchy)."""
+    """Return offset and slope of a line through points; outliers get little weight (Cauchy)."""
     weight, scale = worth.copy(), 0.0
     middle, slope = 0.0, 0.0
     for _step in range(20):
@@ -250,7 +249,7 @@ def _straight(t: Array, s: Array, worth: Array) -> tuple[float, float]:
 
 
 def _top(shifts: Array, score: Array) -> float:
-    """Return the position of the highest score, between the steps by a parabola."""
+    """Return the shift of the highest score, interpolated between the steps by a parabola."""
     at = int(np.argmax(score))
     if at in (0, len(score) - 1):
         return float(shifts[at])
@@ -260,7 +259,7 @@ def _top(shifts: Array, score: Array) -> float:
 
 
 def _votes(pair: _Pair, instants_a: Array, shifts: Array, width_px: float) -> tuple[Array, Array]:
-    """Return for each shift how many rays of a find a partner in b (by nearness), and how many were tested."""
+    """Return for each shift the rays of a that have a partner in b, weighted by nearness, and the rays tested."""
     instant_of, directions = _world_rays(pair.camera_a, pair.path_a.at(instants_a))
     base = pair.camera_b.world_from_camera.translation - pair.camera_a.world_from_camera.translation
     base = base / np.linalg.norm(base)
@@ -295,9 +294,11 @@ def _world_rays(camera: Camera, places: ImageInterpolation) -> tuple[Array, Arra
 
 
 def _instants(path: Tracklets, begin_s: float, end_s: float) -> Array:
-    """Return the instants of a comparison within a span, at exposures of the camera held where its positions between
-    them are worse than votes are wide. Else anywhere: at exposures of equal rates all the other camera's positions
-    are interpolated at one phase, with an error in common.
+    """Return the instants of a comparison within a span.
+
+    They are exposures of the camera with the fixed clock where its interpolated positions are less accurate than the
+    votes are wide. Else they are evenly spaced: at exposures of equal rates all positions of the other camera would
+    be interpolated at one phase, with a common error.
     """
     if path.interpolation_px <= COARSE_PX:
         return _inner(begin_s, end_s)
@@ -306,5 +307,5 @@ def _instants(path: Tracklets, begin_s: float, end_s: float) -> Array:
 
 
 def _inner(begin_s: float, end_s: float) -> Array:
-    """Return the instants of a search, evenly within a span."""
+    """Return the instants of a search, evenly spaced within a span."""
     return np.linspace(begin_s, end_s, INSTANTS + 2)[1:-1]

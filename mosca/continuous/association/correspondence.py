@@ -30,24 +30,25 @@ from mosca.pipeline import PipelineSettings, run_seen
 FEWEST_SAMPLES = 6
 """Tracks of fewer samples are dropped."""
 CLOSEST = 0.2
-"""Instants at which cameras are compared are so many periods of the fastest camera apart, at least about."""
+"""Approximate least spacing of the instants at which cameras are compared, in periods of the fastest camera."""
 GATE_SIGMA, CURVE_PX = 4.5, 0.25
-"""Gate of an image point about its curve; standard deviation an axis of a curve through samples."""
+"""Gate of an image point about its curve in standard deviations; standard deviation per axis of a curve through
+samples."""
 WORST_PX = 1.0
-"""Image points less certain than this are not used (those that no disc could be fitted to)."""
+"""Image points with a larger standard deviation are not used (those to which no disc could be fitted)."""
 ODD_SHARE = 0.15
-"""Share of its area by which an image may differ from the usual one before it is taken as partly hidden."""
+"""Largest relative difference of an image's area from the usual one; above it the target counts as partly hidden."""
 MOST_TAKEN = 0.95
-"""Share of an image point's own error that a curve may take up: with more, the others say nothing of it."""
+"""Largest share of an image point's own error that its curve takes up: above it the others give no prediction."""
 CHUNK = 500
-"""Frames whose points are projected at a time."""
+"""Number of frames whose points are projected at a time."""
 
 
 def common_instants(seen: Sequence[CameraDetections], ties: Sequence[ClockTie], all_cameras: bool = False) -> Array:
     """Return the instants (t,) of the common clock at which cameras are compared: the exposures of the fastest one,
-    or those of ``all_cameras``, a fifth of its period apart at least.
+    or those of ``all_cameras``, at least a fifth of its period apart.
 
-    Those at which two cameras and more were running. InputError where a camera never ran together with another.
+    Only instants at which two or more cameras were running. InputError where a camera never ran with another.
     """
     times = [tie.common_s((one.frame_ns - tie.origin_ns) * 1e-9) for one, tie in zip(seen, ties, strict=True)]
     begins, ends = np.array([t[0] for t in times]), np.array([t[-1] for t in times])
@@ -62,7 +63,7 @@ def common_instants(seen: Sequence[CameraDetections], ties: Sequence[ClockTie], 
             )
     fastest = int(np.argmin([one.period_s for one in seen]))
     t = times[fastest]
-    # beyond that camera's run the others go on at its pace
+    # beyond that camera's run, instants of the others continue at its rate
     period = seen[fastest].period_s
     before = t[0] - period * np.arange(int(max(0.0, t[0] - begins.min()) / period), 0, -1)
     after = t[-1] + period * np.arange(1, int(max(0.0, ends.max() - t[-1]) / period) + 1)
@@ -133,14 +134,12 @@ def observed(
     used: tuple[TimedObservations, Array] | None = None,
 ) -> tuple[TimedObservations, Array]:
     """Return the image points that belong to ``curves``, each at its own instant on the common clock, and their
-    numbers.
+    indices (n,) among each camera's own image points.
 
-    The numbers (n,) count each camera's own image points.
-
-    ``sigma_px`` (c,): random error of each camera's image points besides their detections'. ``curve_px``: how far
-    the curves may be off in the images besides their own covariance, where they have one. Merged images of two
-    targets are left out. ``moving``: as ``tracked`` has it. ``used``: what this returned before, where the curves
-    were estimated from it: each image point is then compared with what the others make of its curve.
+    ``sigma_px`` (c,): random error of each camera's image points besides their detections'. ``curve_px``: error of
+    the curves in the images besides their own covariance, if they have one. Merged images of two targets are left
+    out. ``moving``: as in ``tracked``. ``used``: the earlier result from which the curves were estimated, if any:
+    each image point is then compared with the prediction of its curve from the other points.
     """
     parts, numbers = [], []
     for c, (one, tie) in enumerate(zip(seen, ties, strict=True)):
@@ -161,15 +160,16 @@ def observed(
 
 
 def odd_sizes_px(diameter_px: Array, away_m: Array, point: Array) -> Array:
-    """Return the error (n,) that images of odd size have besides their noise, standard deviation [px].
+    """Return the standard deviation (n,) [px] of an additional error of images of odd size.
 
-    A target partly hidden, or merged with another, is displaced by about the share of the area that is missing times
-    its radius. ``away_m`` (n,): how far the target was; its usual size is the median of its own images in the camera.
+    The image of a target that is partly hidden, or merged with another, is displaced by about the share of its area
+    that is missing times its radius. ``away_m`` (n,): distance of the target; its usual size is the median of its own
+    images in the camera.
     """
     size = diameter_px * away_m
     names, of = np.unique(point, return_inverse=True)
     usual = np.array([np.median(size[of == k]) for k in range(len(names))])[of]
-    # more than all of it cannot be hidden: what is larger is at a wrong distance
+    # not more than the whole target can be hidden: a larger share means a wrong distance
     share = np.minimum(np.abs(1.0 - (size / usual) ** 2), 1.0)
     return np.where(share > ODD_SHARE, share * 0.5 * diameter_px, 0.0)
 
@@ -178,7 +178,7 @@ def _assigned(
     one: CameraDetections, tie: ClockTie, rig: Rig, c: int, curves: Curves, sigma_px: float, curve_px: float,
     moving: MovingRig | None, used: Array
 ) -> tuple[Array, Array, Array]:  # fmt: skip
-    """Return image points of a camera, the curves that they belong to, and how far these were [m].
+    """Return image points of a camera, the curves that they belong to, and the distances of these [m].
 
     ``used`` (n,): the curve that each image point helped to estimate, -1 where none.
     """
@@ -211,7 +211,7 @@ def _assigned(
 
 
 def _points_of(one: CameraDetections, c: int, used: tuple[TimedObservations, Array] | None) -> Array:
-    """Return the point (n,) that each image point of camera number ``c`` was used for, -1 where for none."""
+    """Return the point (n,) that each image point of camera number ``c`` was used for, -1 for none."""
     of = np.full(len(one.xy_px), -1)
     if used is not None:
         own = used[0].camera == c
@@ -222,12 +222,12 @@ def _points_of(one: CameraDetections, c: int, used: tuple[TimedObservations, Arr
 def _without_own(
     image: Array, variance: Array, one: CameraDetections, rows: Array, used: Array, sigma_px: float
 ) -> None:
-    """Take the influence of image points ``rows`` (r,) off the ``image`` (p, 2) of their curves and its ``variance``
-    (p,).
+    """Remove the influence of image points ``rows`` (r,) from the ``image`` (p, 2) of their curves and its
+    ``variance`` (p,).
 
-    A curve that follows a wrong image point would keep it. With the share h of an image point's own error that its
-    curve takes up (its leverage, by the weight that the estimate gave it), the prediction of all others lies e h / (1
-    - h) from the curve, away from the point.
+    A curve that follows a wrong image point would keep it. Let h be the leverage of an image point (the share of its
+    error e that its curve takes up, by its weight in the estimate). The prediction from all other points then lies
+    e h / (1 - h) from the curve, away from the point.
     """
     point = used[rows]
     off = one.xy_px[rows] - image[point]
@@ -242,7 +242,7 @@ def _variances_px2(
     curves: Curves, camera: Camera, c: int, cameras: CameraPaths | None, time_s: Array, xyz: Array, image: Array
 ) -> Array:
     """Return the variance (t, points) an axis [px^2] of the images (t, points, 2) of curves, 0 where not stated."""
-    # of moving cameras the curves' covariance contains the poses', which move all images alike
+    # with moving cameras the curves' covariance contains that of the poses, which move all images alike
     if cameras is not None or not isinstance(curves, UncertainCurves):
         return np.zeros(image.shape[:2])
     small = 1e-3
@@ -252,13 +252,14 @@ def _variances_px2(
 
 
 def _nearest(one: CameraDetections, own: Array, image: Array, variance: Array) -> tuple[Array, Array]:
-    """Return which of the image points ``own`` goes to which of the images (p, 2) +- ``variance`` (p,): the greatest
-    likelihood, where that is above the density of image points, as any of them would have it.
+    """Return the assignment of image points ``own`` to the images (p, 2) of curves with ``variance`` (p,).
+
+    It has the greatest likelihood, and pairs only where that is above the density of unrelated image points.
     """
     if not len(own) or not len(image):
         return np.empty(0, np.int64), np.empty(0, np.int64)
     off = one.xy_px[own][:, None] - image[None]
-    # the larger axis of a detection's error is taken for both
+    # the mean variance of both axes of a detection's error is taken for each
     detected = one.covariance_px2[own].trace(axis1=1, axis2=2) / 2
     whole = detected[:, None] + variance
     squared = (off**2).sum(axis=2) / whole

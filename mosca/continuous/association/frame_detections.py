@@ -1,7 +1,7 @@
-"""Frames of free-running cameras -> what each camera saw, frame by frame; no image is kept.
+"""Frames of free-running cameras -> detections of each camera, frame by frame; no image is kept.
 
-Each frame is examined by the usual detector with the statistics of the camera's earlier frames, and counts at its own
-instant: mid-exposure by its own stamp (``mosca.data.frames``), of each image point with a rolling shutter at its row.
+Each frame is examined by the usual detector with the statistics of the camera's earlier frames. It counts at its own
+instant: mid-exposure by its own stamp (``mosca.data.frames``); with a rolling shutter, that of an image point's row.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -17,11 +17,11 @@ from mosca.detection.detect import NO_STATISTICS, CameraStatistics, DetectionSet
 from mosca.errors import InputError
 
 FEWEST_FRAMES = 8
-"""Frames of a camera from which on a trajectory can be distinguished from a few isolated points."""
+"""Fewest frames of a camera that distinguish a trajectory from a few isolated points."""
 MOST_DETECTIONS = 5000
-"""Image points that a frame may have; more are noise."""
+"""Most image points of a frame; more are noise."""
 COLUMNS = ("xy_px", "covariance_px2", "diameter_px", "peak", "elongation", "flags")
-"""What ``CameraDetections`` holds of each image point."""
+"""Columns of ``CameraDetections``, one value for each image point."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +51,7 @@ class CameraDetections:
 
     @property
     def period_s(self) -> float:
-        """Median time from a frame to the next [s]."""
+        """Median time from one frame to the next [s]."""
         return float(np.median(np.diff(self.frame_ns))) * 1e-9
 
     def time_s(self, origin_ns: int) -> Array:
@@ -62,7 +62,7 @@ class CameraDetections:
 
 @dataclass
 class FrameCount:
-    """Running counts: frames that came, and those of them without a usable image, by camera."""
+    """Running counts by camera: frames that came, and frames without a usable image."""
 
     frames: dict[str, int] = field(default_factory=dict)
     unusable: dict[str, int] = field(default_factory=dict)
@@ -88,10 +88,10 @@ def detect_in_frames(
     count: FrameCount | None = None,
     attend: Callable[[int], None] | None = None,
 ) -> tuple[CameraDetections, ...]:
-    """Return what the cameras ``names`` of the source saw, in that order; frames of others are passed over.
+    """Return the detections of the source's cameras ``names``, in that order; frames of other cameras are skipped.
 
-    ``backgrounds``: camera -> image taken off first. ``attend``: called with the number of frames so far. InputError
-    where a camera sends nothing, too little, or frames whose stamps do not rise.
+    ``backgrounds``: camera -> image that is subtracted first. ``attend``: called with the number of frames so far.
+    InputError where a camera sends no frames, too few, or frames whose stamps do not rise.
     """
     infos = {info.name: info for info in source.cameras}
     notes = {name: _Notes(infos[name]) for name in names}
@@ -133,7 +133,7 @@ def _detect(note: _Notes, frame: Frame, settings: DetectionSettings, background:
 
 
 def check_rise(camera: str, indices: list[int], times_ns: list[int], index: int, time_ns: int) -> None:
-    """Raise InputError where a frame's instant is not later than that of the camera's frame before."""
+    """Raise InputError where a frame's instant is not later than that of the camera's preceding frame."""
     if not times_ns or time_ns > times_ns[-1]:
         return
     if time_ns == times_ns[-1]:

@@ -1,4 +1,4 @@
-"""Image points that others detected -> what each camera saw; with names or without."""
+"""Image points that were detected elsewhere -> detections of each camera, with or without names."""
 
 import numpy as np
 
@@ -13,15 +13,15 @@ from mosca.errors import InputError
 from mosca.formats.image_points import ImagePointTable
 
 LEAST_PX = 1e-3
-"""Standard deviation of image points where none is stated: all of their error is then learned from residuals."""
+"""Standard deviation of image points where none is stated [px]: their whole error is then learned from residuals."""
 DIAMETER_PX = 1.0
-"""Diameter of image points: a table has none."""
+"""Diameter assumed for image points [px]: a table has none."""
 
 
 def seen_in_table(table: ImagePointTable, rig: Rig) -> tuple[tuple[CameraDetections, ...], tuple[Array, ...]]:
-    """Return what the rig's cameras saw by a table, and the names (n,) of each camera's image points.
+    """Return the detections of the rig's cameras from a table, and the names (n,) of each camera's image points.
 
-    InputError for a camera that only one of them has, and for one with too few frames.
+    InputError for a camera that is missing in the rig or in the table, or that has too few frames.
     """
     given = set(table.camera.tolist())
     for name in sorted(given - set(rig.names)):
@@ -58,9 +58,9 @@ def seen_in_table(table: ImagePointTable, rig: Rig) -> tuple[tuple[CameraDetecti
 def gather_named(
     seen: tuple[CameraDetections, ...], names: tuple[Array, ...], rig: Rig, settings: AssociationSettings
 ) -> Associated:
-    """Return image points with given names as observations, once clocks are tied; curves have no start.
+    """Return image points with given names as observations on a common clock, without starting curves.
 
-    ``names``: (n,) of each camera's image points. InputError: see ``associate``.
+    ``names``: (n,) for each camera's image points. InputError: see ``associate``.
     """
     for one in seen:
         check_long_enough(one)

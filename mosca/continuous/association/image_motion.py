@@ -1,9 +1,9 @@
-"""How far a camera's image points move from frame to frame, and how well that is predicted, learned from them.
+"""Motion of a camera's image points from frame to frame, and the error of its prediction, learned from the points.
 
 The next step of a point is predicted from its last two: ``way = a speed + b change of speed`` over the time. Both
-factors and the errors of the prediction are learned from the tracklets that the camera has so far: at frame rates
-that are high for the motion a = b = 1, at low ones a prediction is hardly better than the last position, and the gate
-wide. All sizes are quantiles, so that wrong links and images that are no targets do not count.
+factors and the errors of the prediction are learned from the camera's tracklets so far. At frame rates that are high
+for the motion, a = b = 1. At low ones a prediction is hardly better than the last position, and the gate is wide. All
+sizes are quantiles, so that wrong links and images that are no targets have no influence.
 """
 
 from dataclasses import dataclass, replace
@@ -15,23 +15,24 @@ from mosca.continuous.association.frame_detections import CameraDetections
 from mosca.data.arrays import Array
 
 GATE_SIGMA = 4.5
-"""Gate about a prediction, in its standard deviations: as in matching and tracking."""
+"""Gate about a prediction, in its standard deviations, as in matching and tracking."""
 SURE = 0.8
-"""Share of the links that are taken to be right; sizes are quantiles of this share of a Gaussian's."""
+"""Share of the links that are assumed to be right; sizes are computed from this quantile, as of a Gaussian."""
 FIXED_GATES, FIXED_BEND = (16.0, 5.0, 0.3), 0.8
-"""Fixed gate of the first step, of later ones and its share of the step [px]; share of the change of speed."""
+"""Fixed gates of the first step and of later ones [px], and the latter's share of the step; share of the change of
+speed."""
 FEWEST = 20
-"""Steps from which motion is learned."""
+"""Fewest steps from which motion is learned."""
 MOST_FRAMES = 400
-"""Frames from which the first motion is learned."""
+"""Most frames from which the first motion is learned."""
 
 
 @dataclass(frozen=True)
 class ImageMotion:
-    """``period_s`` of the camera; standard deviations an axis over one period [px]: ``first_px`` of a step of which
-    nothing is known, ``one_px`` of one predicted from one step before, ``two_px`` and ``share`` of one predicted from
-    two: the error with motion as little as it is and its growth by the length of the last step and its change.
-    ``after_one``, ``after_two``: factors of the prediction. ``least_px``: of all.
+    """``period_s`` of the camera; standard deviations per axis over one period [px]: ``first_px`` of a step without a
+    prediction, ``one_px`` of one predicted from the last step, ``two_px`` and ``share`` of one predicted from two:
+    the error for the smallest motions, and its growth with the length of the last step and its change.
+    ``after_one``, ``after_two``: factors of the prediction. ``least_px``: least of all standard deviations.
     """
 
     period_s: float
@@ -44,10 +45,10 @@ class ImageMotion:
     share: float = 0.0
 
     def step(self, speed: Array, bend: Array, middle_s: Array, last_s: Array, now_s: float) -> tuple[Array, Array]:
-        """Return the steps (k, 2) until ``now_s`` and their standard deviations (k,) an axis [px].
+        """Return the steps (k, 2) until ``now_s`` and their standard deviations (k,) per axis [px].
 
-        ``speed``, ``bend`` (k, 2): of the last step and the change of speed [px/s, px/s^2], NaN where unknown;
-        ``middle_s``, ``last_s`` (k,): when.
+        ``speed``, ``bend`` (k, 2): speed of the last step and change of speed [px/s, px/s^2], NaN where unknown;
+        ``middle_s``, ``last_s`` (k,): instants of that speed and of the last position.
         """
         length = now_s - last_s
         periods = np.maximum(length / self.period_s, 1.0)
@@ -57,7 +58,7 @@ class ImageMotion:
         change = np.nan_to_num(bend) * (0.5 * (now_s + last_s) - middle_s)[:, None] * length[:, None]
         a, b = self.after_two or (0.0, 0.0)
         way = np.where(two[:, None], a * last + b * change, np.where(one[:, None], self.after_one * last, 0.0))
-        # over gaps in proportion, as the steps: the square, of an unknown acceleration, would gate anything
+        # over gaps errors grow in proportion, as the steps: the square, for an unknown acceleration, is far too wide
         moved = (last**2).sum(axis=1) + (change**2).sum(axis=1)
         of_two = np.sqrt((self.two_px * periods) ** 2 + self.share**2 * moved)
         sigma = np.where(two, of_two, np.where(one, self.one_px, self.first_px) * periods)
@@ -65,7 +66,7 @@ class ImageMotion:
 
 
 def first_motion(seen: CameraDetections) -> ImageMotion:
-    """Return the motion as the nearest image points of consecutive frames show it: predictions by the last place."""
+    """Return the motion from nearest image points of consecutive frames, with predictions by the last place."""
     steps = []
     for f in range(min(len(seen.frame_ns) - 1, MOST_FRAMES)):
         here, there = (seen.xy_px[seen.start[k] : seen.start[k + 1]] for k in (f, f + 1))
@@ -73,23 +74,23 @@ def first_motion(seen: CameraDetections) -> ImageMotion:
             continue
         away = cdist(here, there)
         to = away.argmin(axis=1)
-        # each other's nearest: a point that vanished has no step
+        # only mutually nearest points: a point that vanished has no step
         mutual = away.argmin(axis=0)[to] == np.arange(len(here))
         steps.append(away[np.arange(len(here)), to][mutual])
     away = np.concatenate(steps) if steps else np.zeros(0)
-    # two targets nearer than a diameter have one image: a gate of this size admits no other
+    # two targets nearer than a diameter have one image: a gate of one diameter admits no other target
     least = float(np.median(seen.diameter_px)) / GATE_SIGMA if len(seen.diameter_px) else 1.0
     size = max(quantile_size(away**2), least)
     return ImageMotion(seen.period_s, least, size, size)
 
 
 class FixedMotion(ImageMotion):
-    """Gates of fixed pixels, for what cannot teach its motion: lamps that are dark at times, whose gaps hide
-    which links are right, and images of cameras that move themselves.
+    """Gates of fixed size in pixels, where motion cannot be learned: for lamps that are dark at times, as their gaps
+    hide which links are right, and for images of moving cameras.
     """
 
     def step(self, speed: Array, bend: Array, middle_s: Array, last_s: Array, now_s: float) -> tuple[Array, Array]:
-        """As ``ImageMotion.step``; the gate is a length and a share of the step."""
+        """As ``ImageMotion.step``; the gate is the sum of a length and a share of the step."""
         length = (now_s - last_s)[:, None]
         known = np.asarray(np.isfinite(speed).all(axis=1))
         way = np.nan_to_num(speed + FIXED_BEND * np.nan_to_num(bend) * (0.5 * (now_s + last_s) - middle_s)[:, None])
@@ -106,7 +107,7 @@ def fixed_motion(seen: CameraDetections) -> ImageMotion:
 
 
 def learned_motion(seen: CameraDetections, tracklet: Array, before: ImageMotion) -> ImageMotion:
-    """Return the motion that tracklets (n,) of a camera's image points show, ``before`` where too little."""
+    """Return the motion learned from tracklets (n,) of a camera's image points; ``before`` for too few steps."""
     order = np.lexsort((seen.frame, tracklet))
     of, frame, xy = tracklet[order], seen.frame[order], seen.xy_px[order]
     # consecutive frames only
@@ -137,7 +138,7 @@ def learned_motion(seen: CameraDetections, tracklet: Array, before: ImageMotion)
 
 
 def _predicted(step: Array, by: Array) -> tuple[tuple[float, ...], Array]:
-    """Return the factors of ``by`` (n, k, 2) that give most of ``step`` (n, 2) best, and squared errors (n,)."""
+    """Return the factors of ``by`` (n, k, 2) that fit ``step`` (n, 2) best, robustly, and squared errors (n,)."""
     weight = np.ones(len(step))
     for _pass in range(5):
         normal = np.einsum("n,nia,nja->ij", weight, by, by)
@@ -149,7 +150,7 @@ def _predicted(step: Array, by: Array) -> tuple[tuple[float, ...], Array]:
 
 
 def quantile_size(squared: Array) -> float:
-    """Return the standard deviation an axis of vectors in two dimensions of these squared lengths (n,)."""
+    """Return the standard deviation per axis of two-dimensional vectors with these squared lengths (n,)."""
     if not len(squared):
         return 0.0
     return float(np.sqrt(np.quantile(squared, SURE) / (-2.0 * np.log(1.0 - SURE))))

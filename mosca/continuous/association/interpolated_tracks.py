@@ -12,9 +12,9 @@ from mosca.data.tracks import Tracks
 class SampledCurves:
     """Tracks as curves (``mosca.continuous.model.observations.Curves``): cubic Hermite pieces through their samples.
 
-    ``points``: names; ``track`` (points,): numbers of their tracks; ``start`` (points + 1,) first sample of each;
-    ``time_s`` (n,) rising within a point, ``xyz`` and ``speed`` (n, 3). Unknown before the first and after the last
-    sample of a point and in gaps above ``longest_s``.
+    ``points``: names; ``track`` (points,): numbers of their tracks; ``start`` (points + 1,): first sample of each;
+    ``time_s`` (n,): rising within a point; ``xyz`` and ``speed`` (n, 3). A curve is unknown before the first and
+    after the last sample of its point and in gaps above ``longest_s``.
     """
 
     points: tuple[str, ...]
@@ -27,7 +27,7 @@ class SampledCurves:
 
     @classmethod
     def of(cls, tracks: Tracks, fewest: int, longest_s: float) -> "SampledCurves":
-        """Return the curves of tracks of at least ``fewest`` samples, by age named m000, m001 and so on."""
+        """Return the curves of tracks of at least ``fewest`` samples, named m000, m001 and so on by age."""
         measured = tracks.select(tracks.status == "measured")
         order = np.lexsort((measured.time_ns, measured.track))
         track, time_s = measured.track[order], measured.time_ns[order] * 1e-9

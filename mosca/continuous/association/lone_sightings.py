@@ -1,7 +1,7 @@
 """Image points of one camera alone, just before two cameras see a point and just after.
 
-They tell two of three coordinates where the curve would be extrapolated. Their names are those of their tracklets:
-what a curve predicts there is as wide as points are apart, so that nearest ones would be exchanged.
+They determine two of three coordinates where the curve would be extrapolated. Their names are taken from their
+tracklets: there a curve's prediction is as uncertain as points are apart, and nearest ones would be exchanged.
 """
 
 from collections.abc import Sequence
@@ -17,7 +17,7 @@ from mosca.data.arrays import Array
 from mosca.data.detections import MERGED
 
 LONE_FRAMES = 8
-"""Frames before the second camera's first image point, and after the last but one's last, that are used at most."""
+"""Most frames used before the second camera's first image point, and after the last but one camera's last one."""
 
 
 def with_lone(
@@ -29,10 +29,10 @@ def with_lone(
     ties: Sequence[ClockTie],
     sigma_px: Array,
 ) -> tuple[TimedObservations, Array]:
-    """Return the observations and their numbers among their cameras' image points, with lone ones.
+    """Return the observations with lone image points added, and their indices among their cameras' image points.
 
-    ``known``: from when to when each point's curve is known (points,) [s]: within, the curve decided what belongs to
-    it. ``tracklet``: of each camera's image points; ``sigma_px`` (c,): as ``observed`` has it.
+    ``known``: begin and end (points,) [s] of each point's known curve; between them the curve decided what belongs to
+    it. ``tracklet``: tracklet of each camera's image points; ``sigma_px`` (c,): as in ``observed``.
     """
     from_s, to_s = found.together()
     parts, numbers = [], [row]
@@ -46,7 +46,7 @@ def with_lone(
         usable = ((one.flags & MERGED) == 0) & (one.covariance_px2.trace(axis1=1, axis2=2) / 2 < WORST_PX**2)
         new = np.flatnonzero((early | late) & usable)
         point = np.where(early, before, after)[new]
-        # where two tracklets go back to one point, neither
+        # where two tracklets of one frame belong to one point, neither is used
         _, which, count = np.unique(
             np.column_stack([one.frame[new], point]), axis=0, return_inverse=True, return_counts=True
         )
@@ -65,8 +65,8 @@ def with_lone(
 
 
 def _neighbours(name: Array, tracklet: Array, time_s: Array) -> tuple[Array, Array]:
-    """Return of each image point before its tracklet's first named one that one's name (n,), and of each after the
-    last named one that one's; -1 elsewhere.
+    """Return for each image point before its tracklet's first named one the name of that one (n,), and for each
+    after the last named one the name of that one (n,); -1 elsewhere.
     """
     before, after = np.full((2, len(name)), -1)
     order = np.lexsort((time_s, tracklet))

@@ -1,6 +1,6 @@
-"""How fast targets move and turn in space, from the cameras' image tracks: what matching and tracking are set to.
+"""Speed and acceleration of targets in space, from the cameras' image tracks: used to set matching and tracking.
 
-The settings' speed and acceleration are what a user expects; where the images show more, that is used.
+The settings' speed and acceleration are those that a user expects; where the images show larger ones, these are used.
 """
 
 from collections.abc import Sequence
@@ -18,7 +18,7 @@ from mosca.tracking.motion_scale import motion_scale
 
 @dataclass(frozen=True)
 class SpaceMotion:
-    """Standard deviations an axis of the targets' speed [m/s] and acceleration [m/s^2], and of positions between
+    """Standard deviations per axis of the targets' speed [m/s] and acceleration [m/s^2], and of positions between
     exposures [m].
     """
 
@@ -28,8 +28,8 @@ class SpaceMotion:
 
 
 def space_motion(paths: Sequence[Tracklets], rig: Rig) -> SpaceMotion:
-    """Return the motion that image tracks show at the distance of what the cameras are aimed at: of the camera that
-    shows most.
+    """Return the motion that image tracks show at the distance at which the cameras are aimed; of all cameras the
+    largest values.
     """
     speed = acceleration = between = 0.0
     for path, scale in zip(paths, _metres_per_pixel(rig), strict=True):
@@ -46,7 +46,7 @@ def space_motion(paths: Sequence[Tracklets], rig: Rig) -> SpaceMotion:
 
 
 def quick_for(settings: PipelineSettings, motion: SpaceMotion, step_s: float) -> bool:
-    """Whether the motion leaves the settings' gate within ``step_s``, so that instants should be nearer."""
+    """Return whether the motion leaves the settings' gate within ``step_s``, so that closer instants are needed."""
     return GATE_SIGMA * motion.acceleration_mps2 * step_s**2 > motion_scale(settings.track).gate_m
 
 
@@ -59,7 +59,7 @@ def settings_for(settings: PipelineSettings, motion: SpaceMotion, step_s: float)
         track,
         acceleration_mps2=max(scale.acceleration_mps2, motion.acceleration_mps2),
         speed_mps=max(scale.speed_mps, motion.speed_mps),
-        # how long an acceleration lasts: of oscillations it is the time of a speed to change by itself
+        # duration of an acceleration: for oscillations the time in which a speed changes by its own size
         memory_s=min(track.memory_s, motion.speed_mps / motion.acceleration_mps2) if fast else track.memory_s,
         gate_m=max(scale.gate_m, 2.0 * wide),
     )
@@ -68,7 +68,7 @@ def settings_for(settings: PipelineSettings, motion: SpaceMotion, step_s: float)
 
 
 def _metres_per_pixel(rig: Rig) -> Array:
-    """Return what a pixel of each camera (c,) is where the cameras' axes come nearest to each other."""
+    """Return the size [m] of a pixel of each camera (c,) at the point nearest to all cameras' axes."""
     poses = [camera.world_from_camera for camera in rig.cameras]
     axis, centre = np.array([p.rotation[:, 2] for p in poses]), np.array([p.translation for p in poses])
     across = np.eye(3) - axis[:, :, None] * axis[:, None, :]

@@ -1,8 +1,8 @@
-"""Tracks that are one marker's are joined: a camera followed it while the others did not see it, or the tracker
-lost it.
+"""Joining of tracks of one marker: one camera followed it while the others did not see it or the tracker lost it.
 
-A tracklet (a point followed in one camera) whose image points went to one track first and to another one afterwards
-shows that they are one, where the first ends before the second begins and a motion leads from one to the other.
+A tracklet is a point followed in one camera. If its image points were assigned to one track first and to another one
+later, both tracks are of one marker, provided that the first ends before the second begins and that a motion leads
+from one to the other.
 """
 
 from collections import Counter
@@ -18,9 +18,9 @@ from mosca.data.arrays import Array
 from mosca.data.tracks import Tracks
 
 LONGEST_S = 1.0
-"""Longest gap without two cameras; after it a marker is a new one."""
+"""Longest gap without two cameras [s]; after it a marker is a new one."""
 SLACK_M = 0.02
-"""Largest distance of the two ends, extrapolated to the middle of the gap, beyond what acceleration explains."""
+"""Largest distance of the two ends, extrapolated to the middle of the gap, that acceleration does not explain [m]."""
 
 
 def joined(
@@ -31,10 +31,10 @@ def joined(
     row: Array,
     acceleration_mps2: float,
 ) -> Tracks:
-    """Return ``tracks`` in which those of one marker have one number.
+    """Return ``tracks`` in which those of one marker have the same number.
 
-    ``found``: which image points went to ``curves``; ``tracklet``: of each camera's image points; ``row`` (n,):
-    number of each of ``found`` among its camera's image points.
+    ``found``: image points assigned to ``curves``; ``tracklet``: tracklet of each camera's image points; ``row``
+    (n,): index of each of ``found`` among its camera's image points.
     """
     votes = _votes(found, tracklet, row)
     into: dict[int, int] = {}
@@ -57,7 +57,7 @@ def joined(
 
 
 def _votes(found: TimedObservations, tracklet: Sequence[Array], row: Array) -> Counter[tuple[int, int]]:
-    """Return how many tracklets went from one curve to another."""
+    """Return the number of tracklets that change from one curve to another, for each pair of curves."""
     votes: Counter[tuple[int, int]] = Counter()
     for c in range(len(found.cameras)):
         own = np.flatnonzero(found.camera == c)
@@ -71,7 +71,7 @@ def _votes(found: TimedObservations, tracklet: Sequence[Array], row: Array) -> C
 
 
 def _leads(curves: SampledCurves, a: int, b: int, acceleration_mps2: float) -> bool:
-    """Whether curve ``a`` ends before ``b`` begins and a motion leads from one to the other."""
+    """Return whether curve ``a`` ends before ``b`` begins and a motion leads from one to the other."""
     end, begin = curves.start[a + 1] - 1, curves.start[b]
     gap = curves.time_s[begin] - curves.time_s[end]
     if not 0.0 < gap <= LONGEST_S:
@@ -82,7 +82,7 @@ def _leads(curves: SampledCurves, a: int, b: int, acceleration_mps2: float) -> b
 
 
 def parts_in_time(times_s: Array, longest_s: float) -> list[tuple[float, float]]:
-    """Return the whiles (begin, end) of rising instants that lie no farther apart than ``longest_s`` [s]."""
+    """Return the intervals (begin, end) of rising instants that are at most ``longest_s`` [s] apart."""
     if not len(times_s):
         return []
     cut = np.flatnonzero(np.diff(times_s) > longest_s)

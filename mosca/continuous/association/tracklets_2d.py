@@ -1,8 +1,8 @@
-"""Image points of one camera followed from frame to frame, and where they were in between.
+"""Image points of one camera followed from frame to frame, and interpolated in between.
 
 A *tracklet* is a point followed in one camera. It is not an identity: it ends where its point is occluded or where
-two merge. It only interpolates the point between two exposures, so that cameras that expose at other instants can be
-compared.
+two points merge. It only interpolates the point between two exposures, so that cameras that expose at other instants
+can be compared.
 """
 
 from dataclasses import dataclass
@@ -24,13 +24,13 @@ from mosca.data.detections import Detections
 LONGEST_GAP = 2.6
 """Longest time from an image point of a tracklet to the next, in the camera's periods."""
 PASSES = 3
-"""How often tracklets are made: with motion as the passes before showed it."""
+"""Number of passes that make tracklets, each with the motion learned in the pass before."""
 
 
 @dataclass
 class _Open:
-    """Tracklets that may go on (k,): number, last position (k, 2) and time, and after it mean speed of the last step,
-    its middle and the change of speed [px/s^2]; NaN where there was no step yet, or only one.
+    """Tracklets that may continue (k,): number, last position (k, 2) and its time, mean speed of the last step
+    [px/s], the middle of that step, and the change of speed [px/s^2]; NaN after no step, or after only one.
     """
 
     number: Array
@@ -54,7 +54,7 @@ class _Open:
         return _Open(*(np.concatenate([getattr(self, name), getattr(other, name)]) for name in names))
 
     def goes_on(self, at: Array, place: Array, now_s: float) -> None:
-        """Take the next positions (p, 2) of tracklets ``at`` (p,)."""
+        """Set the next positions (p, 2) of tracklets ``at`` (p,)."""
         step = np.maximum(now_s - self.last_s[at], 1e-9)[:, None]
         speed, middle = (place - self.place[at]) / step, 0.5 * (now_s + self.last_s[at])
         apart = np.maximum(middle - self.middle_s[at], 1e-9)[:, None]
@@ -65,9 +65,9 @@ class _Open:
 def tracklets(seen: CameraDetections, longest_gap: float = LONGEST_GAP, learned: bool = True) -> Array:
     """Return the tracklet (n,) of each image point of a camera.
 
-    ``longest_gap``: longest time from an image point of a tracklet to the next, in the camera's periods. How far
-    image points move, and how well that is predicted, is learned from the tracklets themselves; not of lamps that are
-    dark for longer, nor where not ``learned`` (``FixedMotion``).
+    ``longest_gap``: longest time from an image point of a tracklet to the next, in the camera's periods. The motion
+    of image points and the error of its prediction are learned from the tracklets themselves, except for lamps that
+    are dark for longer, and where not ``learned`` (``FixedMotion``).
     """
     if longest_gap > LONGEST_GAP or not learned:
         return _followed(seen, fixed_motion(seen), longest_gap)
@@ -79,7 +79,7 @@ def tracklets(seen: CameraDetections, longest_gap: float = LONGEST_GAP, learned:
 
 
 def _followed(seen: CameraDetections, motion: ImageMotion, longest_gap: float) -> Array:
-    """Return the tracklet (n,) of each image point by the motion that is expected."""
+    """Return the tracklet (n,) of each image point, linked with the expected ``motion``."""
     of_point = np.full(len(seen.xy_px), -1, dtype=np.int64)
     following = 0
     longest = longest_gap * seen.period_s
@@ -101,14 +101,14 @@ def _followed(seen: CameraDetections, motion: ImageMotion, longest_gap: float) -
 
 
 def _pairs(place: Array, sigma: Array, xy: Array) -> tuple[Array, Array]:
-    """Return which open tracklets, expected at ``place`` (k, 2) +- ``sigma`` (k,) an axis, and which image points
-    belong together: most, and of the greatest likelihood.
+    """Return pairs of open tracklets, predicted at ``place`` (k, 2) with ``sigma`` (k,) per axis, and image points:
+    as many as possible, with the greatest likelihood.
     """
     if not len(place) or not len(xy):
         return np.empty(0, np.int64), np.empty(0, np.int64)
     squared = ((place[:, None] - xy[None]) ** 2).sum(axis=2) / sigma[:, None] ** 2
     allowed = squared < GATE_SIGMA**2
-    # the density of a Gaussian in two dimensions: a tracklet of better known motion is preferred near its place
+    # the density of a two-dimensional Gaussian: near its place, a tracklet of better known motion is preferred
     cost = squared + 4.0 * np.log(sigma / sigma.min())[:, None]
     at, to = linear_sum_assignment(np.where(allowed, cost, 1e6))
     good = allowed[at, to]
@@ -119,9 +119,9 @@ def _pairs(place: Array, sigma: Array, xy: Array) -> tuple[Array, Array]:
 class ImageInterpolation:
     """Positions of tracklets at instants: one row per tracklet and instant, sorted by instant.
 
-    ``instant`` (r,) its number; ``tracklet`` (r,); ``xy_px`` (r, 2); ``row`` (r,) the nearer one of the two image
-    points that the position lies between, ``other`` (r,) the second; ``speed_px`` (r, 2) [px/s]; ``variance_px2``
-    (r,) of the interpolation, an axis.
+    ``instant`` (r,): its index; ``tracklet`` (r,); ``xy_px`` (r, 2); ``row`` (r,): the nearer of the two image points
+    between which the position lies, ``other`` (r,): the second; ``speed_px`` (r, 2) [px/s]; ``variance_px2`` (r,):
+    variance of the interpolation, per axis.
     """
 
     instant: Array
@@ -137,9 +137,9 @@ class ImageInterpolation:
 class Tracklets:
     """A camera's tracklets as pieces of curves, for interpolation.
 
-    Image points sorted by tracklet and time: ``order`` (n,) their numbers, ``tracklet``, ``time_s`` (n,), ``xy_px``
-    and ``speed_px`` (n, 2). ``left`` (p,): those from which a piece leads to the next; ``last`` (p,): a tracklet's
-    last; ``variance_px2`` (p,): of the interpolation in the middle of each piece, an axis.
+    Image points sorted by tracklet and time: ``order`` (n,) their indices, ``tracklet``, ``time_s`` (n,), ``xy_px``
+    and ``speed_px`` (n, 2). ``left`` (p,): those from which a piece leads to the next; ``last`` (p,): whether the
+    piece is its tracklet's last; ``variance_px2`` (p,): variance per axis of the interpolation in its middle.
     """
 
     order: Array
@@ -163,10 +163,10 @@ class Tracklets:
         return cls(order, s, t, xy, _speeds(s, t, xy), left, last, _variances(s, xy, left))
 
     def at(self, instants_s: Array) -> ImageInterpolation:
-        """Return where the tracklets were at ``instants_s`` (rising) [s].
+        """Return the positions of the tracklets at ``instants_s`` (rising) [s].
 
-        Cubic Hermite polynomials through neighbouring image points; nothing is returned beyond a tracklet's ends or
-        across gaps of more than LONGEST_GAP periods.
+        They are interpolated by cubic Hermite polynomials through neighbouring image points. Nothing is returned
+        beyond a tracklet's ends or across gaps of more than LONGEST_GAP periods.
         """
         t, left = self.time_s, self.left
         first = np.searchsorted(instants_s, t[left], "left")
@@ -196,16 +196,16 @@ class Tracklets:
 
     @property
     def interpolation_px(self) -> float:
-        """Standard deviation of an interpolated position in the middle of a piece, an axis, rms of all."""
+        """Standard deviation per axis [px] of an interpolated position in the middle of a piece, rms of all."""
         return float(np.sqrt(np.mean(self.variance_px2))) if len(self.variance_px2) else 0.0
 
 
 def _variances(s: Array, xy: Array, left: Array) -> Array:
-    """Return the variance an axis [px^2] of an interpolation in the middle of the pieces (p,) from ``left`` on.
+    """Return the variance per axis [px^2] of an interpolation in the middle of the pieces (p,) from ``left`` on.
 
-    Every image point is interpolated from its neighbours but one, on both sides and, as at the ends of a tracklet, on
-    one: the means of these errors near a piece. Pieces are half as long; what a random change of acceleration does
-    falls with the power 2.5 of the length.
+    Every image point is interpolated from the first and third neighbours on both sides and, as at the ends of a
+    tracklet, without one of the third. The variance is the mean square of these errors near a piece, reduced since
+    pieces are half as long: the error by random changes of acceleration grows with the power 2.5 of the length.
     """
     n, k = len(s), np.arange(len(s))
 
@@ -232,7 +232,7 @@ def _variances(s: Array, xy: Array, left: Array) -> Array:
 
 
 def _speeds(s: Array, t: Array, xy: Array) -> Array:
-    """Return the image speed (n, 2) at each point: the parabola through its neighbours, at ends the straight line."""
+    """Return the image speed (n, 2) at each point: by a parabola through its neighbours, at ends by a line."""
     n = len(t)
     speed = np.zeros((n, 2))
     if n < 2:

@@ -1,1 +1,1 @@
-"""The second paper's own methods, to compare with: interpolation to common instants, and networks of time."""
+"""The second paper's own methods, for comparison: interpolation to common instants, and networks of time."""

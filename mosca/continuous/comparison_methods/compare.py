@@ -1,7 +1,7 @@
-"""The second paper's own trajectory models on the image points of a reconstruction, to compare with its curves.
+"""The second paper's own trajectory models on the image points of a reconstruction, for comparison with its curves.
 
-Every method gets the same named image points on the same clock, and the rig's poses; the methods differ only in the
-model of the trajectories.
+Every method gets the same named image points on the same clock, and the rig's poses. The methods differ only in the
+trajectory model.
 """
 
 from dataclasses import dataclass
@@ -22,12 +22,13 @@ METHODS: tuple[Method, ...] = get_args(Method)
 
 
 def reconstruct_by(method: Method, found: Reconstructed, time_ns: Array) -> Tracks:
-    """Return what one of the METHODS makes of a reconstruction's image points, at stamps of the first camera's clock.
+    """Return the tracks that one of the METHODS computes from a reconstruction's image points.
 
     "linear", "cubic": image tracks interpolated to common instants (``interpolated``); "neural": networks of time
-    (``neural``), begun at the cubic result; their cost grows with the cube of the number of exposures. ``time_ns``
-    (t,). Tracks are numbered and named as those of ``found``; their covariances are NaN: these methods state none.
-    InputError for an unknown method, for cameras that move, and where the cameras share no time.
+    (``neural``), started at the cubic result; their cost grows with the cube of the number of exposures. ``time_ns``
+    (t,): stamps of the first camera's clock. Tracks are numbered and named as those of ``found``; their covariances
+    are NaN, since these methods state none. InputError for an unknown method, for cameras that move, and where the
+    cameras share no time.
     """
     if method not in METHODS:
         raise InputError(f"method '{method}' is unknown; allowed: {', '.join(METHODS)}")
@@ -51,7 +52,7 @@ class _WithoutCovariance:
 
     @property
     def points(self) -> tuple[str, ...]:
-        """Their names."""
+        """Names of the points."""
         return self.curves.points
 
     def at(self, time_s: Array) -> Array:

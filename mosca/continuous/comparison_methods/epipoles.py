@@ -1,13 +1,13 @@
 """Two views that may see each other: fundamental matrix, essential matrix and relative pose.
 
-A camera that sees the other one observes its epipole: with F e = 0 (second paper, eq. 5) and F' e' = 0 (eq. 6), F =
-B' M B^T, where the columns of B (3, 2) and B' span the plane perpendicular to e and e'. So M (2, 2), 3 unknowns up to
-scale, is all that the corresponding points determine, instead of 8 in a linear solution (9 numbers up to scale). An
-epipole that is not observed leaves B = I on its side: one code for both, one, or none.
+A camera that sees the other one observes its epipole. With F e = 0 (second paper, eq. 5) and F' e' = 0 (eq. 6), F =
+B' M B^T, where the columns of B (3, 2) and B' span the plane perpendicular to e and e'. So the corresponding points
+only have to determine M (2, 2), with 3 unknowns up to scale, instead of 8 in a linear solution (9 numbers up to
+scale). If an epipole is not observed, B = I on its side: the same code handles both, one, or none.
 
-All image points are bearings: rays (n, 3) in the camera's frame, for an essential matrix unit rays. So lenses beyond
-180 degrees and epipoles outside the image are like any others, and the sign of an epipole's ray shows on which side
-the other camera is, not only on which line. (Homogeneous pixels (x, y, 1) are bearings, too, when estimating F.)
+All image points are bearings: rays (n, 3) in the camera's frame, unit rays for an essential matrix. So lenses beyond
+180 degrees and epipoles outside the image need no special treatment, and the sign of an epipole's ray shows on which
+side the other camera is, not only on which line. (Homogeneous pixels (x, y, 1) are also bearings when estimating F.)
 """
 
 import numpy as np
@@ -16,7 +16,7 @@ from mosca.data.arrays import Array
 from mosca.data.rig import Pose
 
 FEWEST = {0: 8, 1: 5, 2: 3}
-"""Correspondences that a matrix needs at least, by the number of observed epipoles."""
+"""Least correspondences for a matrix, by the number of observed epipoles."""
 QUARTER_ROTATION = np.array([[0.0, -1.0], [1.0, 0.0]])
 """Rotation by 90 degrees in the image."""
 
@@ -28,9 +28,9 @@ class TooFewPointsError(ValueError):
 def fundamental(first: Array, second: Array, epipole: Array | None = None, other: Array | None = None) -> Array:
     """Return F (3, 3) of norm 1 with ``second . F first ~ 0`` for corresponding bearings (n, 3).
 
-    ``epipole`` (3,): ray in the first view on which the second camera is seen, ``other`` the first camera's in the
-    second view; what is given holds exactly (eq. 5, 6) and so does rank 2. Least squares of the algebraic error of
-    unit rays. Raises TooFewPointsError below 8, 5 or 3 points with no, one or two epipoles.
+    ``epipole`` (3,): ray in the first view on which the second camera is seen; ``other``: the first camera's ray in
+    the second view. Given epipoles hold exactly (eq. 5, 6), and so does rank 2. The algebraic error of unit rays is
+    minimised by least squares. Raises TooFewPointsError below 8, 5 or 3 points with no, one or two epipoles.
     """
     right, left = _basis(epipole), _basis(other)
     seen = (epipole is not None) + (other is not None)
@@ -51,8 +51,8 @@ def fundamental(first: Array, second: Array, epipole: Array | None = None, other
 def essential(first: Array, second: Array, epipole: Array | None = None, other: Array | None = None) -> Array:
     """Return E (3, 3) of singular values 1, 1, 0 with ``second . E first ~ 0`` for corresponding unit rays (n, 3).
 
-    Epipoles as in ``fundamental``; they hold exactly. With both observed E has a single unknown, the rotation about
-    the base: M is a rotation or its mirror image, linear in cosine and sine, so that two points do.
+    Epipoles as in ``fundamental``; they hold exactly. With both observed, E has a single unknown, the rotation about
+    the base: M is a rotation or its mirror image, linear in cosine and sine, so that two points suffice.
     """
     if epipole is not None and other is not None:
         return _about_base(_unit(first), _unit(second), _unit(epipole), _unit(other))
@@ -63,9 +63,9 @@ def essential(first: Array, second: Array, epipole: Array | None = None, other: 
 def relative_pose(first: Array, second: Array, epipole: Array | None = None, other: Array | None = None) -> Pose:
     """Return second_from_first, with a base of length 1, from corresponding unit rays (n, 3) and observed epipoles.
 
-    Of the four poses of an essential matrix the one is taken that has most points at positive distances along both
-    rays, which holds beyond 90 degrees from the axis too (Hartley and Zisserman 2003, 9.6.3, by ray instead of by
-    depth). Observed epipoles decide first: the second camera must be on the side where it was seen.
+    Of the four poses of an essential matrix, the one with most points at positive distances along both rays is taken.
+    This also holds beyond 90 degrees from the axis (Hartley and Zisserman 2003, 9.6.3, by ray instead of by depth).
+    Observed epipoles take precedence: the second camera must be on the side where it was seen.
     """
     a, b = _unit(first), _unit(second)
     matrix = essential(a, b, epipole, other)
@@ -93,7 +93,7 @@ def poses_of_essential(matrix: Array) -> tuple[Pose, ...]:
 
 
 def distances_along(pose: Pose, first: Array, second: Array) -> tuple[Array, Array]:
-    """Return the depths along rays (n, 3) of two cameras (``pose``: second_from_first) at their closest approach."""
+    """Return distances along rays (n, 3) of two cameras (``pose``: second_from_first) to their closest approach."""
     a, b, t = first @ pose.rotation.T, second, pose.translation
     # s a - r b = -t, least squares
     aa, bb, ab = (np.einsum("ni,ni->n", p, q) for p, q in ((a, a), (b, b), (a, b)))
@@ -120,7 +120,7 @@ def _basis(epipole: Array | None) -> Array:
 
 
 def _about_base(first: Array, second: Array, epipole: Array, other: Array) -> Array:
-    """Return the essential matrix with both epipoles: only the rotation about the base is left.
+    """Return the essential matrix for two observed epipoles: only the rotation about the base is unknown.
 
     With bases whose third axis is the direction from the first camera to the second, in both frames, R is a rotation
     about that axis, and E = [t]x R = B' J Rot(angle) B^T is linear in cosine and sine of the angle.

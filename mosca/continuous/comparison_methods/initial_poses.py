@@ -1,4 +1,4 @@
-"""Cameras without known poses: where to begin. Two views by their essential matrix, the others by resection."""
+"""Initial poses of cameras without known poses: two views by their essential matrix, the others by resection."""
 
 from contextlib import suppress
 from dataclasses import replace
@@ -13,18 +13,18 @@ from mosca.data.arrays import Array
 from mosca.errors import InputError
 
 MOST_RAYS = 2000
-"""Correspondences that a start uses, spread evenly over all."""
+"""Most correspondences that a start uses, spread evenly over all."""
 STEP = 5
-"""Instants from one with an initial value of its own to the next; those between begin at the nearest of them."""
+"""Number of instants from one with an initial value of its own to the next; those between start at the nearest."""
 WORSE = 2.0
-"""Instants with so many times the usual error are tried again from their neighbours' poses."""
+"""Instants with this many times the usual error are tried again from their neighbours' poses."""
 
 
 def first_scene(views: Views, cameras: Cameras, *, epipoles: bool = True) -> PosesAndPoints:
-    """Return a start for ``adjust``, adjusted once; with "moving" each instant on its own.
+    """Return a start for ``adjust``, adjusted once; with "moving" each instant separately.
 
-    Datum: the first camera as given, and so its distance to the second (each instant's, "moving").
-    ``epipoles``: use them. InputError where no two cameras share enough points.
+    Datum: the first camera's pose and its distance to the second as given (with "moving" at each instant).
+    ``epipoles``: whether to use them. InputError where no two cameras share enough points.
     """
     t, c = views.xy_px.shape[:2]
     poses = [camera.world_from_camera for camera in views.cameras]
@@ -59,7 +59,7 @@ def first_scene(views: Views, cameras: Cameras, *, epipoles: bool = True) -> Pos
 
 
 def in_datum(scene: PosesAndPoints, views: Views) -> PosesAndPoints:
-    """Return a scene moved and stretched to its datum: first camera and its distance to the second as given."""
+    """Return a scene transformed to its datum: first camera and its distance to the second as given."""
     own = views.cameras[0].world_from_camera
     other = views.cameras[1].world_from_camera
     wanted = float(np.linalg.norm(other.translation - own.translation)) or 1.0
@@ -75,7 +75,7 @@ def in_datum(scene: PosesAndPoints, views: Views) -> PosesAndPoints:
 
 
 def _moving(views: Views, rotations: Array, centres: Array, epipoles: bool) -> PosesAndPoints:
-    """Adjust every instant from its own start and, where that ends badly, from its neighbours'."""
+    """Adjust every instant from its own start and, where the result is poor, from its neighbours' poses."""
     ready = np.flatnonzero(np.isfinite(centres).all(axis=(1, 2)))
     nearest = ready[np.abs(ready - np.arange(len(centres))[:, None]).argmin(axis=1)]
     best = adjust(views, _scene(views, rotations[nearest], centres[nearest]), "moving", epipoles=epipoles)
@@ -145,9 +145,9 @@ def _still(views: Views, epipoles: bool) -> tuple[Array, Array]:
 
 
 def _agreeing(first: Array, second: Array) -> Array:
-    """Return which pairs of rays (n, 3) one fundamental matrix fits: gross errors and wrong names are left out.
+    """Return which pairs of rays (n, 3) fit one fundamental matrix: gross errors and wrong names are left out.
 
-    All of them where there are too few to tell, or rays beyond 90 degrees from the axis.
+    All pairs are returned if there are too few to decide, or rays beyond 90 degrees from the axis.
     """
     every: Array = np.ones(len(first), dtype=bool)
     if len(first) < 2 * FEWEST[0] or min(first[:, 2].min(), second[:, 2].min()) <= 0.0:

@@ -1,10 +1,9 @@
-"""The second paper's linear and cubic methods: image tracks interpolated to common instants, then as if synchronous
-(section 5).
+"""The second paper's linear and cubic methods (section 5): image tracks are interpolated to common instants.
 
 Each camera's track of each point is interpolated in the image, by straight lines or a cubic spline, to instants at
-which the other cameras have it too. From there on the cameras count as synchronous: points are intersected (known
+which the other cameras have it too. The cameras are then treated as synchronous: points are intersected (known
 cameras) or adjusted with the cameras (unknown ones), with epipoles (eq. 7) or without them (eq. 4). Interpolated
-image points are treated as observations: the main error of these methods in fast motion.
+image points are treated as observations, which is the main error of these methods in fast motion.
 """
 
 from dataclasses import dataclass
@@ -23,12 +22,12 @@ from mosca.errors import InputError
 
 Kind = Literal["linear", "cubic"]
 LONGEST_GAP = 2.5
-"""Gap in a track, in spacings of its camera's exposures, that is still interpolated."""
+"""Longest gap in a track that is interpolated, in spacings of its camera's exposures."""
 
 
 @dataclass(frozen=True, eq=False)
 class ImageTracks:
-    """Image tracks as functions of time: ``at`` gives Views of any instants."""
+    """Image tracks as functions of time: ``at`` returns Views at any instants."""
 
     observations: TimedObservations
     rig: Rig
@@ -59,8 +58,8 @@ class ImageTracks:
 class Interpolated:
     """A method's curves and cameras.
 
-    ``points``: names of the free points; ``rms_px`` of the image errors at the instants of the adjustment; ``scene``
-    and ``instants_s`` (t,) that adjustment.
+    ``points``: names of the free points; ``rms_px``: image errors at the instants of the adjustment; ``scene`` and
+    ``instants_s`` (t,): result and instants of that adjustment.
     """
 
     points: tuple[str, ...]
@@ -74,8 +73,8 @@ class Interpolated:
     def at(self, time_s: Array) -> Array:
         """Return the positions (t, points, 3) [m]; NaN where fewer than two cameras have a point.
 
-        Cameras that are stationary: image points interpolated to ``time_s`` and intersected. Moving ones: between the
-        instants of the adjustment, interpolated as the image tracks are.
+        With stationary cameras, image points are interpolated to ``time_s`` and intersected. With moving ones,
+        positions at the instants of the adjustment are interpolated like image tracks.
         """
         if self.moving:
             return _between(self.instants_s, self.scene.xyz, np.asarray(time_s, dtype=float), self.tracks.kind)
@@ -94,12 +93,13 @@ def interpolated(
     epipoles: bool = True,
     instants_s: Array | None = None,
 ) -> Interpolated:
-    """Return the paper's linear or cubic method.
+    """Return the result of the paper's linear or cubic method.
 
     ``cameras``: "known" as in ``rig``; "fixed" or "moving": only their lenses are taken from it (and, as the datum,
-    the first camera's pose and its distance to the second). ``epipoles``: used where observed; with known cameras
-    they are not used. ``instants_s`` (t,): common instants (default: all exposures between the last
-    camera's first and the first camera's last). InputError where the cameras share no time or too few points.
+    the first camera's pose and its distance to the second). ``epipoles``: whether they are used where observed; with
+    known cameras they are never used. ``instants_s`` (t,): common instants; by default all exposures between the
+    latest of the cameras' first and the earliest of their last ones. InputError where the cameras share no time or
+    too few points.
     """
     tracks = ImageTracks(observations, rig, kind)
     instants = common_instants(observations) if instants_s is None else np.asarray(instants_s, dtype=float)
@@ -135,7 +135,7 @@ def common_instants(observations: TimedObservations) -> Array:
 
 
 def _between(instants: Array, xyz: Array, time_s: Array, kind: Kind) -> Array:
-    """Interpolate positions (t, n, 3) in time, by pieces without NaN; NaN elsewhere."""
+    """Interpolate positions (t, n, 3) in time, separately in pieces without NaN; NaN elsewhere."""
     found = np.full((len(time_s), *xyz.shape[1:]), np.nan)
     for n in range(xyz.shape[1]):
         known = np.isfinite(xyz[:, n]).all(axis=1).astype(int)
@@ -149,7 +149,7 @@ def _between(instants: Array, xyz: Array, time_s: Array, kind: Kind) -> Array:
 
 
 def _on_line(kind: Kind, t: Array, values: Array, time_s: Array) -> tuple[Array, Array]:
-    """Return which of ``time_s`` lie within ``t`` (n,), and what ``values`` (n, k) interpolated are there."""
+    """Return which of ``time_s`` lie within ``t`` (n,), and ``values`` (n, k) interpolated there."""
     inside = (time_s >= t[0] - 1e-9) & (time_s <= t[-1] + 1e-9)
     line = make_interp_spline(t, values, k=1) if kind == "linear" else CubicSpline(t, values)
     return inside, line(time_s[inside])

@@ -1,4 +1,4 @@
-"""Projection into moving cameras, with the derivatives by point, rotation and position of the camera."""
+"""Projection into moving cameras, with derivatives by the point and by the camera's rotation and position."""
 
 from dataclasses import dataclass, replace
 
@@ -23,7 +23,7 @@ class ProjectedPoints:
 
 
 def project_moving(camera: Camera, rotations: Array, centres: Array, points: Array) -> ProjectedPoints:
-    """Project world points (n, 3) [m], each with a world_from_camera of its own: (n, 3, 3), (n, 3)."""
+    """Project world points (n, 3) [m], each with its own world_from_camera: (n, 3, 3), (n, 3)."""
     v = np.einsum("nji,nj->ni", rotations, points - centres)
     own = project_with_jacobians(replace(camera, world_from_camera=AT_ORIGIN), v)
     return ProjectedPoints(own.xy_px, own.by_point @ np.swapaxes(rotations, 1, 2), own.by_point @ cross_matrices(v))

@@ -1,13 +1,13 @@
 """The second paper's neural trajectory (section 4.2): each point a network of time, all exposures at their own times.
 
-Read from the paper: one hidden layer of 256 units, time encoded to four numbers, three outputs, started from the
+Stated in the paper: one hidden layer of 256 units, time encoded to four numbers, three outputs, started from the
 cubic spline's result, then eq. 8: squared reprojection errors of points and epipoles over all exposures; cameras as
-functions of time in the same way. Left open there, and read here: activation tanh; encoding sin and cos of pi s and
+functions of time in the same way. Left open there, and chosen here: activation tanh; encoding sin and cos of pi s and
 2 pi s, s from 0 to 1; a network for each point, and for unknown cameras one for each of the six components of a pose;
 hidden weights drawn so that a unit switches within ``response_s``; Levenberg-Marquardt over all weights. With more
-weights than image points the errors can be brought to zero in many ways: which is reached is decided by the start and
-by the shortest steps from it, and so by how the hidden weights are drawn. Two settings were chosen on motions that
-are not in the tables.
+weights than image points the errors can become zero in many ways. Which solution is reached depends on the start and
+on the shortest steps from it, and so on the drawn hidden weights. Two settings were chosen on motions that are not in
+the tables.
 """
 
 from dataclasses import dataclass, replace
@@ -26,8 +26,8 @@ from mosca.data.rig import Rig
 
 @dataclass(frozen=True)
 class NeuralSettings:
-    """``response_s``: in which a hidden unit switches; ``ridge``: least damping of a step, by the mean diagonal of
-    the tangent kernel; ``steps`` at most; ``seed`` of the hidden weights.
+    """``response_s``: time in which a hidden unit switches [s]; ``ridge``: least damping of a step, relative to the
+    mean diagonal of the tangent kernel; ``steps``: most steps; ``seed`` of the hidden weights.
     """
 
     response_s: float = 0.07
@@ -38,9 +38,9 @@ class NeuralSettings:
 
 @dataclass(frozen=True, eq=False)
 class Neural:
-    """Trajectories as networks: ``points`` names, ``paths`` the cameras, ``rms_px`` of the image errors (an axis).
+    """Trajectories as networks: ``points`` names, ``paths`` of the cameras, ``rms_px`` of the image errors per axis.
 
-    ``from_s``, ``to_s`` (points,): between these the start knew the point.
+    ``from_s``, ``to_s`` (points,): between these the starting curves contain the point [s].
     """
 
     points: tuple[str, ...]
@@ -75,8 +75,9 @@ def neural(
 ) -> Neural:
     """Return the neural trajectories that fit all exposures, begun at the spline's result ``start``.
 
-    ``cameras`` and ``epipoles`` as in ``interpolated``; unknown cameras begin where ``start`` has them and the first
-    one stays there (datum). Time grows with the cube of the exposures: made for seconds, not minutes.
+    ``cameras`` and ``epipoles`` as in ``interpolated``; unknown cameras start at their poses in ``start``, and the
+    first one stays there (datum). Computing time grows with the cube of the exposures: for recordings of seconds, not
+    minutes.
     """
     settings = settings or NeuralSettings()
     rng = np.random.default_rng(settings.seed)
@@ -97,7 +98,7 @@ def neural(
         own = Nets.fresh(6 * len(observations.cameras), 1, (first, last), settings.response_s, rng)
         poses = NetPoses.fit(observations.cameras, own, start.instants_s, rotations, centres)
     begun = Neural(start.points, nets, middle, size, from_s, to_s, poses, np.inf)
-    # a point that the start never determines has no trajectory, and before and after it nothing to begin from
+    # a point that the start never determines has no trajectory, and outside its known time there is no start for it
     early, late = np.full(len(observations.points), first), np.full(len(observations.points), last)
     early[observations.free], late[observations.free] = from_s, to_s
     point, t = observations.point, observations.time_s
@@ -125,8 +126,8 @@ def _descended(task: "_Task", state: Neural, settings: NeuralSettings) -> Neural
 
 @dataclass(frozen=True, eq=False)
 class _Linear:
-    """Errors and slopes of all image points: of points (p, q, 2) with ``onto`` (p, q, 2, 3) by the networks' outputs
-    and ``by_pose`` (p, q, 2, 6) by their camera; of epipoles (k, 2), (k, 2, 6) by viewer and carrier.
+    """Errors and derivatives of all image points: of points (p, q, 2), with ``onto`` (p, q, 2, 3) by the networks'
+    outputs and ``by_pose`` (p, q, 2, 6) by their camera's pose; of epipoles (k, 2), (k, 2, 6) by viewer and carrier.
     """
 
     error: Array
@@ -175,7 +176,7 @@ class _Task:
         return _Linear(error, onto, by_pose, e2, viewer, carried, cost, 2 * (len(which) + len(row)))
 
     def _seen(self, row: Array, rotations: Array, centres: Array, points: Array) -> tuple[Array, Array, Array]:
-        """Return errors (k, 2) and slopes by point (k, 2, 3) and pose (k, 2, 6) of image points ``row`` (k,)."""
+        """Return errors (k, 2) and derivatives by point (k, 2, 3) and pose (k, 2, 6) of image points ``row`` (k,)."""
         see = self.see
         error, by_point, pose = (np.zeros((len(row), 2)), np.zeros((len(row), 2, 3)), np.zeros((len(row), 2, 6)))
         for k, camera in enumerate(self.cameras):

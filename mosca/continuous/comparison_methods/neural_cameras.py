@@ -1,8 +1,8 @@
-"""Camera poses inside the neural trajectory: held, one unknown pose each, or networks of time like the points.
+"""Camera poses in the neural trajectory: known, one unknown pose each, or networks of time like the points.
 
-Each kind answers the same three questions: the poses at given instants, their linear dependence on the unknowns z,
-and the cameras after a step dz. z of networks are amplitudes of the patterns that a step of their weights can make at
-the instants of the exposures (eigenvectors of the tangent kernel), scaled so that |dz| is the length of the step.
+Each kind provides the poses at given instants, their derivatives by the unknowns z, and the cameras after a step dz.
+For networks, z are amplitudes of the patterns that a step of their weights can produce at the instants of the
+exposures (eigenvectors of the tangent kernel), scaled so that |dz| is the length of the step.
 """
 
 from dataclasses import dataclass, replace
@@ -19,7 +19,7 @@ from mosca.continuous.model.observations import CameraPaths
 from mosca.data.arrays import Array
 
 MOST_PATTERNS, LEAST_SHARE = 40, 1e-7
-"""Patterns of a network that are kept at most, and the smallest eigenvalue's share of the largest."""
+"""Most patterns of a network that are kept, and the least eigenvalue as a share of the largest."""
 STILL = 1e-6
 """Least spread of a component [rad, m]."""
 
@@ -28,10 +28,10 @@ class PoseModel(CameraPaths, Protocol):
     """Poses world_from_camera of c cameras over time; z (c, 6 r) are the unknowns."""
 
     def slopes(self, time_s: Array) -> Array:
-        """Return (t, c, 6, u): rotation about the camera's own axes and position, by its own u unknowns."""
+        """Return derivatives (t, c, 6, u) of rotation about the camera's own axes and position by its u unknowns."""
 
     def moved(self, time_s: Array, z: Array) -> "PoseModel":
-        """Return the cameras after a step z (c, u) of what ``slopes(time_s)`` belongs to; the first one stays."""
+        """Return the cameras after a step z (c, u) of the unknowns of ``slopes(time_s)``; the first camera stays."""
 
 
 class SteadyPoses(StillCameras):
@@ -49,8 +49,8 @@ class SteadyPoses(StillCameras):
 @dataclass(frozen=True, eq=False)
 class NetPoses:
     """Cameras as networks, one for each of the six components: rotation from ``middle`` (c, 3, 3), and position
-    against ``origin`` (c, 3), in units of ``spread`` (c, 6) [rad, m]: the component's variation in the initial state,
-    so that a step of given length moves nearly stationary cameras little and body-worn ones freely.
+    relative to ``origin`` (c, 3), in units of ``spread`` (c, 6) [rad, m]. ``spread`` is the component's variation in
+    the initial state, so that a step of given length moves nearly stationary cameras little and body-worn ones far.
     """
 
     cameras: tuple[str, ...]
@@ -61,7 +61,7 @@ class NetPoses:
 
     @classmethod
     def fit(cls, cameras: tuple[str, ...], nets: Nets, time_s: Array, rotations: Array, centres: Array) -> "NetPoses":
-        """Return networks brought to poses (t, c, 3, 3), (t, c, 3) at ``time_s`` (t,)."""
+        """Return networks fitted to poses (t, c, 3, 3), (t, c, 3) at ``time_s`` (t,)."""
         c = len(cameras)
         middle = np.array([Rotation.from_matrix(rotations[:, k]).mean().as_matrix() for k in range(c)])
         origin = centres.mean(axis=0)

@@ -1,10 +1,10 @@
 """Networks of one hidden layer as functions of time, many at once, and least squares over their weights.
 
 y(t) = V tanh(U e(t) + b) + c with the positional encoding e(t) = (sin pi s, cos pi s, sin 2 pi s, cos 2 pi s), s from
-0 to 1 over the recording (Mildenhall et al. 2020 with two frequencies: the four numbers of the second paper, and no
-two instants share a code). There are far more weights than image points, so that Gauss-Newton steps are solved in
-the space of the observations: of all steps dw with J dw = r (J (q, w) by the weights) the shortest is J' (J J')^-1 r,
-and J J', the tangent kernel (Jacot et al. 2018), is a sum of two element-wise products.
+0 to 1 over the recording (Mildenhall et al. 2020 with two frequencies: the four numbers of the second paper; no two
+instants share a code). There are far more weights than image points, so Gauss-Newton steps are solved in the space of
+the observations. Of all steps dw with J dw = r (J (q, w) by the weights), the shortest is J' (J J')^-1 r. J J', the
+tangent kernel (Jacot et al. 2018), is a sum of two element-wise products.
 """
 
 from dataclasses import dataclass, replace
@@ -18,7 +18,7 @@ HIDDEN = 256
 FREQUENCIES = (1.0, 2.0)
 """Half periods of the encoding over the whole recording."""
 RIDGE = 1e-6
-"""How firmly a fit holds the weights where they were, by the kernel's mean diagonal."""
+"""Damping of a fit, relative to the kernel's mean diagonal: how firmly it keeps the weights."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +39,7 @@ class Nets:
     def fresh(
         cls, count: int, outputs: int, span_s: tuple[float, float], response_s: float, rng: np.random.Generator
     ) -> "Nets":
-        """Return networks of output zero; their hidden units switch within ``response_s`` at random instants."""
+        """Return networks with output zero whose hidden units switch within ``response_s`` at random instants."""
         start, duration = span_s[0], max(span_s[1] - span_s[0], 1e-9)
         speed = np.pi * np.sqrt(np.square(FREQUENCIES).sum())  # of the encoding, by s
         inner = rng.normal(0, duration / (speed * response_s), (HIDDEN, 4))
@@ -71,8 +71,8 @@ def encoded(s: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Tangent:
-    """The networks' derivatives at instants that each of them has for itself, ``code`` (p, q, 4), seen through linear
-    maps ``onto`` (p, q, i, o) of the outputs: q observations of i numbers each.
+    """The networks' derivatives at q instants of each network, ``code`` (p, q, 4), multiplied by linear maps ``onto``
+    (p, q, i, o) of the outputs: q observations of i numbers each.
     """
 
     nets: Nets
@@ -118,7 +118,7 @@ class Tangent:
 
 
 def damped_solve(kernel: Array, damping: Array, right: Array) -> Array:
-    """Return (K + d I)^-1 right for kernels (p, n, n), damping (p,), right sides (p, n, m); uses ``kernel`` up."""
+    """Return (K + d I)^-1 right for kernels (p, n, n), damping (p,), right sides (p, n, m); overwrites ``kernel``."""
     solved = np.empty_like(right)
     for k, matrix in enumerate(kernel):
         matrix.flat[:: len(matrix) + 1] += damping[k]
@@ -128,7 +128,7 @@ def damped_solve(kernel: Array, damping: Array, right: Array) -> Array:
 
 
 def fitted(nets: Nets, time_s: Array, values: Array, *, steps: int = 8) -> Nets:
-    """Return the networks brought to ``values`` (p, t, o) at instants (t,): damped Gauss-Newton steps."""
+    """Return the networks fitted to ``values`` (p, t, o) at instants (t,) by damped Gauss-Newton steps."""
     p, t, o = values.shape
     known = np.asarray(np.isfinite(values).all(axis=2))
     onto = np.where(known[:, :, None, None], np.eye(o), 0.0)

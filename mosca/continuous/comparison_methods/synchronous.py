@@ -1,14 +1,15 @@
 """Adjustment of points and cameras at common instants, with the epipoles' terms (second paper, eq. 4 and 7).
 
-Minimises the squared reprojection errors of the points and, where one camera sees another, of that camera's centre
-(or of a lamp that it carries) as a point that moves with the camera. Three kinds of cameras: "known", held as given;
-"fixed", one unknown pose each for all instants; "moving", an unknown pose each at every instant, and then every
-instant is an adjustment of its own, with nothing to tie it to the others.
+It minimises the squared reprojection errors of the points and, where one camera sees another, of that camera's centre
+(or of a lamp that it carries) as a point that moves with the camera. There are three kinds of cameras: "known", held
+as given; "fixed", one unknown pose each for all instants; "moving", an unknown pose each at every instant. With
+"moving" cameras every instant is an adjustment of its own, independent of the others.
 
-Why not ``mosca.calibration.bundle``: there an image point depends on one camera's pose and on a point of the world or
-of a placed thing. An epipole depends on two cameras' poses, and a thing's pose cannot be the same unknown as
-a camera's. Lenses, blunders and precision, which that solver is made for, are not needed here. What is needed is
-small: points are eliminated in blocks of three (Brown 1958), and the epipoles only touch the reduced system.
+``mosca.calibration.bundle`` is not used because there an image point depends on one camera's pose and on a point of
+the world or of a placed object. An epipole depends on two cameras' poses, and an object's pose cannot be the same
+unknown as a camera's. Lenses, blunders and precision, for which that solver is made, are not needed here. The
+adjustment is small: points are eliminated in blocks of three (Brown 1958), and epipoles only enter the reduced
+system.
 """
 
 from dataclasses import dataclass
@@ -23,11 +24,11 @@ from mosca.data.rig import Camera
 
 Cameras = Literal["known", "fixed", "moving"]
 STEPS, WORST_DAMPING, TINY = 60, 1e12, 1e-12
-"""Levenberg-Marquardt: most steps, damping at which it gives up, and the least diagonal element."""
+"""Levenberg-Marquardt: most steps, damping at which it stops, and the least diagonal element."""
 SETTLED = 1e-9
 """Relative decrease of the cost below which the iteration has converged."""
 LOST_PX = 1e4
-"""Error of a point which a trial pose does not image at all."""
+"""Error of a point that is not imaged at a trial pose [px]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,8 +73,8 @@ class PosesAndPoints:
 
 @dataclass(frozen=True, eq=False)
 class Adjusted:
-    """``scene`` of least squares; ``rms_px`` (g,) of its image errors, an axis, of all instants together (g = 1) or
-    of each (cameras "moving").
+    """``scene``: the least-squares result; ``rms_px`` (g,): rms of its image errors per axis, of all instants
+    together (g = 1) or of each (cameras "moving").
     """
 
     scene: PosesAndPoints
@@ -96,9 +97,9 @@ def intersected(views: Views, rotations: Array, centres: Array) -> Array:
 def adjust(views: Views, start: PosesAndPoints, cameras: Cameras, *, epipoles: bool = True) -> Adjusted:
     """Return the least-squares scene near ``start`` (Levenberg-Marquardt, points eliminated).
 
-    ``epipoles``: use carried points (eq. 7), or leave them (eq. 4). Unknown cameras: the first one keeps its pose,
-    and the size of the scene stays near the start's; both are the datum, which images do not determine. With "fixed"
-    the poses of the start's first instant are those of all.
+    ``epipoles``: whether carried points are used (eq. 7) or not (eq. 4). With unknown cameras the first one keeps its
+    pose, and the size of the scene stays near the start's; both are the datum, which images do not determine. With
+    "fixed" cameras the start's poses at the first instant are used for all.
     """
     task = _Task(views, cameras, epipoles)
     if cameras == "fixed":
@@ -129,7 +130,7 @@ def adjust(views: Views, start: PosesAndPoints, cameras: Cameras, *, epipoles: b
 
 @dataclass(frozen=True, eq=False)
 class _System:
-    """Normal equations of each instant: points' blocks, their coupling to the cameras, and the cameras'."""
+    """Normal equations of each instant: blocks of the points, their coupling to the cameras, and the camera block."""
 
     point: Array  # (t, n, 3, 3)
     point_right: Array  # (t, n, 3)
@@ -265,7 +266,7 @@ class _Task:
 
 
 def image_errors(image: ProjectedPoints, observed: Array) -> tuple[ProjectedPoints, Array]:
-    """Return images and their errors; without slopes and with an error of LOST_PX where a point is not imaged."""
+    """Return images and their errors; where a point is not imaged, derivatives are 0 and the error is LOST_PX."""
     error = observed - image.xy_px
     lost = ~np.isfinite(error).all(axis=1)
     if not lost.any():

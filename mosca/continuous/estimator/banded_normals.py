@@ -1,4 +1,4 @@
-"""Normal equations of curves: block-banded in time, bordered by unknowns that have no time.
+"""Normal equations of curves: block-banded in time, bordered by unknowns that do not depend on time.
 
     [T  B] [x]   [g]
     [B' C] [s] = [h]
@@ -18,9 +18,9 @@ from mosca.data.arrays import Array
 from mosca.numba_support.decorators import kernel
 
 ROUNDING = 1e-13
-"""Of the largest number: what sums of many squares may have lost to rounding."""
+"""Relative rounding error of sums of many squares, as a share of the largest number."""
 BLOCK = 48
-"""Smallest block of the selected inversion: below this the calls cost more than the sums."""
+"""Smallest block of the selected inversion: for smaller ones the calls cost more than the sums."""
 
 
 class Rows(NamedTuple):
@@ -29,13 +29,13 @@ class Rows(NamedTuple):
     first: Array
     """(n,) first coefficient in time that an equation touches."""
     weights: Array
-    """(n, reach) of it and the following coefficients."""
+    """(n, reach) weights of it and the following coefficients."""
     columns: Array
     """(n, v) unknowns of each of these coefficients, -1 for none."""
     values: Array
-    """(n, v) derivatives by them."""
+    """(n, v) derivatives by these unknowns."""
     shared: Array
-    """(n, b) derivatives by the unknowns that have no time."""
+    """(n, b) derivatives by the unknowns that do not depend on time."""
     rest: Array
     """(n,)."""
 
@@ -55,7 +55,7 @@ class Band:
         self.border = np.zeros((count * width, shared))
 
     def add(self, rows: Rows) -> None:
-        """Add the squares of equations."""
+        """Add the normal equations of ``rows``."""
         add_rows(self.band, self.right, self.border, self.width, rows)
 
     def add_prior(self, gram: Array, precision: Array) -> None:
@@ -71,7 +71,7 @@ class Band:
                 into += scale[:, None] * precision[low:, c]
 
     def hold(self, x: Array) -> None:
-        """Hold every unknown where ``x`` (count * width,) has it, as firmly as the largest number's rounding."""
+        """Hold every unknown at ``x`` (count * width,), with a weight of the largest number's rounding error."""
         firm = ROUNDING * self.band[0].max()
         self.band[0] += firm
         self.right += firm * x
@@ -108,10 +108,10 @@ class Factor:
         return np.asarray(found).reshape(random.shape)
 
     def inverse_blocks(self, unknowns: int) -> Array:
-        """Return of T^-1 the blocks between coefficients k + o and k of each triple of unknowns.
+        """Return the blocks of T^-1 between coefficients k + o and k of each triple of unknowns.
 
         (reach, count, unknowns, 3, 3) for o = 0 .. reach - 1 and the first ``unknowns`` triples; zero beyond the end.
-        The inverse within the band follows from L alone, from the end back (Takahashi 1973), here in dense blocks:
+        The inverse within the band is computed from L alone, from the end back (Takahashi 1973), in dense blocks:
         S_kk = L_kk^-T L_kk^-1 + G^T S_(k+1)(k+1) G with G = L_(k+1)k L_kk^-1, and S_(k+1)k = -S_(k+1)(k+1) G.
         """
         blocks = np.zeros((self.reach, self.count, unknowns, 3, 3))
@@ -127,7 +127,7 @@ class Factor:
         return max(self.reach - 1, -(-BLOCK // self.width))
 
     def _inverse(self) -> Iterator[tuple[int, Array, Array | None]]:
-        """Yield from the end back: the first coefficient, T^-1 of its block, and with the next block."""
+        """Yield blocks from the end back: first coefficient, T^-1 within the block, T^-1 with the next block."""
         step = self.step
         after: Array | None = None
         after_size = 0
@@ -145,7 +145,7 @@ class Factor:
             after, after_size = own, size
 
     def _dense(self, row: int, column: int, rows: int, columns: int) -> Array:
-        """Return L between coefficients row.. and column.. as a dense matrix."""
+        """Return the part of L from coefficients ``row`` and ``column`` on as a dense matrix."""
         w = self.width
         i = row * w + np.arange(rows * w)[:, None]
         j = column * w + np.arange(columns * w)[None, :]
@@ -154,7 +154,7 @@ class Factor:
         return np.where(inside, self.lower[np.where(inside, offset, 0), np.broadcast_to(j, offset.shape)], 0.0)
 
     def _keep(self, blocks: Array, dense: Array, row: int, column: int, unknowns: int) -> None:
-        """Copy what lies within reach from S between coefficients row.. and column.. into ``blocks``."""
+        """Copy the part of S from coefficients ``row`` and ``column`` on that lies within reach into ``blocks``."""
         w = self.width
         whole = dense.reshape(len(dense) // w, w, -1, w)[:, : 3 * unknowns, :, : 3 * unknowns]
         triples = whole.reshape(whole.shape[0], unknowns, 3, whole.shape[2], unknowns, 3)
@@ -193,9 +193,9 @@ def solve_bordered(
 def add_rows(band: Array, right: Array, border: Array, width: int, rows: Rows) -> None:  # pragma: no cover
     """Add rows ``rest = J x`` (n,): J^T J into ``band``, J^T rest into ``right``, J^T shared into ``border``.
 
-    ``band[i - j, j]`` (i >= j) holds the lower half. Unknown (k, c) has index k * ``width`` + c. Row r reaches the
-    coefficients ``first[r]`` + a with ``weights[r, a]``, and of each the ``columns[r]`` (-1: none) with
-    ``values[r]``; ``shared`` (n, b) are its derivatives by unknowns that have no time.
+    ``band[i - j, j]`` (i >= j) holds the lower half. Unknown (k, c) has index k * ``width`` + c. Row r depends on the
+    coefficients ``first[r]`` + a with ``weights[r, a]``, and on the unknowns ``columns[r]`` (-1: none) of each with
+    ``values[r]``; ``shared`` (n, b) are its derivatives by unknowns that do not depend on time.
     """
     first, weights, columns, values, shared, rest = rows
     n, reach = weights.shape
@@ -223,10 +223,10 @@ def add_rows(band: Array, right: Array, border: Array, width: int, rows: Rows) -
 def leverages(lower: Array, first: Array, weights: Array, by: Array) -> Array:  # pragma: no cover
     """Return J T^-1 J^T (n, m, m) of each point's m equations.
 
-    J of a point: ``weights`` (n, reach) of the coefficients from ``first`` (n,) on times ``by`` (n, m, width). T = L
-    L^T; ``lower`` (b, count * width) has L as LAPACK stores it. The inverse within the band follows from L alone,
-    from the end back (Takahashi, Fagan and Chin 1973). For narrow bands: ``Factor.inverse_blocks`` takes dense
-    blocks, whose calls cost more here than the sums.
+    J of a point is ``weights`` (n, reach) of the coefficients from ``first`` (n,) on, times ``by`` (n, m, width).
+    T = L L^T; ``lower`` (b, count * width) contains L as LAPACK stores it. The inverse within the band is computed
+    from L alone, from the end back (Takahashi, Fagan and Chin 1973). For narrow bands, as calls for the dense blocks
+    of ``Factor.inverse_blocks`` cost more than the sums there.
     """
     height, size = lower.shape
     inverse = np.zeros((height, size))

@@ -1,8 +1,8 @@
-"""Cameras' clocks: which of their unknowns are free, and which the data do not determine.
+"""Cameras' clocks: unknowns that are estimated, and unknowns that the data do not determine.
 
 Gauge: the first camera's offset and drift are zero (a common shift of time is unobservable); its row time is free.
-Every unknown has the a-priori standard deviation ``BEFORE``; one whose standard deviation the data do not reduce by a
-factor of ``LEAST_GAIN`` or more is held at its value, and reported.
+Every unknown has the a-priori standard deviation ``BEFORE``. If the data do not reduce it by a factor of
+``LEAST_GAIN`` or more, the unknown is held at its value and reported.
 """
 
 import numpy as np
@@ -36,7 +36,7 @@ def undetermined_clocks(places: StateLayout, covariance: Array) -> Array:
 
 
 def prior(places: StateLayout, clocks: Array) -> tuple[Array, Array]:
-    """Return the precision (b,) of the shared unknowns known a priori, and their right side at ``clocks``."""
+    """Return the a-priori precision (b,) of the shared unknowns, and their right side at ``clocks``."""
     precision, right = np.zeros(places.shared), np.zeros(places.shared)
     for c, kind in zip(*np.nonzero(places.clock >= 0), strict=True):
         at = places.clock[c, kind]

@@ -1,9 +1,9 @@
 """Constant distances between points of one limb: found from curves with covariance, and used as observations.
 
-A pair is taken where the distance varies no more than the curves' own uncertainty explains, and where this is
-informative: the vector between the points must itself vary ``TELLING`` times more than the distance does. The
-variance of a distance (soft tissue) is estimated along with the curves: the mean square of distances in sampled
-curves about their mean. A pair taken wrongly so gets a small weight, and is dropped once it is not informative.
+A pair is accepted where the distance varies no more than the curves' own uncertainty explains, and where this is
+informative: the vector between the points must itself vary ``TELLING`` times more than the distance. The variance of
+a distance (soft tissue) is estimated along with the curves: the mean square of distances in sampled curves about
+their mean. So a wrong pair gets a small weight, and is dropped once it is not informative.
 """
 
 from dataclasses import dataclass
@@ -20,18 +20,18 @@ EXPLAINED = 2.0
 """Ratio of a distance's variance over time to its predicted one up to which it counts as constant: errors of curves
 are correlated over several instants, so that few are independent, and many pairs are tested."""
 JUMPS = 0.05
-"""Share of instants left out of the test whether a distance is constant: those where it fits worst. Where points jump
-between exposures the errors of curves exceed their covariance, and one such instant would reject the most rigid
+"""Share of instants, with the worst fit, left out of the test whether a distance is constant. Where points jump
+between exposures, errors of curves exceed their covariance, and one such instant would reject the most rigid
 pair."""
 SMALLEST_SLACK_M = 1e-4
-"""Least standard deviation of a distance that is taken for constant [m]."""
+"""Least standard deviation assumed for a constant distance [m]."""
 MOST_LOOSENED = 10.0
 """Largest ratio of a slack to the observed variation of its distance."""
 FEWEST_INSTANTS = 8
 LONGEST_M = 0.8
-"""Largest distance between two points of one limb."""
+"""Largest distance between two points of one limb [m]."""
 AT_ONCE = 64
-"""Pairs that are examined together, to limit memory."""
+"""Number of pairs that are examined together, to limit memory."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,8 +56,9 @@ NO_PAIRS = Pairs(np.zeros((0, 2), dtype=np.int64), np.zeros(0), np.zeros(0))
 def find_pairs(knots: Knots, xyz: Array, drawn: Array, known: Array, spans: Array) -> Pairs:
     """Return the pairs that stay a constant distance apart.
 
-    ``xyz`` (count, p, 3) the maximum-likelihood curves, ``drawn`` (draws, count, p, 3) samples of the posterior,
-    ``known`` (p,) which points may be taken, ``spans`` (p, 2) first and last instant at which each was seen [s].
+    ``xyz`` (count, p, 3): coefficients of the maximum-likelihood curves; ``drawn`` (draws, count, p, 3): samples of
+    the posterior; ``known`` (p,): which points may be used; ``spans`` (p, 2): first and last instant at which each
+    was seen [s].
     """
     time = knots.breaks_s
     best = values(knots, xyz, time)
@@ -99,8 +100,8 @@ def joined(parts: list[Pairs]) -> Pairs:
 
 
 def learned(pairs: Pairs, knots: Knots, drawn: Array) -> tuple[Pairs, Array]:
-    """Return pairs with distances and slacks as curves of the posterior (draws, count, p, 3) have them, and which of
-    them (m,) still count.
+    """Return pairs with distances and slacks from curves drawn from the posterior (draws, count, p, 3), and which of
+    them (m,) are still informative.
     """
     if not len(pairs):
         return pairs, np.zeros(0, dtype=bool)
@@ -115,16 +116,16 @@ def learned(pairs: Pairs, knots: Knots, drawn: Array) -> tuple[Pairs, Array]:
     length = np.stack(lengths)
     distance = np.median(length.mean(axis=0), axis=0)
     varied = np.sqrt(((length - distance) ** 2).mean(axis=(0, 1)))
-    # over-relaxed EM: a step of twice its length in log scale both ways, never below the floor
+    # over-relaxed EM: a step of twice its length in log scale in both directions, never below the floor
     slack = np.maximum(varied * np.minimum(MOST_LOOSENED, varied / pairs.slack), SMALLEST_SLACK_M)
     return Pairs(pairs.pair, distance, slack), moved > TELLING**2 * slack**2
 
 
 def limb_rows(pairs: Pairs, column: Array, knots: Knots, xyz: Array, shared: int) -> Rows:
-    """Return the equations of constant distances at all knots, linear at curves ``xyz`` (count, p, 3).
+    """Return the equations of constant distances at all knots, linearised at curves ``xyz`` (count, p, 3).
 
-    ``column`` (p,): where each point's unknowns begin in its group, -1 for points of others; pairs across groups are
-    left out.
+    ``column`` (p,): first column of each point's unknowns in the group, -1 for points of other groups; pairs across
+    groups are left out.
     """
     mine = np.asarray((column[pairs.pair] >= 0).all(axis=1))
     pairs = pairs.only(mine)

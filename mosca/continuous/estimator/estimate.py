@@ -1,6 +1,6 @@
-"""Curves of all points, cameras' poses and clocks from all exposures at their own times, with covariances.
+"""Curves of all points, cameras' poses and clocks, from all exposures at their own times, with covariances.
 
-Steps: validate the input -> estimate each point separately, with its smoothness -> all points jointly, with the
+Steps: check the input -> estimate each point separately, with its smoothness -> estimate all points jointly, with the
 covariance of their accelerations -> find and use constant distances -> hold and report unknowns that the data do not
 determine.
 """
@@ -35,25 +35,25 @@ from mosca.data.rig import Rig
 
 __all__ = ["Clock", "ConstantDistance", "ContinuousEstimate", "ContinuousSettings", "estimate"]
 DRAWS = 12
-"""Posterior samples of the curves per round; each has hundreds of accelerations."""
+"""Number of posterior samples of the curves per round; each has hundreds of accelerations."""
 LARGEST_SIGMA0 = 1.5
-"""A posteriori standard deviation of unit weight above which a finding says that the errors are larger than
-stated."""
+"""A posteriori standard deviation of unit weight above which a finding states that errors are larger than stated."""
 JOINED_AT = 1
-"""Round from which the joint prior is good enough to test distances."""
+"""First round in which the joint prior is good enough to test distances."""
 SPOILT = 0.1
-"""Where more than this share of distances is dropped at once, the variances are estimated again."""
+"""If more than this share of distances is dropped at once, the variances are estimated again."""
 SETTLING = 2
-"""In the last rounds, this many, no new distances are searched for: variances of new ones must still converge."""
+"""Number of last rounds without a search for new distances, so that the variances of new ones can converge."""
 ROUNDS_ALONE = 2
 MOST_ROUNDS = 20
 FEWEST_ROUNDS = 4
 STILL = 1e-3
-"""The smallest acceleration that moving cameras are taken to have: rad/s^2 or m/s^2 in a band of one hertz."""
+"""Smallest acceleration assumed for moving cameras: rad/s^2 or m/s^2 in a band of one hertz."""
 AT_REST_M = 2e-4
 """Largest move of a curve in a round [m] below which the rounds may end."""
 NEARLY_ONE = 1.1
-"""Clocks and poses are settled when curves move less than this, and image errors are about as large as stated."""
+"""Factor on the stated image errors below which they are about as large as stated: clocks and poses have converged
+when, in addition, curves move less than AT_REST_M."""
 
 
 def estimate(
@@ -65,10 +65,10 @@ def estimate(
 ) -> ContinuousEstimate:
     """Return the curves of all points that no camera carries, cameras' paths and clocks, with covariances.
 
-    ``rig``: lenses and poses; the poses are right ("known") or a start. ``start``: curves to begin with, ``paths``:
-    cameras' paths to begin with ("moving"), by default the rig's poses. Gauge of unknown cameras: the first stays
-    where the rig has it; the scale is the start's and is reported as unknown. InputError in one line for equal or
-    unsorted time stamps, cameras without common time, too short a recording.
+    ``rig``: lenses and poses; the poses are right ("known") or starting values. ``start``: starting curves;
+    ``paths``: starting paths of "moving" cameras, by default the rig's poses. Gauge of unknown cameras: the first
+    stays at its pose in the rig; the scale is the start's and is reported as unknown. InputError, in one line, for
+    equal or unsorted time stamps, cameras without common time, or too short a recording.
     """
     began = stopwatch.perf_counter()
     settings = ContinuousSettings() if settings is None else settings
@@ -100,7 +100,7 @@ def estimate(
     of_cameras = np.zeros((0, 0))
     if not known:
         state, held, of_cameras = _settled(image, state, points, settings, strength, noise, clock_free)
-        # variances estimated with wrong clocks and poses attribute their errors to motion: estimated again,
+        # variances estimated with wrong clocks and poses attribute their errors to motion: they are estimated again,
         # from rays, since image points far from the initial curves (jumps) have little weight and would never recover
         state = replace(state, smooth=Smoothness(), knots=knots, xyz=xyz)
         state, strength, _ = first_curves(image, state, alone, points, None, False, choice)
@@ -167,10 +167,10 @@ def _settled(
 
 
 def _learned(state: TrajectoryState, places: StateLayout, drawn: list[Array], before: list[Array]) -> list[Array]:
-    """Return the prior's covariance of each group as its drawn curves have it.
+    """Return the prior's covariance of each group, estimated from its drawn curves.
 
-    Expectation-maximisation converges slowly where data determine little, as of cameras that are stationary: their
-    deviations take a step of twice its length, and stay above ``STILL``.
+    Expectation-maximisation converges slowly where data determine little, as for cameras that are stationary. So
+    decreases of cameras' standard deviations take steps of twice the length, and stay above ``STILL``.
     """
     count, result = state.knots.count, []
     for points, curves, old in zip(places.groups, drawn, before, strict=True):
@@ -212,11 +212,11 @@ def _rounds(
             pairs, dropped = _pairs(pairs, state, places, drawn, known, spans, left if k < last - SETTLING else None)
             left |= dropped
             if len(dropped) > SPOILT * had:
-                # false distances bent the curves: variances estimated from them are wrong
+                # false distances distorted the curves: variances estimated from these are wrong
                 covariances, state = before[0], replace(state, pace=before[1])
                 last = min(k + settings.rounds, MOST_ROUNDS - 1)
             elif not had and not len(pairs):
-                # no slowly converging variances: curves alone settle soon
+                # no slowly converging variances: curves alone converge soon
                 last = min(last, JOINED_AT + ROUNDS_ALONE)
     return solved, covariances, pairs
 
@@ -225,9 +225,9 @@ def _pairs(
     pairs: Pairs, state: TrajectoryState, places: StateLayout, drawn: list[Array], known: Array, spans: Array,
     left: set[tuple[int, int]] | None
 ) -> tuple[Pairs, set[tuple[int, int]]]:  # fmt: skip
-    """Return the constant distances as the drawn curves have them, and those that do not hold and were dropped.
+    """Return the constant distances estimated from the drawn curves, and those that were dropped as not informative.
 
-    New ones are searched for, too, but none of ``left``, which were taken once and did not hold; None: not any more.
+    New ones are also searched for, except those in ``left``, which were dropped before; None: no search.
     """
     whole = np.zeros((DRAWS, *state.xyz.shape))
     group = np.full(len(known), -1)

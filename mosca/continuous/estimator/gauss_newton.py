@@ -19,11 +19,11 @@ from mosca.errors import InputError
 
 HALVINGS = 6
 HELD = 1e12
-"""Precision of what is held: far beyond images."""
+"""Precision of unknowns that are held: far above that from images."""
 FRAME = (1e-4, 0.2)
-"""A-priori sigma of moving cameras about their initial path, rad or m per knot: the first, the others."""
+"""A-priori standard deviation of moving cameras about their initial path, rad or m per knot: first, others."""
 DRIFT_OF_FRAME = (1.0, 1.0)
-"""Where no frame is given (cameras unknown) the start holds it, this loosely: rad and m, standard deviations."""
+"""Standard deviations [rad, m] with which the start loosely holds the frame where none is given (unknown cameras)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +68,7 @@ def step(
         x = unknowns(state, places, g)
         band = Band(knots.count, knots.degree + 1, width, places.shared)
         for rows in (own, limb, frame_rows(state, places, g)):
-            # a step from x and the whole of x are the same equations; the prior needs all of x
+            # equations for a step from x and for all of x are equivalent; the prior needs those for all of x
             band.add(rows._replace(rest=rows.rest + rows.applied(x, width)))
         corner += own.shared.T @ own.shared
         corner_right += own.shared.T @ (own.rest + own.applied(x, width))
@@ -78,7 +78,7 @@ def step(
         try:
             factors.append(band.factor())
         except LinAlgError:
-            # directions determined below the rounding errors of the best-determined one: held
+            # hold directions whose information is below the rounding error of the best-determined one
             band.hold(x)
             rights[-1] = band.right
             factors.append(band.factor())
@@ -109,11 +109,11 @@ def add_prior(band: Band, state: TrajectoryState, places: StateLayout, group: in
 
 
 def draws(solved: Solved, places: StateLayout, number: int, rng: np.random.Generator) -> list[Array]:
-    """Return of each group curves drawn from the posterior, (number, count, width)."""
+    """Return for each group curves (number, count, width) drawn from the posterior."""
     shared = np.zeros((places.shared, number))
     if places.shared:
-        # the root by eigenvalues: of unknowns that are held, rounding may leave a variance just below zero. The
-        # symmetric one: signs of the axes are rounding's choice, and would make other draws on another processor
+        # root by eigenvalues: for unknowns that are held, rounding may leave a variance just below zero. The root is
+        # symmetric: signs of the axes depend on rounding, and would give other draws on another processor
         sizes, axes = np.linalg.eigh(solved.covariance)
         random = rng.normal(size=(places.shared, number))
         shared = axes @ (np.sqrt(np.maximum(sizes, 0.0))[:, None] * (axes.T @ random))
@@ -127,10 +127,11 @@ def draws(solved: Solved, places: StateLayout, number: int, rng: np.random.Gener
 
 
 def sigma0(image: ImagePoints, solved: Solved, places: StateLayout, drawn: list[Array]) -> tuple[float, Array]:
-    """Return the residuals' size in the standard deviations that ``step`` took, what was fitted to them taken off, of
-    all and of each camera (c,): the variance components of Helmert and Foerstner.
+    """Return the standard deviation of unit weight of all image points and of each camera (c,), relative to the
+    standard deviations used in ``step``: the variance components of Helmert and Foerstner.
 
-    The fit's degrees of freedom are trace(H^-1 J^T J): the mean square of what drawn curves change in the images.
+    The degrees of freedom of the fit are subtracted. They are trace(H^-1 J^T J), which is the mean square change of
+    the images by drawn curves.
     """
     cameras = len(image.observations.cameras)
     square, number, fitted = np.zeros((3, cameras))
@@ -160,13 +161,12 @@ def curves_of(
     unheld: Array,
     finest_s: float,
 ) -> SplineCurves:
-    """Return the curves of all free points with their covariances; those that were left out are known nowhere.
+    """Return the curves of all free points with their covariances; points that were left out are known nowhere.
 
-    ``covariances``: the prior's; white noise Q of derivative m has the spectrum Q / w^(2 m), of which splines hold
-    what lies below pi / step; the rest is Q step^(2 m - 1) / ((2 m - 1) pi^(2 m)). ``finest_s``: the step that
-    exposures allow; that there is nothing between it and a wider one is what the wider one was chosen by. ``spans``
-    (points, 2): from when to when each point was seen [s]; ``unheld`` (pieces + 1, points, 3, 3): see
-    ``SplineCurves``.
+    ``covariances``: those of the prior. White noise Q of derivative m has the spectrum Q / w^(2 m); splines contain
+    its part below pi / step, and the rest is Q step^(2 m - 1) / ((2 m - 1) pi^(2 m)). ``finest_s``: the step that
+    exposures allow; a wider one was chosen because there is no motion between the two. ``spans`` (points, 2): first
+    and last instant at which each point was seen [s]; ``unheld`` (pieces + 1, points, 3, 3): see ``SplineCurves``.
     """
     state, free = solved.state, observations.free
     knots, n = state.knots, len(observations.points)
@@ -192,7 +192,7 @@ def curves_of(
 
 
 def of_group(image: ImagePoints, places: StateLayout, group: int) -> Array:
-    """Return the mask of the image points whose equations a group holds; carried points are with the first."""
+    """Return the mask of the image points whose equations belong to a group; carried points belong to the first."""
     inside = np.zeros(len(image.observations.points), dtype=bool)
     inside[places.groups[group]] = True
     return np.where(image.carrier >= 0, group == 0, inside[image.observations.point])
@@ -221,19 +221,18 @@ def _shared_prior(places: StateLayout, state: TrajectoryState) -> tuple[Array, A
         precision[:6] += HELD
     matrix = np.diag(precision)
     if places.still_free:
-        # the gauge: the first camera is where the rig has it, and the second's distance to it is the scale
+        # gauge: the first camera stays at its pose in the rig, and the second's distance to it is the scale
         apart = state.still.centres[1] - state.still.centres[0]
         matrix[9:12, 9:12] += HELD * np.outer(apart, apart) / (apart @ apart)
     return matrix, right
 
 
 def frame_rows(state: TrajectoryState, places: StateLayout, group: int) -> Rows:
-    """Return equations that fix the gauge (frame) of moving cameras: weak priors on each at its initial pose, a
-    strong one on the first and on the second's distance to the first.
+    """Return equations that fix the gauge (frame) of moving cameras: weak priors on each at its initial pose, strong
+    ones on the first and on the second's distance to the first.
 
-    Only what the cameras see of each other and of points is observed, so that a common similarity transformation at
-    each instant is undetermined; ``FRAME`` is its standard deviation, far looser than the images where these
-    determine it.
+    Cameras only observe each other and the points, so a common similarity transformation at each instant is
+    undetermined. ``FRAME`` is its standard deviation, far looser than that from images where these determine it.
     """
     knots, moving = state.knots, state.moving
     time, cameras = knots.breaks_s, places.cameras if moving is not None else 0
@@ -288,7 +287,7 @@ def cost(
     pairs: Pairs,
     weight: Array,
 ) -> float:
-    """Return the weighted squares of image errors, of the prior and of constant distances."""
+    """Return the weighted sum of squares of image errors, of the prior and of constant distances."""
     residual = image.residuals(state)[weight > 0]
     if not np.isfinite(residual).all():
         return float("inf")

@@ -16,15 +16,16 @@ from mosca.errors import InputError
 
 FEWEST_SIGHTINGS = 6
 MOST_UNKNOWNS = 600_000
-"""Knots are spread wider where there would be more coefficients than this."""
+"""Most coefficients; knots are spaced wider where there would be more."""
 LARGEST_ROTATION_RAD = 0.7
-"""Cameras that rotate less about their mean rotation are described by vectors about it [rad]."""
+"""Largest rotation about a camera's mean rotation for which it is described by rotation vectors about the mean
+[rad]."""
 CAMERA_START = (3.0, 1.0)
 """A-priori accelerations of a moving camera: rad/s^2 and m/s^2 in a band of one hertz."""
 
 
 def enough(observations: TimedObservations, findings: list[str]) -> Array:
-    """Return the free points that two cameras see often enough, and report which are left out."""
+    """Return the free points that two cameras see often enough, and report those that are left out."""
     points = []
     for p in observations.free:
         own = observations.point == p
@@ -47,7 +48,7 @@ def enough(observations: TimedObservations, findings: list[str]) -> Array:
 def seen_from_to(observations: TimedObservations, time_s: Array) -> Array:
     """Return the first and last instant (points, 2) [s] at which each point was seen, NaN where never.
 
-    ``time_s`` (n,): when each image point was exposed.
+    ``time_s`` (n,): instant of exposure of each image point.
     """
     spans = np.full((len(observations.points), 2), np.nan)
     for p in np.unique(observations.point):
@@ -57,7 +58,7 @@ def seen_from_to(observations: TimedObservations, time_s: Array) -> Array:
 
 
 def first_knots(observations: TimedObservations, settings: ContinuousSettings) -> Knots:
-    """Return knots as far apart as exposures are on average, those of all cameras counted.
+    """Return knots with the mean spacing of the exposures of all cameras.
 
     Cameras that expose together count once: they see the same instant.
     """
@@ -89,12 +90,12 @@ def moving_start(
             good = np.flatnonzero(np.isfinite(given[1][:, k]).all(axis=1))
             if not len(good):
                 raise InputError(f"continuous: the path to begin with of camera '{name}' is empty; leave it out")
-            # before and after what is given, and in gaps: the nearest pose
+            # before and after the given poses, and in gaps: the nearest pose
             nearest = good[np.abs(time[good][None, :] - time[:, None]).argmin(axis=1)]
             rotation[:, c], centre[:, c] = given[0][nearest, k], given[1][nearest, k]
     turns = np.zeros_like(centre)
     for c in range(len(still.cameras)):
-        # about one rotation, so that the variance is estimated of the rotation, not of the initial path's roughness
+        # about one rotation, so that the variance of the rotation is estimated, not the initial path's roughness
         each = Rotation.from_matrix(rotation[:, c])
         away = (each.mean().inv() * each).as_rotvec()
         if np.linalg.norm(away, axis=1).max() < LARGEST_ROTATION_RAD:
@@ -105,7 +106,7 @@ def moving_start(
 
 
 def grouped(state: TrajectoryState, points: Array, settings: ContinuousSettings) -> tuple[Array, ...]:
-    """Return the groups of points that are estimated together: neighbours, so that those of one limb are in one."""
+    """Return the groups of points that are estimated together: neighbours, so that points of a limb share a group."""
     if settings.cameras == "moving" or len(points) <= settings.most_together:
         return (points,)
     at = values(state.knots, state.xyz[:, points], state.knots.breaks_s[:: max(1, state.knots.pieces // 50)])
@@ -116,7 +117,7 @@ def grouped(state: TrajectoryState, points: Array, settings: ContinuousSettings)
 
 
 def first_covariances(points: Array, strength: Array, places: StateLayout) -> list[Array]:
-    """Return the initial covariance of each group's prior: diagonal, of points by their log ``strength``."""
+    """Return the initial covariance of each group's prior: diagonal, for points from their log ``strength``."""
     of_point = dict(zip(points.tolist(), strength, strict=True))
     rotation, centre = CAMERA_START
     of_cameras = np.tile([rotation**2] * 3 + [centre**2] * 3, places.cameras if places.moving else 0)

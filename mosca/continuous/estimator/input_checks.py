@@ -1,4 +1,4 @@
-"""Recordings that cannot be used are refused in one line, before anything is estimated."""
+"""Checks that refuse unusable recordings with a one-line message, before anything is estimated."""
 
 import numpy as np
 
@@ -8,16 +8,16 @@ from mosca.errors import InputError
 
 FEWEST_EXPOSURES = 4
 LEAST_APART_M = 1e-9
-"""Cameras nearer to each other are at one place: rounding of the coordinates."""
+"""Cameras nearer to each other than this are at one place: rounding of the coordinates [m]."""
 LEAST_SIGMA_PX = 1e-6
-"""Image errors below this are less than what pixel coordinates are rounded to."""
+"""Smallest image error [px]: smaller ones are below the rounding of pixel coordinates."""
 
 
 def check(observations: TimedObservations, rig: Rig) -> None:
     """Raise InputError for unknown cameras, equal or unsorted time stamps, no shared time, or too short a recording.
 
-    Cameras share time where their spans overlap; with unknown clocks this is required of the stamps all the same,
-    since an offset is only sought around zero.
+    Cameras share time where their spans overlap. With unknown clocks this is still required of the stamps, since an
+    offset is only searched for around zero.
     """
     for name in observations.cameras:
         rig.camera(name)
@@ -62,7 +62,7 @@ def check(observations: TimedObservations, rig: Rig) -> None:
 
 
 def check_places(cameras: tuple[str, ...], rig: Rig) -> None:
-    """Raise InputError where all cameras stand at one place: their images say nothing of depth."""
+    """Raise InputError where all cameras are at one place: their images do not determine depth."""
     centres = np.array([rig.camera(name).world_from_camera.translation for name in cameras])
     apart = np.linalg.norm(centres - centres[0], axis=1)
     if apart.max() <= LEAST_APART_M:
@@ -73,7 +73,7 @@ def check_places(cameras: tuple[str, ...], rig: Rig) -> None:
 
 
 def _check_errors(observations: TimedObservations, rig: Rig) -> None:
-    """Raise InputError for image points or covariances that are no numbers, and for errors that no image has."""
+    """Raise InputError for image points or covariances that are not finite, and for impossibly small errors."""
     widest = max(max(rig.camera(name).width, rig.camera(name).height) for name in observations.cameras)
     covariance = observations.covariance_px2
     known = np.asarray(np.isfinite(observations.xy_px).all(axis=1) & np.isfinite(covariance).all(axis=(1, 2)))

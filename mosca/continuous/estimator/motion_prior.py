@@ -1,14 +1,14 @@
 """Smoothness prior of the motion, with its strength estimated from the data.
 
 The prior is white noise on the m-th derivative: ``p(x) ~ exp(-1/2 integral x''^T Q^-1 x'' dt)`` for m = 2. The order
-m and the distance of the knots are those that predict left-out image points best: recorded people jerk (the second),
-what swings has a spectrum that ends (high orders, knots no nearer than it needs). High orders leave polynomials of
-high degrees free, which is loose at a take's ends and where only two cameras see a point: below a corner, learned as
-the order is, the speed is white instead. First each point separately: one strength per point, maximising the marginal
-likelihood of its image points (REML: the polynomials on which the prior is flat integrated out). Then Q between all
-coordinates of all points that are estimated together, by expectation-maximisation: Q is the mean of x'' x''^T over
-posterior samples. Points of a body move together, and each exposure constrains only the directions across its lines
-of sight: the full Q provides depth between exposures.
+m and the knot spacing are those that predict left-out image points best. Recorded people jerk (second order); the
+spectrum of swinging motion ends (high orders, and knots no closer than it needs). High orders leave polynomials of
+high degree free, which is loose at a take's ends and where only two cameras see a point. So below a corner frequency,
+learned like the order, the speed is white instead. At first each point is estimated separately: one strength per
+point maximises the marginal likelihood of its image points (REML: the polynomials on which the prior is flat are
+integrated out). Then Q between all coordinates of all points that are estimated together follows by
+expectation-maximisation: Q is the mean of x'' x''^T over posterior samples. Points of a body move together, and each
+exposure constrains only the directions across its lines of sight: the full Q provides depth between exposures.
 """
 
 from dataclasses import dataclass
@@ -24,32 +24,32 @@ from mosca.continuous.model.bspline import Knots, combined
 from mosca.data.arrays import Array
 
 ORDERS = (2, 3, 5, 7)
-"""Derivatives that the prior may take for noise; the spectrum of the motion falls with twice this power."""
+"""Orders of the derivative that the prior may model as noise; the motion's spectrum falls with twice this power."""
 DEGREE = 3
 """Least degree of the splines; at least the prior's order."""
 COARSER = 1.5
-"""Knots that are so many times farther apart, or corners so many times lower, are tried next."""
+"""Factor on the knot spacing, or divisor of the corner frequency, from one trial to the next."""
 CORNERED = 5
-"""Orders from here on are tried with corners, too: lower ones leave only lines and parabolas free."""
+"""Lowest order that is also tried with corners: lower ones leave only lines and parabolas free."""
 RANGE = (-26.0, 21.0)
-"""Logarithms of strengths that are tried, against the image points': beyond, one is lost in the other's rounding."""
+"""Range of log strengths tried, relative to the image points': beyond, one is lost in the other's rounding."""
 REFUSED = 1e30
 """Cost of a strength with which the equations are singular in double precision."""
 LEAST_FREE = 1e-6
-"""Share of an image point's own error that its curve leaves, at least: less is rounding."""
+"""Least share of an image point's own error that its curve does not take up: less is rounding."""
 PACE_S = 0.1
-"""Smoothing width (Gaussian sigma) of the motion's intensity."""
+"""Smoothing width (Gaussian sigma) of the motion's intensity [s]."""
 FARTHEST_M = 100.0
-"""Standard deviation of a point's distance from the origin: negligible, keeps the equations regular."""
+"""Prior standard deviation of a point's distance from the origin [m]: negligible, keeps the equations regular."""
 
 
 @dataclass(frozen=True)
 class Smoothness:
-    """Spectrum that the prior gives to the motion, but for its size: 1 / (w^2m + corner^(2m - 2) w^2), w in rad/s.
+    """Prior spectrum of the motion up to a factor: 1 / (w^2m + corner^(2m - 2) w^2), w in rad/s.
 
-    ``order`` m, the derivative that is white noise at high frequencies; below ``corner`` [rad/s] the speed is. The
-    speed is white noise through Butterworth's filter of m - 1 orders, and was so before the take, too. Without a
-    corner polynomials of m - 1 degrees cost nothing, with one only constants do.
+    ``order`` m: the derivative that is white noise at high frequencies; below ``corner`` [rad/s] the speed is white.
+    The speed is white noise through a Butterworth filter of order m - 1, also before the take. Without a corner,
+    polynomials of degree m - 1 cost nothing; with one, only constants do.
     """
 
     order: int = 2
@@ -64,7 +64,7 @@ class Smoothness:
         return np.append(0.0, butterworth(n)[0] * self.corner ** np.arange(n, -1, -1.0))
 
     def gram(self, knots: Knots, weight: Array | None = None) -> Array:
-        """Return the prior's matrix of one coordinate as ``Knots.gram`` has it."""
+        """Return the prior's matrix of one coordinate, stored as by ``Knots.gram``."""
         banded = knots.gram_of(self.operator, weight)
         begin = self.begin(knots, weight)
         for offset in range(knots.degree + 1):
@@ -73,7 +73,7 @@ class Smoothness:
         return banded
 
     def begin(self, knots: Knots, weight: Array | None = None) -> Array:
-        """Return factors (k, degree + 1) of the first coefficients whose sums have variance 1 beforehand."""
+        """Return factors (k, degree + 1) of the first coefficients whose sums have a prior variance of 1."""
         if self.corner <= 0.0:
             return np.zeros((0, knots.degree + 1))
         n = self.order - 1
@@ -82,20 +82,22 @@ class Smoothness:
         return np.asarray(size * butterworth(n)[1] @ np.array(at))
 
     def weights(self, knots: Knots, time_s: Array) -> tuple[Array, Array]:
-        """Return as ``Knots.weights`` has it the weights of what is white noise."""
+        """Return first coefficients and weights, as ``Knots.weights``, of the quantity that is white noise."""
         parts = [times * knots.weights(time_s, k)[1] for k, times in enumerate(self.operator) if times]
         return knots.weights(time_s)[0], np.asarray(sum(parts))
 
     def rank(self, knots: Knots) -> int:
-        """Return how many coefficients of a coordinate it determines."""
+        """Return the number of coefficients of a coordinate that the prior determines."""
         return knots.count - (self.order if self.corner <= 0.0 else 1)
 
 
 @lru_cache(maxsize=16)
 def butterworth(order: int) -> tuple[Array, Array]:
-    """Return the factors (order + 1,) of the derivatives of Butterworth's filter with a corner of 1 rad/s, that of
-    the highest is 1, and R (order, order) such that R^T R is the precision of its output and that one's derivatives
-    when white noise of intensity 1 has always gone in.
+    """Return the factors (order + 1,) of the derivatives in a Butterworth filter with a corner of 1 rad/s, and R
+    (order, order).
+
+    The factor of the highest derivative is 1. R^T R is the stationary precision of the output and its derivatives for
+    an input of white noise of intensity 1.
     """
     poles = np.exp(1j * np.pi * (2 * np.arange(1, order + 1) + order - 1) / (2 * order))
     factors = np.poly(poles).real[::-1]
@@ -111,10 +113,10 @@ def one_point(
     rows: Rows, knots: Knots, smooth: Smoothness, noise_free: bool = False
 ) -> tuple[Array, float, float, float]:
     """Return the maximum-likelihood coefficients (count, 3) of one point from its equations, the prior's log
-    strength, how many times larger than stated the image errors are, and ``left_out`` of it.
+    strength, the factor by which image errors are larger than stated, and the point's ``left_out``.
 
-    ``noise_free``: image errors may be larger than stated, since clocks or poses are not known yet; they are then as
-    large as is likeliest.
+    ``noise_free``: image errors may be larger than stated, since clocks or poses are not known yet; their size is
+    then estimated by maximum likelihood.
     """
     band = Band(knots.count, knots.degree + 1, 3, 0)
     band.add(rows)
@@ -132,7 +134,7 @@ def one_point(
         whole = data + np.exp(log_strength) * prior
         lower = cholesky_banded(whole, lower=True, check_finite=False)
         x = cho_solve_banded((lower, True), right, check_finite=False)
-        # not total - x right: that is of first order in the rounding errors of x
+        # not total - x right, which is of first order in the rounding errors of x
         of_x = blas.dsbmv(len(whole) - 1, 1.0, whole, x, lower=1)
         misfit = max(total - 2.0 * float(x @ right) + float(x @ of_x), 1e-9 * total)
         likelihood = freedom * np.log(misfit) if noise_free else misfit
@@ -144,7 +146,7 @@ def one_point(
         except LinAlgError:
             return REFUSED
 
-    # the likelihood may have several tops, one of them with all motion taken for noise: what predicts best is taken
+    # the likelihood may have several maxima, one with all motion treated as noise: take the one that predicts best
     ladder = even + np.arange(RANGE[0] + 2, RANGE[1], 4.0)
     costs = np.array([cost(s) for s in ladder])
     tops = (costs <= np.append(np.inf, costs[:-1])) & (costs < np.append(costs[1:], np.inf))
@@ -156,7 +158,7 @@ def one_point(
         _, misfit, x, lower = solved(best)
         noise = float(np.sqrt(max(misfit, LEAST_FREE) / freedom)) if noise_free else 1.0
         predicted = left_out(rows, lower, x, noise)
-        # the strength was in units of the errors that there are
+        # the strength was in units of the actual errors
         results.append((predicted, best - 2 * float(np.log(noise)), noise, x.reshape(-1, 3)))
     if not results:
         return np.zeros((knots.count, 3)), 0.0, 1.0, np.inf
@@ -165,12 +167,12 @@ def one_point(
 
 
 def left_out(rows: Rows, lower: Array, x: Array, noise: float) -> float:
-    """Return -2 log of the density of each image point predicted from all others, added up.
+    """Return the sum of -2 log density of each image point predicted from all others.
 
-    ``rows``: two a point; ``x`` (count * 3,): the coefficients that fit all, with their equations' banded Cholesky
-    factor ``lower``; ``noise``: on the stated errors. Unlike the marginal likelihood it does not depend on how little
-    is known of the polynomials on which a prior is flat, of which priors of high orders have more (Gelfand, Dey and
-    Chang 1992; Rasmussen and Williams 2006, eq. 5.10-5.12).
+    ``rows``: two per image point; ``x`` (count * 3,): coefficients fitted to all, with the banded Cholesky factor
+    ``lower`` of their equations; ``noise``: factor on the stated errors. Unlike the marginal likelihood, the sum does
+    not depend on the uncertainty of the polynomials on which a prior is flat, of which priors of high orders have
+    more (Gelfand, Dey and Chang 1992; Rasmussen and Williams 2006, eq. 5.10-5.12).
     """
     rest = (rows.rest - rows.applied(x, 3)).reshape(-1, 2)
     by = rows.values[:, :3].reshape(-1, 2, 3)
@@ -182,10 +184,10 @@ def left_out(rows: Rows, lower: Array, x: Array, noise: float) -> float:
 
 
 def expected_accelerations(knots: Knots, curves: Array, smooth: Smoothness, pace: Array | None = None) -> Array:
-    """Return the mean of x'' x''^T (w, w) over drawn curves (draws, count, w), as the prior counts it.
+    """Return the mean of x'' x''^T (w, w) over drawn curves (draws, count, w), in the prior's sense.
 
-    ``smooth``: which derivatives count, and how much. By Gauss points of each piece, exact, and over the number of
-    coefficients that the prior determines.
+    ``smooth``: the derivatives used, with their factors. The integral is exact, by Gauss points of each piece, and is
+    divided by the number of coefficients that the prior determines.
     """
     nodes, share = np.polynomial.legendre.leggauss(knots.degree)
     time = (knots.breaks_s[:-1, None] + 0.5 * knots.step_s * (1.0 + nodes)).ravel()
@@ -201,8 +203,8 @@ def expected_accelerations(knots: Knots, curves: Array, smooth: Smoothness, pace
 
 
 def liveliness(knots: Knots, curves: list[Array], covariances: list[Array], smooth: Smoothness) -> Array:
-    """Return how many times more than ``covariances`` state each piece (pieces,) moves, all groups' drawn curves
-    (draws, count, w) together, smoothed over ``PACE_S``.
+    """Return the intensity of the motion in each piece (pieces,) relative to ``covariances``, from the drawn curves
+    (draws, count, w) of all groups together, smoothed over ``PACE_S``.
     """
     middle = 0.5 * (knots.breaks_s[:-1] + knots.breaks_s[1:])
     first, by = smooth.weights(knots, middle)
@@ -218,10 +220,10 @@ def liveliness(knots: Knots, curves: list[Array], covariances: list[Array], smoo
 
 
 def shrunk(covariance: Array, number: int) -> Array:
-    """Return a covariance (w, w) of ``number`` samples with correlations as far towards 0 as their own scatter asks.
+    """Return a covariance (w, w) of ``number`` samples with correlations shrunk towards 0 by their own scatter.
 
-    Schaefer and Strimmer (2005): the correlations' summed variance over their summed square; at least 0.05 so that
-    it can be inverted.
+    Schaefer and Strimmer (2005): shrunk by the correlations' summed variance over their summed square, at least by
+    0.05 so that it can be inverted.
     """
     deviation = np.sqrt(np.maximum(np.diag(covariance), 1e-30))
     correlation = covariance / deviation[:, None] / deviation

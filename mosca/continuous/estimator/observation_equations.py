@@ -1,4 +1,4 @@
-"""Equations of image points: each at its own instant, of its own camera's pose then."""
+"""Observation equations of image points, each at its own instant with its camera's pose at that instant."""
 
 from dataclasses import dataclass
 
@@ -13,15 +13,16 @@ from mosca.data.arrays import Array
 from mosca.data.rig import Camera, Pose, Rig
 
 MOMENT_S = 1e-5
-"""Step of the derivative by time; positions are smooth over it and far above rounding."""
+"""Step of the derivative by time [s]; positions are smooth over it, and their change is far above rounding."""
 HUBER = 3.0
 """Huber's limit: larger image errors, in standard deviations, are downweighted."""
 
 
 @dataclass(frozen=True, eq=False)
 class LinearisedImages:
-    """Image points at a state: ``residual`` (n, 2) in standard deviations, NaN where the lens images nothing;
-    ``rows`` 2 n equations with whole-problem columns (3 a point, then 6 a moving camera), not yet weighted.
+    """Image points at a state: ``residual`` (n, 2) in standard deviations, NaN where the lens does not image the
+    point; ``rows``: 2 n equations with columns of the whole problem (3 per point, then 6 per moving camera), not yet
+    weighted.
     """
 
     residual: Array
@@ -30,7 +31,7 @@ class LinearisedImages:
 
 @dataclass(frozen=True, eq=False)
 class _Near:
-    """Image points in their cameras' frames: ``v`` (n, 3), and the poses and carried points they were made with."""
+    """Image points' positions in their cameras' frames, ``v`` (n, 3), with the poses and rotation vectors used."""
 
     v: Array
     rotation: Array
@@ -40,7 +41,7 @@ class _Near:
 
 
 class ImagePoints:
-    """Image points with what does not change while estimating: whitening, lenses, carriers."""
+    """Image points with data that are constant during the estimate: whitening, lenses, carriers."""
 
     def __init__(self, observations: TimedObservations, rig: Rig) -> None:
         self.observations = observations
@@ -54,7 +55,7 @@ class ImagePoints:
         self.mask = [observations.camera == c for c in range(len(self.lenses))]
 
     def times(self, state: TrajectoryState) -> Array:
-        """Return when each image point was exposed [s]."""
+        """Return the instant of exposure (n,) of each image point [s]."""
         o = self.observations
         offset, drift, row_time = state.clocks[o.camera].T
         return np.asarray(offset + (1 + drift) * o.time_s + row_time * o.xy_px[:, 1])
@@ -68,7 +69,7 @@ class ImagePoints:
 
     def _poses(self, state: TrajectoryState, time_s: Array) -> tuple[Array, Array, Array, Array]:
         """Return all cameras' rotations (k, c, 3, 3), centres and estimated rotation vectors (k, c, 3) at k instants,
-        and which of them each of ``time_s`` (n,) is.
+        and the index (n,) among these of each of ``time_s`` (n,).
         """
         if state.moving is None:
             still = state.still
@@ -95,7 +96,7 @@ class ImagePoints:
         return _Near(v, rotation, rotations[other], turns[own], turns[other])
 
     def rays(self, state: TrajectoryState, depth: Array) -> LinearisedImages:
-        """Return equations linear in the points: how far rays pass by, in the image at a ``depth`` (n,) [m]."""
+        """Return equations linear in the points: distances from rays, as image errors at a ``depth`` (n,) [m]."""
         o = self.observations
         time_s = self.times(state)
         directions = np.full((len(o), 3), np.nan)
@@ -176,8 +177,8 @@ class ImagePoints:
 def robust_weights(residual: Array) -> Array:
     """Return the robust weight of each image point (n,): 1 up to ``HUBER`` deviations, then falling with the square.
 
-    Deviations are in units of the residuals' median where that is larger than stated, so that a poor initial value
-    does not reject everything. NaN has weight 0.
+    Deviations are scaled by the residuals' median where that is larger than stated, so that a poor initial value does
+    not reject all points. NaN has weight 0.
     """
     size = np.linalg.norm(residual, axis=1)
     known = np.isfinite(size)

@@ -2,12 +2,12 @@
 
 Jitter: recorded motion has components above the exposure rate, which curves fit at exposures and miss between them.
 Their variance is estimated from the residuals of a very smooth curve (the third derivative white) by REML. One value
-is used at all times: at exposures, where the jitter is observed, it is too large; between them, where curves
-interpolate their neighbours' jitter, it may be too small.
+is used at all times. At exposures, where the jitter is observed, it is too large; between them, where curves
+interpolate the jitter of neighbouring exposures, it may be too small.
 
 Time-correlated image errors (lens, calibration, a lamp's shape seen from one side) do not average out over exposures.
-The autocovariance of a camera's residuals of one point, some exposures apart, gives their share; their effect on a
-point is that of an error of this size in one exposure of each camera.
+Their share is estimated from the autocovariance of a camera's residuals of one point at lags of some exposures. Their
+effect on a point is that of an error of this size in one exposure of each camera.
 """
 
 import numpy as np
@@ -22,17 +22,17 @@ from mosca.data.arrays import Array
 CHANCE = 3.0
 """Least excess of variances over the stated ones, in standard deviations, to count as significant."""
 LATER = range(3, 9)
-"""Lag of the autocovariance, in exposures: beyond the correlation that the fit itself causes."""
+"""Lags of the autocovariance, in exposures: beyond the correlation that the fit itself causes."""
 LEAST_SHOWN = 1 / 4
-"""Share of time-correlated errors that residuals show where two cameras see every point."""
+"""Least share of time-correlated errors that residuals show: where two cameras see every point."""
 EXPOSURE_GROUP_S = 0.5
-"""Bins of time within which the set of cameras that see a point counts as constant [s]."""
+"""Length of time bins within which the set of cameras that see a point is assumed constant [s]."""
 
 
 def unheld(image: ImagePoints, solved: Solved, places: StateLayout, alone: StateLayout, points: Array) -> Array:
     """Return covariances (pieces + 1, all points, 3, 3) [m^2] at the knots, to be added to those of the curves.
 
-    ``points``: those that are estimated; ``alone``: the layout in which each is a group of its own.
+    ``points``: the estimated ones; ``alone``: the layout in which each point is a group of its own.
     """
     knots = solved.state.knots
     total = np.zeros((knots.pieces + 1, len(image.observations.points), 3, 3))
@@ -46,10 +46,10 @@ def unheld(image: ImagePoints, solved: Solved, places: StateLayout, alone: State
 
 
 def of_lenses(image: ImagePoints) -> Array:
-    """Return the residual errors of the lens models that the calibration states, of each camera (c,), in the
-    variances stated, which contain it: the least time-correlated variance.
+    """Return the variance of each camera's lens model errors (c,), as the calibration states it, relative to the
+    stated image variance, which contains it: the least time-correlated variance.
 
-    Of errors that a curve takes up, or that change as a point moves on, residuals show too little.
+    Residuals show too little of errors that a curve takes up, or that change as a point moves on.
     """
     o = image.observations
     number = np.maximum(np.bincount(o.camera, minlength=len(o.cameras)), 1)
@@ -58,10 +58,11 @@ def of_lenses(image: ImagePoints) -> Array:
 
 
 def jitter(image: ImagePoints, solved: Solved, alone: StateLayout, points: Array, share: float) -> Array:
-    """Return the variance (points,) an axis [m^2] of motion above the exposures' rate.
+    """Return the variance (points,) per axis [m^2] of motion above the exposures' rate.
 
-    ``share``: of time-correlated errors in the stated variances; changing cameras make them look like jitter. Where a
-    prior of a higher order predicts left-out image points better, the motion's spectrum ends below that rate.
+    ``share``: share of time-correlated errors in the stated variances, which look like jitter when the cameras that
+    see a point change. Where a prior of a higher order predicts left-out image points better, the motion's spectrum
+    ends below that rate.
     """
     if solved.state.smooth.order > JITTER_ORDER:
         return np.zeros(len(points))
@@ -71,9 +72,9 @@ def jitter(image: ImagePoints, solved: Solved, alone: StateLayout, points: Array
 
 
 def time_correlated_variance(image: ImagePoints, solved: Solved) -> float:
-    """Return the variance of time-correlated image errors, in the variances stated; 0 where chance explains it.
+    """Return the variance of time-correlated image errors relative to the stated ones; 0 where chance explains it.
 
-    Where C cameras see a point, its curve takes up 3 of 2 C parts of such errors, the residuals show the others.
+    Where C cameras see a point, its curve takes up 3 of 2 C parts of such errors; the residuals show the rest.
     """
     o = image.observations
     rest = np.clip(np.nan_to_num(solved.residual), -HUBER, HUBER)
@@ -94,7 +95,7 @@ def time_correlated_variance(image: ImagePoints, solved: Solved) -> float:
     if not number or not own:
         return 0.0
     size = float(np.mean(rest**2))
-    # the same residuals are compared several times
+    # the same residuals are used at several lags
     chance = CHANCE * size * np.sqrt(len(LATER) / number)
     return alike / own if alike / number > chance else 0.0
 
@@ -103,10 +104,11 @@ def covariance_of_shared(image: ImagePoints, solved: Solved, places: StateLayout
     """Return the covariance (b, b) of the shared unknowns (clocks, poses of fixed cameras), larger where image errors
     do not average out.
 
-    What the residuals of one point in one camera do to an unknown together, summed over all as if these pairs were
-    independent: the covariance for errors that are correlated in any way within a pair (Liang and Zeger 1986), of a
-    lens or of what is taken for the point. The covariance grows by the mean ratio of the variances, where chance does
-    not explain it. Of such errors the curves take up a part, as in ``time_correlated_variance``.
+    The joint effects on an unknown of all residuals of one point in one camera are summed as if these pairs were
+    independent. This gives the covariance for errors that are correlated in any way within a pair (Liang and Zeger
+    1986): of a lens, or of the image taken for the point. The given covariance is multiplied by the mean ratio of the
+    variances, where chance does not explain it. The curves take up a part of such errors, as in
+    ``time_correlated_variance``.
     """
     o, shared = image.observations, places.shared
     if not shared:
@@ -122,7 +124,7 @@ def covariance_of_shared(image: ImagePoints, solved: Solved, places: StateLayout
     seen_by = seen.sum(axis=1)
     shown = float(np.average(np.maximum(2 * seen_by - 3, 0) / np.maximum(2 * seen_by, 1), weights=seen_by))
     influence = by_pair @ solved.covariance
-    # of all unknowns together: a single one's is as uncertain as the few pairs leave it
+    # mean over all unknowns: the ratio of a single one is uncertain, as there are few pairs
     ratio = float(np.mean((influence**2).sum(axis=0) / np.diag(solved.covariance)))
     if ratio <= 1.0 + CHANCE * np.sqrt(2.0 / max(int(seen.sum()), 1)):
         return solved.covariance
@@ -130,11 +132,10 @@ def covariance_of_shared(image: ImagePoints, solved: Solved, places: StateLayout
 
 
 def time_correlated_covariances(image: ImagePoints, solved: Solved, places: StateLayout, share: Array) -> Array:
-    """Return at the knots the covariances (pieces + 1, all points, 3, 3) [m^2] that time-correlated errors give to
-    points.
+    """Return the covariances (pieces + 1, all points, 3, 3) [m^2] of points at the knots by time-correlated errors.
 
-    ``share`` (c,): of each camera's errors, in the variances stated. They do what errors of one exposure of each
-    camera that sees a point then would do; where cameras move, to their poses, too.
+    ``share`` (c,): share of these errors in each camera's stated variances. Their effect is that of errors in one
+    exposure of each camera that sees a point at the time; where cameras move, also on their poses.
     """
     o, knots = image.observations, solved.state.knots
     bins = max(1, round((knots.end_s - knots.start_s) / EXPOSURE_GROUP_S))
@@ -159,14 +160,15 @@ def time_correlated_covariances(image: ImagePoints, solved: Solved, places: Stat
 
 
 def _each_alone(by: Array, at: tuple[Array, ...], share: Array, shape: tuple[int, int, int]) -> Array:
-    """Return covariances (bins, points, 3, 3) of points as seen by cameras at their own poses.
+    """Return covariances (bins, points, 3, 3) of points for cameras with known poses.
 
-    ``by`` (n, 2, 3) whitened derivatives; ``at`` bin, point and camera of each image point; ``shape`` their numbers.
+    ``by`` (n, 2, 3): whitened derivatives; ``at``: bin, point and camera of each image point; ``shape``: their
+    numbers.
     """
     information, count = np.zeros((*shape, 3, 3)), np.zeros(shape)
     np.add.at(information, at, np.swapaxes(by, 1, 2) @ by)
     np.add.at(count, at, 1)
-    # where fewer than two cameras see a point: what cameras see of it at other times
+    # where fewer than two cameras see a point: use its images at other times
     few = (count > 0).sum(axis=2) < 2
     ever = information.sum(axis=0) / np.maximum(count.sum(axis=0), 1)[..., None, None]
     mean = np.where(few[..., None, None, None], ever, information / np.maximum(count, 1)[..., None, None])
@@ -183,13 +185,13 @@ def _with_poses(
 ) -> Array:
     """Return covariances (bins, points, 3, 3) of points and moving cameras together.
 
-    ``columns`` (n, k) of the group, the first 3 per point those of ``points``, and ``by`` (n, 2, k) whitened
-    derivatives of each image point; ``at`` its bin, point and camera; ``held`` for each bin the equations (m, width)
-    that hold the frame.
+    ``columns`` (n, k): columns of the group, of which the first 3 per point are those of ``points``; ``by``
+    (n, 2, k): whitened derivatives of each image point; ``at``: its bin, point and camera; ``held``: for each bin the
+    equations (m, width) that hold the frame.
     """
     bins, width = len(held), held[0].shape[1]
     bin_of, point, camera = at
-    # a column more takes what is held
+    # one additional column receives the derivatives by held unknowns
     spread = np.zeros((len(by), 2, width + 1))
     np.put_along_axis(spread, np.repeat(np.where(columns < 0, width, columns)[:, None], 2, axis=1), by, axis=2)
     pair, of = np.unique(camera * (int(point.max(initial=0)) + 1) + point, return_inverse=True)

@@ -1,4 +1,4 @@
-"""Initial curves: each point separately, from its rays at their own instants. Linear: needs no initial guess."""
+"""Initial curves: each point separately, from its rays at their own instants; linear, without an initial guess."""
 
 from dataclasses import dataclass, replace
 
@@ -14,19 +14,19 @@ from mosca.data.arrays import Array
 
 RAY_PASSES = 2
 NEAREST_M = 0.05
-"""Least depth [m] that an image's weight is computed with: points are not nearer to a lens."""
+"""Least depth [m] used for an image's weight: points are not nearer to a lens."""
 JUDGES = 12
-"""Points at most by which order and knots are chosen."""
+"""Most points from which order and knots are chosen."""
 JITTER_ORDER = 3
-"""Order of the prior against which motion above the exposures' rate shows."""
+"""Order of the smooth prior relative to which motion above the exposures' rate is estimated."""
 
 
 @dataclass(frozen=True)
 class Choice:
-    """What may be chosen of the prior. ``finest``: knots; ``free_knots``: wider ones, too.
+    """Properties of the prior that may be chosen. ``finest``: knots; ``free_knots``: whether wider ones are allowed.
 
-    ``corners``: not where clocks are taken as right; wrong ones look like motion of high frequencies, which a corner
-    admits, and without one the residuals tell.
+    ``corners``: whether corner frequencies are allowed. They are not where clocks are assumed right: wrong clocks
+    look like motion of high frequencies, which a corner admits; without a corner the residuals show them.
     """
 
     finest: Knots
@@ -43,12 +43,12 @@ def first_curves(
     noise_free: bool,
     choice: Choice,
 ) -> tuple[TrajectoryState, Array, float]:
-    """Return the state with curves of ``points`` (indices), each one's log strength of smoothness, and how many times
-    larger than stated image errors are (1 unless ``noise_free``).
+    """Return the state with curves of ``points`` (indices), each one's log strength of smoothness, and the factor by
+    which image errors are larger than stated (1 unless ``noise_free``).
 
-    Rays weighed by a guessed depth first (the distance of the point nearest to all axes), then by the depth found,
-    then image errors themselves. Then order, the distance of the knots and the corner, where there is a ``choice``,
-    are those that predict best. ``start``: curves to linearise at instead.
+    Rays are first weighted by a guessed depth (the distance of the point nearest to all axes), then by the estimated
+    depth; then image errors themselves are used. Order, knot spacing and corner are those that predict best, as far
+    as ``choice`` allows. ``start``: curves at which to linearise instead.
     """
     if start is not None:
         xyz = np.array(state.xyz)
@@ -61,7 +61,7 @@ def first_curves(
                 depth = np.maximum(image.depths(state), NEAREST_M)
             seen = image.rays(state, depth)
             usable = np.isfinite(seen.residual).all(axis=1).astype(float)
-            # maximum-likelihood noise: a smooth curve, against which gross errors show
+            # maximum-likelihood noise gives a smooth curve, from which gross errors stand out
             state = _each_point(image, seen, state, usable, points, True)[0]
     seen = _of_whole_points(image, state, places)
     weight = robust_weights(seen.residual)
@@ -74,10 +74,10 @@ def _likeliest(
     image: ImagePoints, seen: LinearisedImages, state: TrajectoryState, weight: Array, points: Array,
     noise_free: bool, choice: Choice
 ) -> tuple[TrajectoryState, LinearisedImages]:  # fmt: skip
-    """Return the state with order, knots and corner that predict left-out image points of some points best, and the
-    equations with these.
+    """Return the state with the order, knots and corner that predict left-out image points of some points best, and
+    the equations for these.
 
-    Where knots are not free, orders that their degree has are compared.
+    Where knots are not free, the orders that their degree allows are compared.
     """
     some = points[np.unique(np.linspace(0, len(points) - 1, JUDGES).astype(int))]
 
@@ -89,13 +89,13 @@ def _likeliest(
 
     best = np.inf, state, seen
     for order in ORDERS:
-        # all of them: rounding spoils the predictions of high orders on near knots, which then decide nothing
+        # try all knots: rounding spoils predictions of high orders on close knots, so these must not end the search
         candidates = [tried(order, knots) for knots in _ladder(choice, order)]
         if not candidates:
             continue
         own = min(candidates, key=_score)
         if choice.corners and order >= CORNERED and np.isfinite(own[0]):
-            # from the highest that these knots hold: far below the motion's own spectrum a corner changes nothing
+            # start from the highest corner of these knots: far below the motion's spectrum a corner has no effect
             corner, before = np.pi / own[1].knots.step_s, np.inf
             while (other := tried(order, own[1].knots, corner))[0] < before:
                 own, before = min(own, other, key=_score), other[0]
@@ -109,9 +109,7 @@ def _score(candidate: tuple[float, TrajectoryState, LinearisedImages]) -> float:
 
 
 def _ladder(choice: Choice, order: int) -> list[Knots]:
-    """Return the knots that may be had with a prior of ``order``, nearest first, each ``COARSER`` than the one before
-    it.
-    """
+    """Return the possible knots for a prior of ``order``, finest first, each ``COARSER`` times wider than before."""
     finest = choice.finest
     if not choice.free_knots:
         return [finest] if order <= finest.degree else []
@@ -123,7 +121,7 @@ def _ladder(choice: Choice, order: int) -> list[Knots]:
 
 
 def _on_knots(image: ImagePoints, seen: LinearisedImages, state: TrajectoryState) -> LinearisedImages:
-    """Return equations of whole points with the coefficients that ``state`` has."""
+    """Return equations of whole points for the knots of ``state``."""
     first, weight = state.knots.weights(image.times(state))
     rows = seen.rows._replace(first=np.repeat(first, 2), weights=np.repeat(weight, 2, axis=0))
     return LinearisedImages(seen.residual, rows)
@@ -132,12 +130,13 @@ def _on_knots(image: ImagePoints, seen: LinearisedImages, state: TrajectoryState
 def smoothest_noise(
     image: ImagePoints, state: TrajectoryState, places: StateLayout, points: Array
 ) -> tuple[Array, Array, Array]:
-    """Return of ``points``, each as smooth as ``JITTER_ORDER`` has it: how many times larger than stated its
-    image errors then are, the mean square of an image coordinate's derivative by position [1/m^2], and their number.
+    """Return for each of ``points``, with curves of order ``JITTER_ORDER``: the factor by which image errors are then
+    larger than stated, the mean square of an image coordinate's derivative by position [1/m^2], and the number of
+    image coordinates.
     """
     seen = _of_whole_points(image, state, places)
     smooth = replace(state, smooth=Smoothness(JITTER_ORDER))
-    # jumps are rare and far larger than what is left elsewhere: found by a first pass, they count less in the second
+    # jumps are rare and far larger than other residuals: found in a first pass, they get less weight in the second
     once = _each_point(image, seen, smooth, robust_weights(seen.residual), points, True)[0]
     noise = _each_point(image, seen, smooth, robust_weights(image.residuals(once)), points, True)[2]
     square = (seen.rows.values[:, :3] ** 2).sum(axis=1).reshape(-1, 2).sum(axis=1) / 2
@@ -163,7 +162,7 @@ def _each_point(
 
 
 def _of_whole_points(image: ImagePoints, state: TrajectoryState, places: StateLayout) -> LinearisedImages:
-    """Return equations at ``state`` in the points' coefficients instead of their increments."""
+    """Return equations at ``state`` in the coefficients of the points instead of in their increments."""
     seen = image.linearised(state, places)
     rows = seen.rows
     only = rows._replace(columns=rows.columns[:, :3], values=rows.values[:, :3], shared=np.zeros((len(rows.rest), 0)))
@@ -192,7 +191,7 @@ def _following(curves: Curves, names: tuple[str, ...], points: Array, knots: Kno
         given = at[:, curves.points.index(names[p])]
         good = np.isfinite(given).all(axis=1)
         if good.sum() >= 2:
-            # gaps and ends: the nearest known position
+            # in gaps and at the ends: interpolated between, or held at, the nearest known positions
             filled = np.column_stack([np.interp(time, time[good], given[good, k]) for k in range(3)])
             result[:, n] = fitted(knots, time, filled)
     return result

@@ -14,9 +14,9 @@ from mosca.data.rotations import rotation_from_vector
 
 @dataclass(frozen=True, eq=False)
 class TrajectoryState:
-    """Current values. ``xyz`` (count, points, 3) coefficients of all points, carried ones unused; cameras either
-    ``still`` or ``moving``; ``clocks`` (cameras, 3): offset [s], drift, row time [s]. ``pace`` (pieces,): variance of
-    the acceleration relative to its mean; None: constant.
+    """Current values. ``xyz`` (count, points, 3): coefficients of all points, those of carried ones unused; cameras
+    are either ``still`` or ``moving``; ``clocks`` (cameras, 3): offset [s], drift, row time [s]. ``pace`` (pieces,):
+    variance of the acceleration relative to its mean; None: constant.
     """
 
     knots: Knots
@@ -29,7 +29,7 @@ class TrajectoryState:
 
     @property
     def pace_at_knots(self) -> Array:
-        """``pace`` (pieces + 1,) at the knots: the mean of the pieces that meet there."""
+        """``pace`` (pieces + 1,) at the knots: the mean of the adjacent pieces."""
         pace = np.ones(self.knots.pieces) if self.pace is None else self.pace
         result: Array = (np.append(pace[0], pace) + np.append(pace, pace[-1])) / 2
         return result
@@ -44,9 +44,9 @@ class TrajectoryState:
 class StateLayout:
     """Index layout of the unknowns.
 
-    ``groups``: coupled points, each group a band of 3 columns per point; with ``moving`` cameras one group, 6 more
-    columns a camera. Without time: 6 a camera where ``still_free``, then ``clock`` (cameras, 3) indices of free clock
-    unknowns, -1 where held; ``shared`` of them altogether.
+    ``groups``: coupled points, each group a band of 3 columns per point; with ``moving`` cameras there is one group,
+    with 6 more columns per camera. Unknowns that do not depend on time: 6 per camera where ``still_free``, then the
+    free clock unknowns with indices ``clock`` (cameras, 3), -1 where held; ``shared``: their total number.
     """
 
     groups: tuple[Array, ...]
@@ -61,7 +61,7 @@ class StateLayout:
         return 3 * len(self.groups[group]) + (6 * self.cameras if self.moving else 0)
 
     def column(self, group: int, points: int) -> Array:
-        """Return the first column of each of all ``points`` in a group, -1 where it is not in it."""
+        """Return the first column of each of all ``points`` in a group, -1 for points that are not in it."""
         at = np.full(points, -1)
         at[self.groups[group]] = 3 * np.arange(len(self.groups[group]))
         return at
@@ -86,7 +86,7 @@ def unknowns(state: TrajectoryState, places: StateLayout, group: int) -> Array:
 def replaced(
     state: TrajectoryState, places: StateLayout, coefficients: list[Array], shared: Array
 ) -> TrajectoryState:
-    """Return the state with new ``coefficients`` of each group, and ``shared`` added to what has no time."""
+    """Return the state with new ``coefficients`` of each group, and ``shared`` added to time-independent unknowns."""
     xyz, moving = np.array(state.xyz), state.moving
     for g, (points, vector) in enumerate(zip(places.groups, coefficients, strict=True)):
         table = vector.reshape(state.knots.count, places.width(g))

@@ -1,8 +1,8 @@
 """Uniform B-splines in time: values, derivatives, and the exact integral of a squared derivative.
 
 A curve is ``x(t) = sum_k c_k N((t - start) / step + degree - k)`` with the cardinal B-spline ``N`` of ``degree`` on
-[0, degree + 1] (de Boor 1978). All pieces are equal, so that one small matrix maps a position within a piece to the
-weights of the ``degree + 1`` coefficients that reach it.
+[0, degree + 1] (de Boor 1978). All pieces are equal, so one small matrix maps a position within a piece to the
+weights of the ``degree + 1`` coefficients that affect it.
 """
 
 from dataclasses import dataclass
@@ -32,7 +32,7 @@ class Knots:
 
     @property
     def end_s(self) -> float:
-        """Where the last piece ends [s]."""
+        """End of the last piece [s]."""
         return self.start_s + self.pieces * self.step_s
 
     @property
@@ -41,12 +41,12 @@ class Knots:
         return self.start_s + self.step_s * np.arange(self.pieces + 1)
 
     def covers(self, time_s: Array) -> Array:
-        """Return which instants (n,) the curve is defined at; a rounding error beyond the ends is allowed."""
+        """Return at which instants (n,) the curve is defined; a rounding error beyond the ends is allowed."""
         t, slack = np.asarray(time_s), 1e-9 * self.step_s
         return np.asarray((t >= self.start_s - slack) & (t <= self.end_s + slack))
 
     def weights(self, time_s: Array, derivative: int = 0) -> tuple[Array, Array]:
-        """Return of instants (n,) the first coefficient (n,) and the weights (n, degree + 1) from it on.
+        """Return for instants (n,) the first coefficient (n,) and the weights (n, degree + 1) from it on.
 
         ``derivative``: weights of that derivative by time [1/s^derivative]. Instants outside are extrapolated from
         the first or last piece.
@@ -61,13 +61,13 @@ class Knots:
     def gram(self, derivative: int, weight: Array | None = None) -> Array:
         """Return the matrix G of ``integral of (d^m x / dt^m)^2 dt = c^T G c`` over all pieces, lower banded.
 
-        ``gram[o, k]`` is G between coefficients k + o and k, (degree + 1, count); exact. ``weight`` (pieces,): how
-        much each piece's integral counts.
+        ``gram[o, k]`` is G between coefficients k + o and k, (degree + 1, count); exact. ``weight`` (pieces,): weight
+        of each piece's integral.
         """
         return self.gram_of(np.eye(derivative + 1)[derivative], weight)
 
     def gram_of(self, operator: Array, weight: Array | None = None) -> Array:
-        """Return as ``gram`` has it the matrix of the integral of (sum over k of ``operator``[k] d^k x / dt^k)^2."""
+        """Return the matrix, stored as by ``gram``, of the integral of (sum_k ``operator``[k] d^k x / dt^k)^2."""
         piece = np.zeros((self.degree + 1, self.degree + 1))
         for k, times in enumerate(operator):
             one = _derived(self.degree, k)
@@ -83,13 +83,13 @@ class Knots:
 
 
 def knots_over(start_s: float, end_s: float, step_s: float, degree: int = 5) -> Knots:
-    """Return knots from ``start_s`` to ``end_s``, at most ``step_s`` apart, so that both ends are knots."""
+    """Return knots from ``start_s`` to ``end_s``, at most ``step_s`` apart; both ends are knots."""
     pieces = max(1, ceil((end_s - start_s) / step_s - 1e-9))
     return Knots(start_s, (end_s - start_s) / pieces, pieces, degree)
 
 
 def values(knots: Knots, coefficients: Array, time_s: Array, derivative: int = 0) -> Array:
-    """Return curves (n, ...) at instants (n,), of ``coefficients`` (count, ...)."""
+    """Return the values (n, ...) at instants (n,) of the curves with ``coefficients`` (count, ...)."""
     return combined(*knots.weights(time_s, derivative), np.asarray(coefficients))
 
 
@@ -109,7 +109,7 @@ def fitted(knots: Knots, time_s: Array, places: Array) -> Array:
         np.add.at(right, first + a, weight[:, a, None] * flat)
         for b in range(a + 1):
             np.add.at(band[a - b], first + b, weight[:, a] * weight[:, b])
-    # coefficients that nothing touches are 0
+    # coefficients that no instant depends on are 0
     band[0] += 1e-12 * band[0].max()
     return np.asarray(solveh_banded(band, right, lower=True).reshape(knots.count, *np.shape(places)[1:]))
 
@@ -119,6 +119,6 @@ def _derived(degree: int, derivative: int) -> Array:
     """Return the matrix from powers of the position in a piece (0 to 1) to the weights' derivatives."""
     spline = BSpline.basis_element(np.arange(degree + 2.0), extrapolate=False)
     pieces = PPoly.from_spline((spline.t, spline.c, degree)).derivative(derivative)
-    # the piece [k, k + 1] of N belongs to the coefficient that started k pieces ago
+    # the piece [k, k + 1] of N belongs to the coefficient whose spline started k pieces ago
     inner = pieces.c[::-1, (pieces.x[:-1] >= 0) & (pieces.x[:-1] <= degree) & (np.diff(pieces.x) > 0)]
     return np.ascontiguousarray(inner.T[::-1])

@@ -1,4 +1,4 @@
-"""Cameras' exterior orientations over time: cameras that are stationary, and poses between those of some instants."""
+"""Cameras' exterior orientations over time: stationary cameras, and poses interpolated between given instants."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -45,7 +45,7 @@ class _Between:
 
 @dataclass(frozen=True, eq=False)
 class PosedCameras:
-    """Poses known at ``time_s`` (t,), between them interpolated (``kind``); NaN outside and where none is known.
+    """Poses known at ``time_s`` (t,) and interpolated in between (``kind``); NaN outside and where none is known.
 
     "linear": straight lines and great arcs (slerp); "cubic": splines with continuous acceleration, of rotations too.
     """

@@ -16,28 +16,28 @@ class ContinuousSettings:
     """Settings of the continuous-time estimate."""
 
     clocks: Literal["known", "offset", "drift", "rolling"] = "known"
-    """"known": time stamps are right; else what is estimated of each camera's clock: "offset", offset and "drift",
-    or also the rolling shutter's row time ("rolling")."""
+    """"known": time stamps are right. Otherwise the unknowns of each camera's clock that are estimated: "offset";
+    "drift", offset and drift; "rolling", also the rolling shutter's row time."""
     cameras: Literal["known", "fixed", "moving"] = "known"
-    """"known" poses, "fixed" unknown ones (the rig's are the start), or "moving" ones."""
+    """"known" poses, "fixed" unknown poses (the rig's are the start), or "moving" cameras."""
     limbs: bool = True
     """Find constant distances and use them."""
     knot_s: float | None = None
     """Knot spacing [s]; None: from the data's rate."""
     most_together: int = 60
-    """Points with a joint acceleration covariance; more are split into groups."""
+    """Most points with a joint acceleration covariance; more are split into groups."""
     rounds: int = 8
     """Iterations of the variance estimation with constant distances."""
     reach_s: float = 0.0
-    """How far before and after the observations curves are predicted [s]."""
+    """Time before and after the observations over which curves are predicted [s]."""
 
 
 @dataclass(frozen=True)
 class Clock:
     """A camera's clock: time of an image point = offset_s + (1 + drift) * time_s + row_time_s * y_px.
 
-    The sigmas are standard deviations, 0 for what was not estimated; ``held``: what the data did not determine and
-    stayed as it was.
+    The sigmas are standard deviations, 0 for values that were not estimated; ``held``: names of values that the data
+    did not determine and that were not changed.
     """
 
     camera: str
@@ -52,7 +52,7 @@ class Clock:
 
 @dataclass(frozen=True)
 class ConstantDistance:
-    """Two points a constant distance apart [m]; ``slack_m``: how much it truly varies, standard deviation."""
+    """Two points a constant distance apart [m]; ``slack_m``: standard deviation of its true variation [m]."""
 
     one: str
     other: str
@@ -65,10 +65,10 @@ class SplineCurves:
     """Curves of points as B-splines: ``coefficients`` (count, points, 3) [m].
 
     ``blocks`` (degree + 1, count, points, 3, 3): covariances between coefficients k + o and k of one point;
-    ``carried`` (count, points, 3, b) and ``shared`` (b, b): what the unknowns without time add; ``beyond`` (points,
-    3, 3): motion above the knot frequency, times ``pace`` (pieces + 1,) at them; ``unheld`` (pieces + 1, points, 3,
-    3): at them, errors missing from the curves' covariance (``residual_covariance``) [m^2]. ``from_s``, ``to_s``
-    (points,): between these the point is known.
+    ``carried`` (count, points, 3, b) and ``shared`` (b, b): the part from unknowns that do not depend on time;
+    ``beyond`` (points, 3, 3): covariance of motion above the knot frequency, to be multiplied by ``pace``
+    (pieces + 1,) at the knots; ``unheld`` (pieces + 1, points, 3, 3): errors at the knots missing from the curves'
+    covariance (``residual_covariance``) [m^2]. ``from_s``, ``to_s`` (points,): between these the point is known [s].
     """
 
     points: tuple[str, ...]
@@ -103,7 +103,7 @@ class SplineCurves:
         return self._known(total, time_s)
 
     def reaching(self, farther_s: float) -> "SplineCurves":
-        """Return the curves with what is predicted ``farther_s`` before and after a point was seen."""
+        """Return the curves extended by predictions for ``farther_s`` before and after each point was seen."""
         begin, end = self.knots.start_s, self.knots.end_s
         return replace(
             self, from_s=np.maximum(self.from_s - farther_s, begin), to_s=np.minimum(self.to_s + farther_s, end)
@@ -122,7 +122,7 @@ class SplinePaths:
     """World_from_camera as functions of time: a start path rotated by curves, and centres that are curves.
 
     R(t) = R_start(t) exp([w(t)]x); ``coefficients`` (count, cameras, 6) of w [rad] and of the centre [m];
-    ``frame`` (count, cameras, 6): those that the estimate began with, near which the frame is held.
+    ``frame`` (count, cameras, 6): initial coefficients, near which the frame is held.
     """
 
     cameras: tuple[str, ...]
@@ -141,10 +141,10 @@ class SplinePaths:
 
 @dataclass(frozen=True, eq=False)
 class ContinuousEstimate:
-    """Curves, cameras' paths and clocks, the constant distances found, and what must be known about them.
+    """Curves, cameras' paths and clocks, the constant distances found, and findings about them.
 
-    ``sigma0``: image residuals in units of their stated standard deviations (1 where these are honest); ``of_camera``
-    (c,): the same of each camera; ``seconds``: what the estimate took.
+    ``sigma0``: image residuals in units of their stated standard deviations (1 where these are right); ``of_camera``
+    (c,): the same for each camera; ``seconds``: computing time of the estimate.
     """
 
     curves: SplineCurves

@@ -11,16 +11,16 @@ from mosca.data.arrays import Array, read_only
 
 @dataclass(frozen=True, eq=False)
 class TimedObservations:
-    """n image points of named points, each of an exposure of its own.
+    """n image points of named points, each at the instant of its own exposure.
 
-    ``cameras`` and ``points``: their names. Of each image point: ``camera`` (n,) and ``point`` (n,) indices;
-    ``exposure`` (n,) running number of the camera's frame, rising with time; ``time_s`` (n,) mid-exposure of that
+    ``cameras`` and ``points``: their names. For each image point: ``camera`` (n,) and ``point`` (n,) indices;
+    ``exposure`` (n,): running number of the camera's frame, rising with time; ``time_s`` (n,): mid-exposure of that
     frame's first row, on the camera's own clock counted from the session's start [s]; ``xy_px`` (n, 2);
     ``covariance_px2`` (n, 2, 2) of its random error.
 
-    Epipoles (second paper, section 3) are image points like others: a camera that is seen is a point that a camera
-    carries. ``carried_by`` (points,): index of the camera that carries the point, -1 where none does;
-    ``carried_at`` (points, 3): where it sits in that camera's frame [m], zero for the projection centre itself.
+    Epipoles (second paper, section 3) are ordinary image points: a camera that is seen is a point that a camera
+    carries. ``carried_by`` (points,): index of the camera that carries the point, -1 for none; ``carried_at``
+    (points, 3): its position in that camera's frame [m], zero for the projection centre itself.
     """
 
     cameras: tuple[str, ...]
@@ -54,9 +54,9 @@ class TimedObservations:
                 raise ValueError(f"{name}: {index.min()} to {index.max()} given, 0 to {end - 1} allowed")
 
     def together(self, slack_s: Array | float = 0.0) -> tuple[Array, Array]:
-        """Return from when to when two cameras see each point (points,) [s]: empty where they never do.
+        """Return begin and end (points,) [s] of the time in which two cameras see each point: empty where never.
 
-        ``slack_s`` (cameras,): by which each one's sightings begin earlier and end later.
+        ``slack_s`` (cameras,): time by which each camera's sightings are extended at both ends.
         """
         first = np.full((len(self.points), max(len(self.cameras), 2)), np.inf)
         last, slack = -first, np.broadcast_to(slack_s, len(self.cameras))[self.camera]
@@ -73,7 +73,7 @@ class TimedObservations:
         return np.flatnonzero(self.carried_by < 0)
 
     def only(self, keep: Array) -> "TimedObservations":
-        """Return the image points ``keep`` (mask or indices); cameras and points counted as before."""
+        """Return the image points ``keep`` (mask or indices); indices of cameras and points stay the same."""
         columns = ("camera", "point", "exposure", "time_s", "xy_px", "covariance_px2")
         return replace(self, **{name: getattr(self, name)[keep] for name in columns})
 
@@ -88,7 +88,7 @@ class Curves(Protocol):
 
     @property
     def points(self) -> tuple[str, ...]:
-        """Their names."""
+        """Names of the points."""
 
     def at(self, time_s: Array) -> Array:
         """Return the positions (t, points, 3) at the instants ``time_s`` (t,)."""
@@ -96,7 +96,7 @@ class Curves(Protocol):
 
 @runtime_checkable
 class UncertainCurves(Curves, Protocol):
-    """Curves that know how certain they are."""
+    """Curves with covariances."""
 
     def covariance_at(self, time_s: Array) -> Array:
         """Return the covariances (t, points, 3, 3) [m^2] at the instants ``time_s`` (t,)."""
@@ -107,7 +107,7 @@ class CameraPaths(Protocol):
 
     @property
     def cameras(self) -> tuple[str, ...]:
-        """Their names."""
+        """Names of the cameras."""
 
     def at(self, time_s: Array) -> tuple[Array, Array]:
         """Return world_from_camera: rotations (t, cameras, 3, 3) and centres (t, cameras, 3) [m]."""

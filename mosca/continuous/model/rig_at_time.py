@@ -1,4 +1,4 @@
-"""Moving cameras: a rig at each instant, images at each camera's pose."""
+"""Moving cameras: the rig at each instant, and images at each camera's pose."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -16,8 +16,8 @@ from mosca.data.tracks import Points
 
 @dataclass(frozen=True, eq=False)
 class MovingRig:
-    """A rig whose cameras move. ``paths``: their poses; ``valid_s``: how near to one of ``known_s`` (instants of each
-    camera at which its pose was estimated) an instant must be for the pose to be valid [s].
+    """A rig whose cameras move. ``paths``: their poses; ``known_s``: instants at which each camera's pose was
+    estimated; ``valid_s``: largest distance from such an instant at which the pose is valid [s].
     """
 
     rig: Rig
@@ -26,7 +26,7 @@ class MovingRig:
     valid_s: float
 
     def rigs(self, time_s: Array) -> list[Rig]:
-        """Return the rig at each of ``time_s`` (t,); cameras without a pose there are where the rig has them."""
+        """Return the rig at each of ``time_s`` (t,); cameras without a pose at an instant keep that of the rig."""
         rotations, centres = self.paths.at(time_s)
         known = np.asarray(np.isfinite(centres).all(axis=2))
         return [
@@ -40,7 +40,7 @@ class MovingRig:
         ]
 
     def there(self, time_s: Array) -> Array:
-        """Return at which of ``time_s`` (t,) each camera's pose is known (t, c)."""
+        """Return whether (t, c) each camera's pose is known at each of ``time_s`` (t,)."""
         away = [cKDTree(known[:, None]).query(time_s[:, None])[0] for known in self.known_s]
         return np.column_stack(away) <= self.valid_s
 
@@ -53,7 +53,7 @@ class RigAtEach:
         self.rig = rigs[0]
 
     def attend(self, frame: int, detections: Mapping[str, Detections], points: Points) -> None:
-        """Take note that frame set ``frame`` is done."""
+        """Advance to the rig of the next frame set after ``frame``."""
         self.rig = self._rigs[min(frame + 1, len(self._rigs) - 1)]
 
 
@@ -73,14 +73,14 @@ def images_at(camera: Camera, c: int, paths: CameraPaths | None, time_s: Array, 
 
 
 def centres_at(camera: Camera, c: int, paths: CameraPaths | None, time_s: Array) -> Array:
-    """Return where camera number ``c`` is at ``time_s`` (t,): (t, 3) [m]."""
+    """Return the centres (t, 3) [m] of camera number ``c`` at ``time_s`` (t,)."""
     if paths is None:
         return np.tile(camera.world_from_camera.translation, (len(time_s), 1))
     return np.asarray(paths.at(time_s)[1][:, c])
 
 
 def lamp_positions_at(lamp_m: Array, paths: CameraPaths, time_s: Array) -> Array:
-    """Return where each camera's lamp ``lamp_m`` (c, 3), its own frame, is at ``time_s``: (t, c, 3) [m]."""
+    """Return the positions (t, c, 3) [m] at ``time_s`` of the cameras' lamps, ``lamp_m`` (c, 3) in their frames."""
     rotations, centres = paths.at(time_s)
     return np.asarray(centres + np.einsum("tcij,cj->tci", rotations, lamp_m))
 

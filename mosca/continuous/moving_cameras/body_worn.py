@@ -1,12 +1,12 @@
 """Cameras on the limbs of the body that they film: their poses over time, and the markers.
 
-Steps: detect in every frame -> identify lamps by their blinks (``blink_codes``) -> cameras' poses at common instants
-from each other's lamps alone (``mutual_pose``) -> match markers at these instants with these poses -> curves and
-poses together from every image point at its own instant, lamps among them as points that cameras carry (``estimate``,
-``cameras = "moving"``) -> image points assigned to markers again by these -> both once more.
+Steps: detect in every frame -> identify lamps by their blinks (``blink_codes``) -> estimate cameras' poses at common
+instants from each other's lamps alone (``mutual_pose``) -> match markers at these instants with these poses ->
+estimate curves and poses together from every image point at its own instant, with lamps as points that cameras carry
+(``estimate``, ``cameras = "moving"``) -> assign image points to markers again with these -> repeat the last two once.
 
-Known: the lenses, the poses of two cameras and more to each other (they are the frame and the metre), where each
-camera's lamp is to its lens, and that all stamps are of one clock. Nothing else: no start, no names.
+Required: the lenses, the relative poses of two or more cameras (they define frame and scale), the position of each
+camera's lamp relative to its lens, and stamps of one clock. No starting values and no names are needed.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -35,7 +35,7 @@ from mosca.errors import InputError
 from mosca.pipeline import check_source
 
 LAMP_PX = 2.0
-"""Gate of an image point about a lamp's predicted image."""
+"""Gate of an image point about a lamp's predicted image [px]."""
 VALID_PERIODS = 1.5
 """Maximum time from an LED observation at which a camera pose is valid, in frame periods."""
 COARSER = 2.0
@@ -46,8 +46,8 @@ LONGEST_S = 0.5
 
 @dataclass(frozen=True)
 class Lamps:
-    """Lamps that cameras carry, in the order of the rig: ``numbers`` (c,) that they blink, ``at_m`` (c, 3) where they
-    sit in their camera's frame; ``bit_s`` of their codes.
+    """Lamps that cameras carry, in the order of the rig: ``numbers`` (c,) that they blink; ``at_m`` (c, 3): positions
+    in their cameras' frames [m]; ``bit_s``: duration of a bit of their codes [s].
     """
 
     numbers: tuple[int, ...]
@@ -61,9 +61,9 @@ class Lamps:
 
 @dataclass(frozen=True, eq=False)
 class Worn:
-    """Result from body-worn cameras. ``reconstructed``: with the cameras' paths; ``lamp_poses``: from lamps alone;
-    ``lamp`` of each camera's image points (n,) the camera whose lamp it is, or -1; ``by_code`` those of them that the
-    code identified; ``lamp_rms_px``: rms residual of lamps' images at the estimated poses.
+    """Result from body-worn cameras. ``reconstructed``: result with the cameras' paths; ``lamp_poses``: poses from
+    lamps alone; ``lamp``: for each camera's image points (n,) the camera whose lamp it is, or -1; ``by_code``: the
+    same for those identified by code; ``lamp_rms_px``: rms residual of lamps' images at the estimated poses.
     """
 
     reconstructed: Reconstructed
@@ -83,13 +83,13 @@ def reconstruct_worn(
     backgrounds: Mapping[str, Array] | None = None,
     attend: Callable[[int], None] | None = None,
 ) -> Worn:
-    """Reconstruct from frames of free-running cameras on a body's limbs the curves of markers and paths of the
-    cameras.
+    """Reconstruct the curves of markers and the paths of the cameras, from frames of free-running cameras on a body's
+    limbs.
 
-    ``known``: names of the cameras whose poses in ``rig`` are right; those of the others are not used. They come
-    first in what is estimated: the first is the frame, its distance to the second the metre. Without
-    ``settings.knot_s`` knots are as far apart as the quickest camera's frames. InputError where fewer than two are
-    known, or lamps do not determine the others.
+    ``known``: names of the cameras whose poses in ``rig`` are right; those of the others are not used. Known cameras
+    come first in the result: the first defines the frame, its distance to the second the scale. Without
+    ``settings.knot_s`` knots have the spacing of the fastest camera's frames. InputError where fewer than two cameras
+    are known, or where lamps do not determine the others.
     """
     check_source(source, rig)
     gathering = AssociationSettings() if gathering is None else gathering
@@ -108,7 +108,7 @@ def solve_worn(
     count: FrameCount | None = None,
     attend: Callable[[int], None] | None = None,
 ) -> Worn:
-    """As ``reconstruct_worn``, of what the rig's cameras saw already."""
+    """As ``reconstruct_worn``, from given detections of the rig's cameras."""
     rig, lamps, seen = _known_first(rig, known, lamps, seen)
     for one in seen:
         check_long_enough(one)
@@ -129,7 +129,7 @@ def solve_worn(
     tracklet = [tracklets(one, learned=False) for one in marked]
     gathered = markers_of(marked, tracklet, ties, rig, gathering, count or FrameCount(), attend, moving)
     settings = settings or ContinuousSettings()
-    # a camera's path is seen at its own exposures alone: knots as far apart as the quickest one's frames
+    # a camera's path is observed only at its own exposures: knots with the spacing of the fastest one's frames
     knot_s = settings.knot_s or min(one.period_s for one in seen)
     settings = replace(settings, cameras="moving", clocks="known", knot_s=knot_s)
     found, paths = gathered.observations, moving.paths
@@ -161,7 +161,7 @@ def solve_worn(
 def _known_first(
     rig: Rig, known: Sequence[str], lamps: Lamps, seen: Sequence[CameraDetections]
 ) -> tuple[Rig, Lamps, tuple[CameraDetections, ...]]:
-    """Return all with the known cameras first."""
+    """Return rig, lamps and detections with the known cameras first."""
     for name in known:
         rig.camera(name)
     if len(known) < 2:
@@ -177,7 +177,7 @@ def _known_first(
 
 
 def _carriers(one: CameraDetections, lamps: Lamps) -> Array:
-    """Return the camera (n,) whose lamp each image point is by its code, or -1."""
+    """Return for each image point the camera (n,) whose lamp it is by its code, or -1."""
     of_number = {number: c for c, number in enumerate(lamps.numbers)}
     found = blinking(one, lamps.numbers, LampSettings(lamps.bit_s))
     return np.array([of_number.get(k, -1) for k in found.tolist()], int)
@@ -198,7 +198,7 @@ def _moving(rig: Rig, lamp_poses: MutualPoses, valid_s: float) -> MovingRig:
 def _lamps_near(
     one: CameraDetections, c: int, time_s: Array, by_code: Array, rig: Rig, moving: MovingRig, lamps: Lamps
 ) -> Array:
-    """Return the camera (n,) whose lamp each image point is, by its code or by where the lamp must be, or -1."""
+    """Return for each image point the camera (n,) whose lamp it is, by its code or the lamp's prediction, or -1."""
     lamp = np.array(by_code)
     frame = one.frame
     instants = np.full(len(one.frame_ns), np.nan)
@@ -222,7 +222,7 @@ def _lamps_near(
 
 
 def _without(one: CameraDetections, lamp: Array) -> CameraDetections:
-    """Return what a camera saw but for lamps."""
+    """Return a camera's detections without lamps."""
     keep = lamp < 0
     count = np.bincount(one.frame[keep], minlength=len(one.frame_ns))
     kept = {name: getattr(one, name)[keep] for name in COLUMNS}
@@ -237,7 +237,7 @@ def with_lamps(
     sigma_px: Array,
     lamps: Lamps,
 ) -> TimedObservations:
-    """Return observations with the lamps' image points besides, as points that cameras carry."""
+    """Return the observations with the lamps' image points added, as points that cameras carry."""
     n = len(found.points)
     parts = [[found.camera, found.point, found.exposure, found.time_s, found.xy_px, found.covariance_px2]]
     for c, one in enumerate(seen):

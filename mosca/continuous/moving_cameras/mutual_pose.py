@@ -1,10 +1,10 @@
 """Poses of body-worn cameras at each instant from their images of each other's lamps (observed epipoles) alone.
 
-Some cameras' poses are known; their frame is the world's. A camera whose lamp two placed cameras see is at the rays'
-intersection; its rotation follows from its rays to the lamps of placed cameras (Wahba's problem): so the cameras are
-placed one after the other. All of an instant are then adjusted together on all sightings of lamps (the second term of
-eq. 7 of the second paper; with the lamps' offsets from their lenses), those not placed starting from their pose at
-the nearest instant.
+Some cameras' poses are known; their frame is the world's. A camera whose lamp is seen by two placed cameras is at the
+intersection of their rays; its rotation follows from its rays to the lamps of placed cameras (Wahba's problem). So
+the cameras are placed one after the other. All cameras of an instant are then adjusted together to all sightings of
+lamps (the second term of eq. 7 of the second paper, with the lamps' offsets from their lenses). Cameras that could
+not be placed start from their pose at the nearest instant.
 """
 
 from collections.abc import Sequence
@@ -22,9 +22,9 @@ from mosca.data.arrays import Array
 from mosca.data.rig import Rig
 
 RAY_SIGMA = 2e-3
-"""Error of a lamp's ray [rad]: a lamp is dark up to a few frames, between which its image is interpolated."""
+"""Error of a lamp's ray [rad]: a lamp is dark for up to a few frames, over which its image is interpolated."""
 LOOSE = (0.5, 0.5)
-"""Prior of a pose about its initial value, sigma [rad, m], for directions that lamps do not determine."""
+"""Prior standard deviation [rad, m] of a pose about its initial value, for directions not determined by lamps."""
 KNOWN = (0.04, 0.03)
 """Largest standard deviations [rad, m] of a pose that is used."""
 SEED_PASSES = 5
@@ -63,10 +63,10 @@ def lamp_rays(
     instants_s: Array,
     bit_s: float,
 ) -> LampRays:
-    """Return where cameras saw each other's lamps at ``instants_s`` (t,) of the common clock.
+    """Return the rays to each other's lamps at ``instants_s`` (t,) of the common clock.
 
-    Of each camera's image points (n,): ``times_s`` and ``lamp``, the camera whose lamp it is or -1. Images are
-    interpolated (cubic) while a lamp is dark, and nowhere beyond.
+    For each camera's image points (n,): ``times_s`` and ``lamp``, the camera whose lamp it is or -1. Images are
+    interpolated (cubic) while a lamp is dark, and not extrapolated.
     """
     c = len(rig.cameras)
     rays = np.full((len(instants_s), c, c, 3), np.nan)
@@ -90,7 +90,8 @@ def lamp_rays(
 def poses_from_lamps(sights: LampRays, rig: Rig, known: Array, lamp_m: Array) -> MutualPoses:
     """Return the cameras' poses at each instant.
 
-    ``known`` (c,): which of the rig's poses are right and stay. ``lamp_m`` (c, 3): each camera's lamp, its own frame.
+    ``known`` (c,): which of the rig's poses are right and stay. ``lamp_m`` (c, 3): each camera's lamp in its own
+    frame [m].
     """
     t, c = sights.rays.shape[:2]
     rotations, centres = np.full((t, c, 3, 3), np.nan), np.full((t, c, 3), np.nan)
@@ -157,7 +158,7 @@ def _adjusted(
     weight = np.ones(len(viewer))
     for _step in range(STEPS):
         rest, rows = _linearised(rays, rotation, centre, lamp_m, viewer, carrier, slot, 6 * len(free))
-        # Cauchy: a sighting of something else does not bend the poses
+        # Cauchy weight: a sighting of something else does not distort the poses
         weight = 1.0 / (1.0 + (np.linalg.norm(rest, axis=1) / FARTHEST_RAD) ** 2)
         near = np.array(
             [
@@ -187,8 +188,8 @@ def _adjusted(
 def _linearised(
     rays: Array, rotation: Array, centre: Array, lamp_m: Array, viewer: Array, carrier: Array, slot: Array, count: int
 ) -> tuple[Array, Array]:
-    """Return observed minus predicted directions (n, 3) and their derivatives (n, 3, count): of each free camera
-    its rotation about its own axes and its position.
+    """Return observed minus predicted directions (n, 3) and their derivatives (n, 3, count) by each free camera's
+    rotation about its own axes and its position.
     """
     back = np.swapaxes(rotation[viewer], 1, 2)
     lamp = centre[carrier] + np.einsum("nij,nj->ni", rotation[carrier], lamp_m[carrier])

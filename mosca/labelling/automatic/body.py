@@ -1,7 +1,7 @@
-"""A template's person in the pose and of the size that fit points: Gauss-Newton with priors on both.
+"""Pose and size of a template's person fitted to points: Gauss-Newton with priors on both.
 
-Parameters (p): shift (3) and turn (3, rotation vector) of the whole, turns (3 a segment: about z first, then x, then
-y), the logarithm of the size of the whole, and those of each segment's against it.
+Parameters (p): shift (3) and turn (3, rotation vector) of the whole body; turns of the segments (3 each: about z
+first, then x, then y); the logarithm of the body's size; the logarithm of each segment's size relative to it.
 """
 
 from dataclasses import dataclass
@@ -12,16 +12,16 @@ from mosca.data.arrays import Array
 from mosca.labelling.automatic.template import MarkerTemplate
 
 END_RAD = 0.17
-"""How far, softly, a joint goes beyond the end of its range [rad]: 10 deg."""
+"""Standard deviation of a joint's turn beyond the end of its range [rad]: 10 deg."""
 SHIFT_M, YAW_RAD, TILT_RAD = 0.3, 0.6, 0.5
-"""Standard deviations of where the person of a start is and looks to, and of how far from upright."""
+"""Standard deviations of a starting person's place [m], heading and tilt from upright [rad]."""
 TAIL = 5.0
-"""Degrees of freedom of a place's distribution (Student's t): how far markers of a name are from its place is itself
-known from few laboratories, and some put one elsewhere altogether."""
+"""Degrees of freedom of a place's distribution (Student's t): the spread of a marker about its place is itself known
+from few laboratories only, and some put a marker elsewhere altogether."""
 STILL_RAD = 0.02
 """Standard deviation of a turn that has no range [rad]."""
 LEAST_WEIGHT = 1e-3
-"""Of a place that is fitted."""
+"""Least weight of a place that is fitted."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,21 +31,21 @@ class FittedPose:
     parameters: Array
     """(p,)"""
     whole: Array
-    """(3, 3) turn that the rotation vector is relative to."""
+    """(3, 3) turn to which the rotation vector is relative."""
     place: Array
     """(m, 3) of the markers, world."""
     covariance: Array
-    """(m, 3, 3) of those places in the pose found."""
+    """(m, 3, 3) of the places, for the given pose."""
     jacobian: Array
     """(m, 3, p) of the places."""
     unknown: Array
     """(p, p) covariance of the parameters."""
     log_prior: float
-    """Of pose and size, and what is known of them with the points: log of prior times the volume that is left."""
+    """Log of the prior density of pose and size times the volume that the points leave to them."""
 
     @property
     def about(self) -> Array:
-        """Covariances (m, 3, 3) of the places with what is not known of pose and size."""
+        """Covariances (m, 3, 3) of the places, including the uncertainty of pose and size."""
         return np.asarray(self.covariance + self.jacobian @ self.unknown @ self.jacobian.transpose(0, 2, 1))
 
 
@@ -94,7 +94,8 @@ class TemplateBody:
     def fit(self, pose: FittedPose, points: Array, weight: Array, steps: int = 3, tails: bool = False) -> FittedPose:
         """Return the pose after ``steps`` towards ``points`` (m, 3), each of ``weight`` (m,) 0..1, from ``pose``.
 
-        ``tails``: points far off draw less, by Student's t; without, they draw a pose that is far from them yet.
+        ``tails``: distant points get less weight, by Student's t. Without it, they also attract a pose that is still
+        far from them.
         """
         parameters, whole = pose.parameters.copy(), pose.whole
         place, jacobian, covariance = pose.place, pose.jacobian, pose.covariance
@@ -116,7 +117,7 @@ class TemplateBody:
         return FittedPose(parameters, whole, place, covariance, jacobian, np.linalg.inv(hessian), log_prior)
 
     def log_prior(self, parameters: Array, information: float) -> float:
-        """Return the log of a pose's and size's prior times the volume that the log determinant leaves them."""
+        """Return the log of the prior density of pose and size times the volume left by a log determinant."""
         off = (parameters - self.mean)[6:] / self.sigma[6:]
         over = self._over(parameters) / END_RAD
         known = -0.5 * information - self.log_prior_volume
@@ -125,7 +126,7 @@ class TemplateBody:
     def _weighted(
         self, covariance: Array, jacobian: Array, weight: Array, off: Array, tails: bool
     ) -> tuple[Array, Array]:
-        """Return the derivatives (3 u, p) of the places that have a ``weight``, and those times their information."""
+        """Return the derivatives (3 u, p) of places with a ``weight``, and these times the places' information."""
         use = weight > LEAST_WEIGHT
         information = np.linalg.inv(covariance[use])
         drawn = weight[use] * (trust(off[use], information) if tails else 1.0)
@@ -137,7 +138,7 @@ class TemplateBody:
         return np.asarray(np.maximum(turn - self.high, 0.0) + np.minimum(turn - self.low, 0.0))
 
     def priors(self, parameters: Array) -> tuple[Array, Array]:
-        """Return information (p, p) and gradient (p,) of what is known without points; of the whole: nothing new."""
+        """Return information (p, p) and gradient (p,) of the prior; the gradient is 0 for the whole body's pose."""
         diagonal = 1.0 / self.sigma**2
         gradient = (self.mean - parameters) * diagonal
         gradient[:6] = 0.0
@@ -158,7 +159,7 @@ class TemplateBody:
         return origin, world
 
     def _segments(self, parameters: Array, whole: Array) -> tuple[Array, Array, Array]:
-        """Return joints (g, 3), turns (g, 3, 3) and the axes of the own turns (g, 3, 3) of the segments."""
+        """Return the segments' joints (g, 3), turns (g, 3, 3) and the axes (g, 3, 3) of their own three turns."""
         g, template = self.g, self.template
         turn = parameters[6 : 6 + 3 * g].reshape(g, 3)
         size = np.exp(parameters[6 + 3 * g] + parameters[7 + 3 * g :])
@@ -199,7 +200,7 @@ class TemplateBody:
 
 
 def _above(parent: Array) -> Array:
-    """Return whether (g, g) the second is the first segment or above it."""
+    """Return whether (g, g) the second segment is the first one or above it."""
     out = np.eye(len(parent), dtype=bool)
     for k, p in enumerate(parent.tolist()):
         if p >= 0:
@@ -208,7 +209,7 @@ def _above(parent: Array) -> Array:
 
 
 def _child(parent: Array, segment: Array) -> Array:
-    """Return the segment (m, g) below each that leads to each marker's own; itself where there is none."""
+    """Return, for each marker and segment (m, g), the child segment towards the marker's own; itself if none."""
     out = np.tile(np.arange(len(parent)), (len(segment), 1))
     for i, k in enumerate(segment.tolist()):
         while parent[k] >= 0:

@@ -1,9 +1,9 @@
-"""Labels without training and without a static pose: a template of a marker set is all that is known.
+"""Labels without training and without a static pose, from a template of a marker set alone.
 
-The tracklets of a frame that shows many are matched with the template (``matching``); what is learned of this person
-labels the tracklets of the other frames (``spread``); where markers are seen that were not in that frame, another
-frame is matched, with what is known. At last the names are compared once more with the template over frames of the
-whole take, and exchanged where that is likelier: a label given early is not final before the take ends.
+The tracklets of a frame that shows many are matched with the template (``matching``). The distances learned of this
+person label the tracklets of the other frames (``spread``). Where markers are seen that were not in that frame,
+another frame is matched, using the labels so far. At last the names are compared once more with the template over
+frames of the whole take, and exchanged where that is likelier: an early label is not final before the take ends.
 """
 
 from dataclasses import dataclass, replace
@@ -23,7 +23,7 @@ from mosca.labelling.automatic.template import MarkerTemplate, expectation
 from mosca.labelling.automatic.tracklets import TrackletSet, tracklets_of
 
 LEARNED = 0.95
-"""Least probability of a label from which something is learned about this person, whatever is stated at last."""
+"""Least probability of a label that is used to learn about this person, whatever probability is wanted at last."""
 
 
 @checked_dataclass(frozen=True, config=SETTINGS)
@@ -48,19 +48,19 @@ class AutomaticLabels:
     """Labelled tracks."""
 
     tracks: Tracks
-    """With new numbers where a track had to be split."""
+    """The given tracks, with new numbers where a track had to be split."""
     probability: Array
     """(n,) that a sample's label is right; 0 without a label."""
     set_name: str = ""
-    """The one of the template's sets that the person wears, where it is sure; "" where it is not. ``called``"""
+    """The template's set that the person wears, where it is certain, else "". See ``MarkerTemplate.called``."""
 
 
 def label_automatically(
     tracks: Tracks, template: MarkerTemplate, settings: AutomaticSettings = DEFAULTS
 ) -> AutomaticLabels:
-    """Return ``tracks`` with labels of ``template``, where they are sure; tracks may have no identity over time.
+    """Return ``tracks`` with labels of ``template``, where certain; tracks may have no identity over time.
 
-    z is up, and the person stands more or less upright in some frame. Labels that ``tracks`` have are replaced.
+    z is up, and the person must stand more or less upright in some frame. Labels of ``tracks`` are replaced.
     """
     body, expected = TemplateBody(template), expectation(template)
     tracklets = tracklets_of(tracks)
@@ -89,7 +89,7 @@ def label_automatically(
 
 
 def _renamed(labelling: Labelling, naming: FrameNaming) -> Names:
-    """Give what is labelled its names; return them with the probability of each marker (m,)."""
+    """Give the labelled tracklets their names; return the names with the probability of each marker (m,)."""
     found = naming.names(labelling)
     labelling.rename(found.name)
     probability = np.zeros(len(found.name))
@@ -124,7 +124,7 @@ def _labelled(
 
 
 def _split(number: Array, new_label: Array, tracklets: TrackletSet, label: Array, of: Array) -> None:
-    """Give tracklets of a track that has several labels numbers of their own, in ``number`` (n,)."""
+    """Where a track has several labels, give its tracklets numbers of their own in ``number`` (n,)."""
     highest = int(number.max(initial=0))
     mine = number[tracklets.sample[tracklets.starts[:-1]]]
     for track in np.unique(mine).tolist():
@@ -136,7 +136,7 @@ def _split(number: Array, new_label: Array, tracklets: TrackletSet, label: Array
 
 
 def _to_filled(number: Array, new_label: Array, sure: Array) -> None:
-    """Give samples that are not measured the label of their track, and its least probability."""
+    """Give samples that were not measured the label of their track, and its least probability."""
     for track in np.unique(number[(new_label == "") & np.isin(number, number[new_label != ""])]).tolist():
         mine = number == track
         named = mine & (new_label != "")

@@ -1,7 +1,7 @@
-"""Which tracklet is which marker of a template: a quadratic assignment, relaxed, then improved step by step.
+"""Assignment of tracklets to the markers of a template: a quadratic assignment, relaxed, then improved stepwise.
 
-The evidence is each pair's distance and how much it changes over a window of frames, and where each is with respect
-to the person in the pose that fits; its parts are log likelihood ratios against a pair, or a place, of no marker.
+The evidence is each pair's distance and its change over a window of frames, and each point's place relative to the
+person in the pose that fits. Its terms are log likelihood ratios against pairs, or places, of no marker.
 """
 
 from copy import copy
@@ -14,31 +14,31 @@ from mosca.labelling.automatic.body import TAIL, FittedPose, TemplateBody, trust
 from mosca.labelling.automatic.template import IN_A_SET, Expectation
 
 SOFT_M, SOFT_SHARE = 0.003, 0.01
-"""How much a distance on one limb changes: skin and noise [m], and a share of it."""
+"""Change of a distance on one limb by skin and noise: a length [m], and in addition a share of the distance."""
 LEAST = 5
-"""Frames that must show a pair for its change to count."""
+"""Least frames that must show a pair for its change to count."""
 PAIR_BOUND, PLACE_BOUND = 5.0, 8.0
-"""Largest log likelihood ratio against a pair and a place."""
+"""Bounds of the log likelihood ratio against a pair, and against a place."""
 ACROSS = 0.12
-"""Weight of a pair on two limbs that moves as limbs do: there are many, and they depend on each other."""
+"""Weight of a pair on two limbs that move relative to each other: there are many, and they are not independent."""
 ROOM_M3 = 1.0
-"""Where points of no marker are: about a person."""
+"""Volume in which points of no marker are assumed, about a person [m^3]."""
 CANNOT = 100.0
-"""Lost where a point is a marker that another one is at the same time: more than any evidence. With 50, 100, 200 the
-same labels of six takes that run and dance."""
+"""Loss where a point is given a marker that another point is at the same time: more than any evidence. With 50, 100,
+200 the labels of six takes that run and dance are the same."""
 PAIRS_OF_NONE = 400
-"""Pairs of markers, drawn, that say how far apart points are at all."""
+"""Number of drawn pairs of markers from which the distances of any two points are estimated."""
 
 
 class Matching:
     """Costs of assigning points to markers."""
 
     spare: Array
-    """(n,) points that are given to a marker only instead of another point."""
+    """(n,) whether a point is given to a marker only in place of another point."""
     barred: Array
-    """(m, n) 0, or what is lost where the point cannot be the marker."""
+    """(m, n) 0, or the loss (below 0) where the point cannot be the marker."""
     tails = False
-    """Whether points far from their places draw the pose less."""
+    """Whether points far from their places get less weight in the pose."""
 
     def __init__(self, xyz: Array, at: list[int], body: TemplateBody, expected: Expectation) -> None:
         """``xyz`` (t, n, 3) of a window of frames; poses are those of the frames ``at``."""
@@ -54,24 +54,24 @@ class Matching:
         self.rigid, self.pairs = (one.reshape(self.m * self.n, -1) for one in _pair_gains(distance, change, expected))
 
     def wear(self, share: Array) -> None:
-        """Take each marker to be there in a ``share`` (m,) of takes."""
+        """Set the ``share`` (m,) of takes in which each marker is worn."""
         self.share, self.prior = share, np.log(share / (1 - share))
         self.none = self._log_presence(np.zeros(len(share), dtype=bool))
 
     def worn(self, share: Array) -> "Matching":
-        """Return the same problem where each marker is there in a ``share`` (m,) of takes."""
+        """Return the same problem with each marker worn in a ``share`` (m,) of takes."""
         one = copy(self)
         one.wear(share)
         return one
 
     def with_tails(self) -> "Matching":
-        """Return the same problem where points far from their places draw the pose less: for poses that are near."""
+        """Return the same problem with less weight for points far from their places: for poses that nearly fit."""
         one = copy(self)
         one.tails = True
         return one
 
     def without_spare(self) -> "Matching":
-        """Return the problem of the points alone that are not spare."""
+        """Return the problem restricted to the points that are not spare."""
         one, kept = copy(self), np.flatnonzero(~self.spare)
         one.n, one.spare, one.kept, one.barred = len(kept), self.spare[kept], {}, self.barred[:, kept]
         one.points, one.seen, one.together = self.points[:, kept], self.seen[:, kept], self.together[kept][:, kept]
@@ -80,13 +80,13 @@ class Matching:
         return one
 
     def frame(self, f: int) -> "Matching":
-        """Return the problem of one of the frames alone."""
+        """Return the problem restricted to one frame."""
         one = copy(self)
         one.points, one.seen, one.kept = self.points[f : f + 1], self.seen[f : f + 1], {}
         return one
 
     def places(self, poses: list[FittedPose]) -> Array:
-        """Return the gain (m, n) of each point as each marker of the person in ``poses``, of the mean frame."""
+        """Return the gain (m, n) of each point as each marker of the person in ``poses``, averaged over frames."""
         total = np.zeros((self.m, self.n))
         for points, seen, pose in zip(self.points, self.seen, poses, strict=True):
             about = pose.about
@@ -110,8 +110,8 @@ class Matching:
     def evidence(self, chosen: Array, poses: list[FittedPose], steps: int = 2) -> tuple[float, list[FittedPose]]:
         """Return the logarithm of an assignment's evidence and its poses.
 
-        A place is evidence once, however many frames show it: what is unusual about a marker's place on a person is
-        so in all of them. So it is the mean of the frames.
+        A place counts once, however many frames show it: if a marker's place on a person is unusual, it is so in all
+        frames. So the evidence of places is the mean over the frames.
         """
         poses = self.fit(poses, chosen, steps)
         each, count = np.zeros(self.m), np.zeros(self.m)
@@ -127,19 +127,19 @@ class Matching:
         return total + self.presence(chosen), poses
 
     def lost(self, chosen: Array) -> float:
-        """Return what an assignment loses where points cannot be their markers."""
+        """Return the loss of an assignment by points that cannot be their markers."""
         there = np.flatnonzero(chosen >= 0)
         return float(self.barred[there, chosen[there]].sum())
 
     def presence(self, chosen: Array) -> float:
-        """Return the logarithm of the odds that these markers are there, and no others, against none."""
+        """Return the log odds that exactly these markers are there, against none."""
         return self._log_presence(chosen >= 0) - self.none
 
     def _log_presence(self, there: Array) -> float:
-        """Return the logarithm of the probability that the markers ``there`` (m,) are, and no others.
+        """Return the log probability that the markers ``there`` (m,), and no others, are there.
 
-        A marker that nobody wears without another is hardly there without it. Both sides are worn, or none, where
-        their share is the same: of what is worn each is seen with IN_A_SET, of what is not with the rest.
+        A marker that is worn only beside another is improbable without it. Markers of both sides with the same share
+        are worn together or not at all: each is seen with probability IN_A_SET if worn, else 1 - IN_A_SET.
         """
         beside, other = self.template.beside, self.template.other_side
         alone = (beside >= 0) & ~there[beside]
@@ -154,11 +154,11 @@ class Matching:
         return float(np.log(each[~paired]).sum() + np.log(both[left]).sum())
 
     def linear(self, poses: list[FittedPose]) -> "LinearEvidence":
-        """Return what tells evidence near ``poses`` quickly."""
+        """Return a fast, linearised computation of evidence near ``poses``."""
         return LinearEvidence(self, poses)
 
     def near(self, chosen: Array, poses: list[FittedPose]) -> tuple[float, list[FittedPose]]:
-        """Return ``evidence`` after a step from ``poses``; kept, as in other sets ``presence`` alone differs."""
+        """Return ``evidence`` after a step from ``poses``; cached, since only ``presence`` differs between sets."""
         key = chosen.tobytes()
         if key not in self.kept:
             value, poses = self.evidence(chosen, poses, 1)
@@ -167,22 +167,22 @@ class Matching:
         return value + self.presence(chosen), poses
 
     def rows(self, chosen: Array) -> Array:
-        """Return the rows of the pairs' gains that an assignment has."""
+        """Return the rows of an assignment in the matrix of the pairs' gains."""
         there = np.flatnonzero(chosen >= 0)
         return np.asarray(there * self.n + chosen[there])
 
     def both(self, pairs: Array, chosen: Array) -> float:
-        """Return what all pairs of an assignment gain."""
+        """Return the sum of the gains of all pairs of an assignment."""
         rows = self.rows(chosen)
         return 0.5 * float(pairs[rows[:, None], rows].sum())
 
     def gains(self, chosen: Array, places: Array) -> Array:
-        """Return the gain (m, n) of each marker at each point while the others are where ``chosen`` (m,) has them."""
+        """Return the gain (m, n) of each marker at each point, with the other markers assigned by ``chosen`` (m,)."""
         return np.asarray(places + self.pairs[self.rows(chosen)].sum(axis=0).reshape(self.m, self.n))
 
 
 class LinearEvidence:
-    """Evidence of assignments whose poses are near given ones: places are taken as linear in pose and size."""
+    """Evidence of assignments whose poses are near given ones, with places linearised in pose and size."""
 
     def __init__(self, problem: Matching, poses: list[FittedPose]) -> None:
         self.problem, self.poses = problem, poses
@@ -192,7 +192,7 @@ class LinearEvidence:
         self.solved: dict[bytes, tuple[float, Array]] = {}
 
     def of(self, chosen: Array) -> float:
-        """Return the logarithm of an assignment's evidence, but for a constant, as ``Matching.evidence`` does."""
+        """Return the log evidence of an assignment up to a constant, as ``Matching.evidence``."""
         problem, body = self.problem, self.problem.body
         each, count, prior = np.zeros(problem.m), np.zeros(problem.m), 0.0
         for f, pose in enumerate(self.poses):
@@ -212,7 +212,7 @@ class LinearEvidence:
         return total + problem.both(problem.rigid, chosen) + problem.presence(chosen) + problem.lost(chosen)
 
     def _hessian(self, f: int, there: Array) -> tuple[float, Array]:
-        """Return the information on pose and size by the markers ``there``, its log determinant and inverse."""
+        """Return log determinant and inverse of the information on pose and size by the markers ``there``."""
         key = bytes([f]) + there.tobytes()
         if key not in self.solved:
             pose, body = self.poses[f], self.problem.body
@@ -227,7 +227,7 @@ def _log_volume(covariance: Array) -> Array:
 
 
 def _log_place(squared: Array, volume: Array) -> Array:
-    """Return the log likelihood ratio of a place so far off (Mahalanobis, squared), against a point of no marker."""
+    """Return the log likelihood ratio of a place with this squared Mahalanobis distance, against no marker."""
     half = 0.5 * (TAIL + 3)
     constant = gammaln(half) - gammaln(0.5 * TAIL) - 1.5 * np.log(TAIL * np.pi) + np.log(ROOM_M3)
     return np.asarray(constant - volume - half * np.log1p(squared / TAIL))
@@ -249,15 +249,16 @@ def pair_statistics(xyz: Array) -> tuple[Array, Array]:
 
 
 def _pair_gains(distance: Array, change: Array, expected: Expectation) -> tuple[Array, Array]:
-    """Return the gain (m, n, m, n) of points a, b as markers i, j: by the change of the distance, and by both.
+    """Return gains (m, n, m, n) of points a, b as markers i, j: by the change of their distance, and by both.
 
-    That two points hardly move against each other weighs as a pair on one limb, whatever they are taken for (by the
-    likelihood of the change on one limb against that on two): at a joint they may be on two limbs, and would lose to
-    names on one by the weight alone. How far apart they are comes of the pose, which is one for all pairs.
+    Two points that hardly move against each other get the weight of a pair on one limb, whatever markers they are
+    assigned to (by the likelihood of the change on one limb against that on two). At a joint such points may be on
+    two limbs, and would lose to names on one limb by the weight alone. Their distance depends on the pose, which is
+    the same for all pairs.
     """
     m, n = len(expected.mean_m), len(distance)
     apart, off = ~np.eye(n, dtype=bool), ~np.eye(m, dtype=bool)
-    # how much of what people can do this one does in the window
+    # movement of this person in the window, relative to that of people in general
     moving = min(float(np.nan_to_num(np.nanmedian(change[apart]))) / float(np.median(expected.moved_m[off])), 2.0)
     soft = np.where(expected.same, SOFT_M + SOFT_SHARE * expected.mean_m, SOFT_M + moving * expected.moved_m)
     seen = np.isfinite(change) & apart

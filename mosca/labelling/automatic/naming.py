@@ -1,4 +1,4 @@
-"""Which name what is seen has: frames of a take, and the whole of it, compared with a template."""
+"""Names of tracklets, from comparing frames of a take, and the whole take, with a template."""
 
 from dataclasses import dataclass
 
@@ -16,42 +16,42 @@ from mosca.labelling.automatic.template import Expectation
 from mosca.labelling.automatic.tracklets import TrackletSet
 
 MOST_POINTS = 110
-"""Points of a frame that are matched: those that are seen longest about it."""
+"""Most points of a frame that are matched: those with the longest tracklets."""
 NAMED = 3
-"""Frames of the take in which names are compared at last."""
+"""Number of frames of the take in which names are compared at last."""
 STATISTICS = 600
-"""Frames of the take in which distances are, at most."""
+"""Most frames of the take in which distances are compared."""
 LONG = 20
-"""A tracklet of so many frames, or half a window, is worth matching."""
+"""Least length of a tracklet that is matched [frames], or half of ``FrameNaming.half`` where that is less."""
 
 
 @dataclass(frozen=True, eq=False)
 class Names:
-    """Names of what is labelled as each marker (m) now."""
+    """Names of the tracklets that are labelled as each marker (m) at present."""
 
     name: Array
-    """(m,) the marker that it is, -1 where it is none or nothing is labelled so."""
+    """(m,) the marker that they are; -1 for none, or where no tracklet has this label."""
     probability: Array
-    """(m,) of that."""
+    """(m,) probability of the name."""
     spare: list[tuple[int, int, float]]
-    """Tracklets that had no label, each with its marker and the probability."""
+    """Tracklets that had no label, with marker and probability of each."""
     sets: Array
-    """(s + 1,) probability of each of the template's sets; last: of none of them."""
+    """(s + 1,) probability of each of the template's sets, and of none of them (last)."""
 
 
 @dataclass
 class FrameNaming:
-    """What is the same for all frames of a take that are matched."""
+    """Data and methods common to all frames of a take that are matched."""
 
     tracklets: TrackletSet
     body: TemplateBody
     expected: Expectation
     sure: float
     half: int
-    """Frames before and after one in which its points' distances are compared."""
+    """Number of frames before and after a frame over which distances of its points are compared."""
 
     def first(self, labelling: Labelling, frames: int) -> None:
-        """Label the tracklets of the frame, of ``frames``, that matches the template best."""
+        """Label the tracklets of one frame: of ``frames`` that are tried, the one that matches the template best."""
         best: tuple[float, Matching, Array, list[Assignment]] | None = None
         for row in self._fullest(np.ones(len(self.tracklets), dtype=bool), frames):
             pieces = self._pieces(row)
@@ -73,10 +73,10 @@ class FrameNaming:
             labelling.give(int(pieces[matched.chosen[marker]]), marker, float(matched.probability[marker]))
 
     def another(self, labelling: Labelling, share: Array) -> bool:
-        """Match a frame that shows many tracklets without a label, by all that is known; return whether it helped.
+        """Match a frame with many unlabelled tracklets, using the labels so far; return whether a label changed.
 
-        What has a label may get another one: the take's tracklets of that label get it too. ``share`` (m,) of takes
-        that show each marker.
+        A labelled tracklet may get another label, which all tracklets of the take with its old label then get too.
+        ``share`` (m,): share of takes that show each marker.
         """
         rows = self._fullest(self._long(labelling), 1)
         if not rows:
@@ -105,7 +105,7 @@ class FrameNaming:
         return bool((labelling.label != before).any())
 
     def names(self, labelling: Labelling) -> Names:
-        """Return the names of what is labelled, compared with the template over the take, for each of its sets."""
+        """Return the names of the labelled tracklets, compared over the take with each set of the template."""
         xyz, sets = labelling.xyz, self.body.template.sets
         there = np.flatnonzero(np.isfinite(xyz[:, :, 0]).any(axis=0))
         names, probability = np.full(xyz.shape[1], -1), np.zeros(xyz.shape[1])
@@ -137,7 +137,7 @@ class FrameNaming:
         return Names(names, probability, spare, of_set)
 
     def _whole(self, labelling: Labelling, there: Array) -> tuple[Matching, Array]:
-        """Return what is labelled ``there`` over the take, with tracklets that are not, to be matched, and these."""
+        """Return the problem of the labels ``there`` and spare tracklets over the take, and the spare tracklets."""
         rows = _spaced(np.isfinite(labelling.xyz[:, there, 0]).sum(axis=1), NAMED, max(1, len(labelling.xyz) // 6))
         pieces = np.empty(0, dtype=int)
         if fullest := self._fullest(self._long(labelling), 1):
@@ -161,7 +161,7 @@ class FrameNaming:
         return np.asarray((labelling.label < 0) & (lengths >= min(self.half // 2, LONG)))
 
     def _fullest(self, of: Array, count: int) -> list[int]:
-        """Return frames that show many of the tracklets ``of`` (k,), long ones, apart from each other."""
+        """Return frames, apart from each other, that show many long ones of the tracklets ``of`` (k,)."""
         score = np.zeros(self.tracklets.frames)
         lengths = np.diff(self.tracklets.starts)
         for k in np.flatnonzero(of).tolist():
@@ -177,10 +177,10 @@ class FrameNaming:
 
 
 def impossible(labelling: Labelling, named: Array, pieces: Array) -> Array:
-    """Return (m, n): what is lost (below 0) where a point cannot be a marker; 0 where it can.
+    """Return the loss (m, n), below 0, where a point cannot be a marker; 0 where it can.
 
     Points are the tracklets ``pieces`` (n,), labelled as ``named`` (n,), -1 for none. A marker that has a label in
-    the take, but is hidden now, is none of those that are seen beside it at other times.
+    the take but is hidden at present cannot be a point that is seen together with it at other times.
     """
     there = np.isfinite(labelling.xyz[:, :, 0])
     hidden = np.setdiff1d(np.flatnonzero(there.any(axis=0)), named)
@@ -192,16 +192,16 @@ def impossible(labelling: Labelling, named: Array, pieces: Array) -> Array:
 
 
 def rename(labelling: Labelling, named: Array, new: Array) -> None:
-    """Give what has the labels ``named`` (n,) the labels ``new`` (n,), where no other tracklet has them."""
+    """Replace the labels ``named`` (n,) by the labels ``new`` (n,), where no other tracklet has them."""
     changed = np.flatnonzero((named >= 0) & (new != named))
     held = np.unique(labelling.label[labelling.label >= 0])
-    # a name that nothing has stays out: what gets it would lose its positions to those of nothing
+    # names without a tracklet stay -1: otherwise their empty positions would overwrite those of the tracklets renamed
     names = np.full(labelling.xyz.shape[1], -1)
     names[held] = held
     names[named[changed]] = new[changed]
     kept = np.setdiff1d(held, named[changed])
     if np.isin(new[changed], kept).any():
-        # two of one name, at different times: they may be one marker, or not
+        # two tracklets with one name at different times may be one marker, or not
         names[named[changed]] = np.where(np.isin(new[changed], kept), -1, new[changed])
     labelling.rename(names)
 
@@ -211,7 +211,7 @@ def _spaced(score: Array, count: int, apart: int) -> list[int]:
     left = score.astype(float)
     out: list[int] = []
     while len(out) < count and left.max(initial=0.0) > 0:
-        # of equal ones the middle: most is known about it
+        # among equal scores take the middle frame, about which most is known
         best = np.flatnonzero(left == left.max())
         row = int(best[len(best) // 2])
         out.append(row)
@@ -220,7 +220,7 @@ def _spaced(score: Array, count: int, apart: int) -> list[int]:
 
 
 def posed(problem: Matching, chosen: Array) -> Assignment:
-    """Return an assignment with the pose that fits it best: from standing as these markers are."""
+    """Return an assignment with the pose that fits it best, starting from a standing person aligned to it."""
     there = np.flatnonzero((chosen >= 0) & problem.seen[0][np.maximum(chosen, 0)])
     points, places = problem.points[0][chosen[there]], problem.template.place_m[there]
     whole, _ = Rotation.align_vectors(points - points.mean(axis=0), places - places.mean(axis=0))

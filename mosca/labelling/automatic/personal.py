@@ -1,7 +1,7 @@
-"""A template of one person: from a labelled take of theirs with the same markers, a static pose for instance.
+"""Template of one person, from a labelled take with the same markers, for instance of a static pose.
 
-Pose and size of the general template's person are fitted to the frame that shows most markers. The person's template
-has their segments' sizes, and each marker where it is on them; what remains open is the skin.
+Pose and size of the general template's person are fitted to the frame that shows most markers. The personal template
+has the segment sizes of the person and the place of each marker on them; only movement of the skin remains open.
 """
 
 from dataclasses import replace
@@ -17,18 +17,18 @@ from mosca.labelling.automatic.matching import SOFT_SHARE, pair_statistics
 from mosca.labelling.automatic.template import IN_A_SET, BodyVariation, MarkerTemplate
 
 SKIN_M = 0.01
-"""How far a marker moves on a person's segment (standard deviation): 5 to 20 mm (A. Leardini et al., Gait & Posture
-21, 2005, p. 212)."""
+"""Standard deviation of a marker's movement on a person's segment: 5 to 20 mm (A. Leardini et al., Gait & Posture 21,
+2005, p. 212)."""
 FEWEST = 8
-"""Markers of the take that the template knows, at least."""
+"""Least number of the take's markers that the template has."""
 FITS = 30
-"""Gauss-Newton steps from standing."""
+"""Gauss-Newton steps from the standing person."""
 
 
 def personal_template(take: Tracks, template: MarkerTemplate, where: str) -> MarkerTemplate:
     """Return the template of the person in a labelled ``take``, with its markers and their names.
 
-    A marker whose name ``template`` (and its sets) does not know goes to the segment of the known one to which its
+    A marker whose name is not in ``template`` (and its sets) is put on the segment of the known marker to which its
     distance changes least. ``where``: the take's name in messages. InputError where too few names are known.
     """
     names, xyz = _markers(take, where)
@@ -79,12 +79,12 @@ def _markers(take: Tracks, where: str) -> tuple[list[str], Array]:
 
 
 def _known(names: list[str], template: MarkerTemplate) -> Array:
-    """Return the template's marker (n,) of each name, -1 for none, by the names of the set that has most of them."""
+    """Return the template's marker (n,) of each name, -1 for none, by the set that has most of the names."""
     called = [template.names, *(one.names for one in template.sets)]
     short = [name.split(":")[-1] for name in names]
     found = [np.array([those.index(name) if name in those else -1 for name in short]) for those in called]
     best = max(found, key=lambda one: int((one >= 0).sum()))
-    # of two labels of one marker the first
+    # of two labels of one marker use the first
     _, first = np.unique(best, return_index=True)
     out = np.full(len(best), -1)
     out[first] = best[first]
@@ -111,7 +111,7 @@ def _segments(xyz: Array, known: Array, template: MarkerTemplate) -> Array:
 
 
 def _skeleton(body: TemplateBody, pose: FittedPose) -> tuple[Array, Array, Array, float]:
-    """Return joints (g, 3) of the person standing, those in the pose and turns (g, 3, 3), and the sizes' error."""
+    """Return joints (g, 3) of the person standing and in the pose, turns (g, 3, 3), and the error of the sizes."""
     template, g = body.template, body.g
     origin, turns = body.frames(pose)
     size = np.exp(pose.parameters[6 + 3 * g] + pose.parameters[7 + 3 * g :])

@@ -1,4 +1,4 @@
-"""The best assignment of points to markers near one, and its probability against those near it."""
+"""The best assignment of points to markers near a given one, and its probability against its neighbours."""
 
 from dataclasses import dataclass
 
@@ -10,9 +10,9 @@ from mosca.labelling.automatic.matching import Matching
 from mosca.labelling.automatic.search import LEAST_GAIN, limbs
 
 TRIED, WORSE = 40, 12.0
-"""Alternatives that are looked into, and how much worse they look at most."""
+"""Number of alternatives that are tried, and how much worse their gain may be at most."""
 FAR = 8.0
-"""So much worse an alternative is in linear terms, that it is not looked into any further."""
+"""An alternative whose linearised evidence is this much worse is not evaluated further."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,15 +22,15 @@ class MatchedMarkers:
     chosen: Array
     """(m,) index of the point, -1 for none."""
     score: float
-    """Logarithm of its evidence, against points that are of no marker."""
+    """Log evidence, against points of no marker."""
     probability: Array
-    """(m,) that it is right; 1 where there is none."""
+    """(m,) that the point is right; 1 for a marker without a point."""
     poses: list[FittedPose]
-    """Of the frames."""
+    """One for each frame."""
 
 
 def refine(problem: Matching, chosen: Array, poses: list[FittedPose]) -> MatchedMarkers:
-    """Return the assignment near ``chosen`` of the most evidence, with its probability against those near it."""
+    """Return the assignment of most evidence near ``chosen``, with its probability against its neighbours."""
     problem = problem.with_tails()
     best, poses = problem.evidence(chosen, poses, 2)
     values: list[tuple[float, Array]] = []
@@ -67,7 +67,7 @@ def alternatives(problem: Matching, chosen: Array, poses: list[FittedPose]) -> l
             other[i] = k if k < problem.n else -1
             out.append(other)
             if chosen[i] >= 0 and k < problem.n and len(absent):
-                # what the marker leaves may be one that nothing is yet
+                # the point that the marker leaves may be a marker without a point
                 pushed = other.copy()
                 pushed[absent[gains[absent, chosen[i]].argmax()]] = chosen[i]
                 out.append(pushed)
@@ -92,12 +92,12 @@ def alternatives(problem: Matching, chosen: Array, poses: list[FittedPose]) -> l
 
 
 def _moves(problem: Matching, chosen: Array, gains: Array) -> Array:
-    """Return what is gained (m, n + 1) when a marker moves to a free point, or to none (last column)."""
+    """Return the gain (m, n + 1) of moving a marker to a free point, or to none (last column)."""
     now = _now(chosen, gains)
     out = np.concatenate([gains, np.zeros((problem.m, 1))], axis=1) - now[:, None]
     out[:, chosen[chosen >= 0]] = -np.inf
     there = chosen >= 0
-    # what was never seen beside a marker's point may be that marker too: not instead of it
+    # a point never seen together with a marker's point may be the same marker, so it does not replace that point
     out[:, :-1][there] = np.where(problem.together[chosen[there]], out[:, :-1][there], -np.inf)
     out[:, :-1][np.ix_(~there, problem.spare)] = -np.inf
     return out
@@ -108,13 +108,13 @@ def _now(chosen: Array, gains: Array) -> Array:
 
 
 def _exchanges(problem: Matching, chosen: Array, gains: Array) -> Array:
-    """Return what is gained (m, m) when two markers exchange their points."""
+    """Return the gain (m, m) of exchanging the points of two markers."""
     m = problem.m
     there = np.flatnonzero(chosen >= 0)
     at = chosen[there]
     out = np.full((m, m), -np.inf)
     now = _now(chosen, gains)
-    # marker i at the point of j, without what j says of it from there
+    # marker i at the point of j, without the gain of its pair with j at that point
     as_other = np.full((m, m), -np.inf)
     as_other[:, there] = gains[:, at]
     i, j = np.meshgrid(np.arange(m), there, indexing="ij")
@@ -123,7 +123,8 @@ def _exchanges(problem: Matching, chosen: Array, gains: Array) -> Array:
     both = np.ix_(there, there)
     cross = out_of[there[:, None], at[None], there[None], at[:, None]]
     apart = out_of[there[:, None], at[:, None], there[None], at[None]]
-    # each gain counts the other where it was; exchanged, the pair counts once, and once less in what there is now
+    # each gain includes the pair with the other at its old point; after the exchange the pair counts once, as it does
+    # before
     lost = out_of[there[:, None], at[None], there[None], at[None]]
     lost = lost + lost.T
     out[both] = as_other[both] + as_other[both].T - lost + cross - now[there][:, None] - now[there][None] + apart
@@ -132,12 +133,12 @@ def _exchanges(problem: Matching, chosen: Array, gains: Array) -> Array:
 
 
 def taken(problem: Matching, chosen: Array, gains: Array) -> Array:
-    """Return what is gained (m, m) when a marker takes another's point, which then has none; its own is left free."""
+    """Return the gain (m, m) of a marker taking another's point: the other then has none, its own point is free."""
     there = np.flatnonzero(chosen >= 0)
     now, pairs = _now(chosen, gains), problem.pairs.reshape(problem.m, problem.n, problem.m, problem.n)
     out = np.full((problem.m, problem.m), -np.inf)
     for j in there:
-        # what the pair gains is in ``now`` of both
+        # the pair's gain is contained in ``now`` of both markers
         twice = np.where(chosen >= 0, pairs[np.arange(problem.m), chosen, j, chosen[j]], 0.0)
         out[:, j] = gains[:, chosen[j]] - pairs[:, chosen[j], j, chosen[j]] - now[j] - now + twice
     np.fill_diagonal(out, -np.inf)

@@ -14,22 +14,22 @@ from mosca.labelling.automatic.matching import Matching
 from mosca.labelling.automatic.template import MarkerTemplate
 
 STEPS, EACH_FIT = 36, 4
-"""Steps of the relaxation, and after how many of them the body is fitted again."""
+"""Steps of the relaxation, and the number of steps after which the body is fitted again."""
 HEADINGS = 8
-"""Sides to which the person is taken to look at first."""
+"""Number of directions in which the person is assumed to look at the start."""
 ANEW, MOST_OPEN = 8, 700
-"""Steps in which a limb is assigned anew, and the most pairs of marker and free point whose distances count."""
+"""Steps of a limb's new assignment, and the most pairs of marker and free point for which distances count."""
 FREED = 4
-"""Steps in which a limb that is assigned anew leaves the turn it had: half a radian each, and a head turns by 1.5."""
+"""Steps in which a limb that is assigned anew leaves its turn: half a radian each, and a head turns by 1.5."""
 LARGE = 60.0
-"""Largest exponent: what differs by more is certain, and its exponential has no number."""
+"""Largest exponent: a larger difference is certain, and its exponential would overflow."""
 LEAST_GAIN = 1e-3
-"""Of evidence, that is worth a change."""
+"""Least gain of evidence for which an assignment is changed."""
 
 
 @dataclass(frozen=True, eq=False)
 class Assignment:
-    """An assignment that a search came to."""
+    """An assignment found by a search."""
 
     evidence: float
     poses: list[FittedPose]
@@ -37,14 +37,14 @@ class Assignment:
 
 
 def headings(problem: Matching) -> list[FittedPose]:
-    """Return the person standing in the first frame, looking to HEADINGS sides."""
+    """Return the person standing in the first frame, looking in HEADINGS directions."""
     middle = np.nanmedian(problem.points[0], axis=0)
     angles = np.linspace(0, 2 * np.pi, HEADINGS, endpoint=False)
     return [problem.body.start(turned(np.array([0.0, 0.0, angle])), middle) for angle in angles]
 
 
 def starts(problem: Matching) -> list[Assignment]:
-    """Return assignments of the first frame, best first, from all directions the person may look to."""
+    """Return assignments of the first frame, best first, from all directions in which the person may look."""
     weight, poses = _relaxed(problem, headings(problem))
     first: dict[bytes, Assignment] = {}
     for q, pose in zip(weight, poses, strict=True):
@@ -54,7 +54,7 @@ def starts(problem: Matching) -> list[Assignment]:
 
 
 def unlike(found: list[Assignment]) -> list[Assignment]:
-    """Return the best of ``found``, best first, and the best that has other points for most markers."""
+    """Return the best of ``found`` (best first), and the best one that has other points for most markers."""
     best = found[0]
     there = best.chosen >= 0
     others = (one for one in found if (one.chosen == best.chosen)[there].sum() < 0.5 * there.sum())
@@ -80,7 +80,7 @@ def _relaxed(problem: Matching, poses: list[FittedPose]) -> tuple[Array, list[Fi
 
 
 def _sinkhorn(gain: Array, rounds: int = 8) -> Array:
-    """Return weights (s, m, n) whose rows and columns sum to one with a slack each, that gains nothing."""
+    """Return weights (s, m, n) whose rows and columns, each with a slack of zero gain, sum to one."""
     s, m, n = gain.shape
     weight = np.ones((s, m + 1, n + 1))
     weight[:, :m, :n] = np.exp(np.clip(gain, -LARGE, LARGE))
@@ -91,7 +91,7 @@ def _sinkhorn(gain: Array, rounds: int = 8) -> Array:
 
 
 def searched(problem: Matching, found: Assignment) -> Assignment:
-    """Return what comes of assigning limbs anew, by the others, until none gains."""
+    """Return the assignment after assigning limbs anew, from the other markers, until none gains."""
     parts = blocks(problem.template)
     last, k = 0, 0
     while k - last < len(parts):
@@ -105,7 +105,7 @@ def searched(problem: Matching, found: Assignment) -> Assignment:
 
 
 def _anew(problem: Matching, found: Assignment, block: Array) -> tuple[Array, list[FittedPose]]:
-    """Return an assignment (and its poses) in which the markers ``block`` (m,) are given points by the others."""
+    """Return an assignment and its poses with new points for the markers ``block`` (m,), from the other markers."""
     kept = np.where(block, -1, found.chosen)
     free = np.setdiff1d(np.arange(problem.n), kept[kept >= 0])
     open_ = np.flatnonzero(kept < 0)
@@ -138,7 +138,7 @@ def _with(kept: Array, open_: Array, free: Array, gain: Array) -> Array:
 
 
 def blocks(template: MarkerTemplate) -> list[Array]:
-    """Return sets of markers (m,): each segment, with what hangs on it, both sides of either, and all but these."""
+    """Return sets of markers (m,): each segment alone or with those below, both sides of it, and all but these."""
     segments = np.eye(len(template.parent), dtype=bool)[template.segment].T
     below = _below(template.parent)[:, template.segment]
     out: dict[bytes, Array] = {}
@@ -152,7 +152,7 @@ def blocks(template: MarkerTemplate) -> list[Array]:
 
 
 def _below(parent: Array) -> Array:
-    """Return whether (g, g) the second segment is the first, or hangs on it."""
+    """Return whether (g, g) the second segment is the first one or below it."""
     out = np.eye(len(parent), dtype=bool)
     for k, p in enumerate(parent.tolist()):
         if p >= 0:
@@ -161,7 +161,7 @@ def _below(parent: Array) -> Array:
 
 
 def limbs(template: MarkerTemplate) -> list[Array]:
-    """Return the markers of both sides of each segment, alone and with what hangs on it."""
+    """Return the markers of both sides of each segment, alone and with the segments below it."""
     sided = template.other_side != np.arange(len(template.names))
     out: dict[bytes, Array] = {}
     for rows in (np.eye(len(template.parent), dtype=bool), _below(template.parent)):

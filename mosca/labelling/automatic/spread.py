@@ -1,8 +1,8 @@
 """Labels for all other tracklets, by the distances between the markers of this person.
 
-What a distance of two markers is, and how much it changes, is learned from the tracklets that have a label; each
-further one is compared with them where both are seen. A label is given where it is clearly likelier than any other,
-and than none; labels that do not fit what was learned later are taken back.
+The distance of two markers and its change are learned from labelled tracklets. Each further tracklet is compared with
+the labelled ones where both are seen. A label is given where it is clearly likelier than any other, and than none.
+Labels that do not fit the distances learned later are taken back.
 """
 
 from dataclasses import dataclass
@@ -17,23 +17,23 @@ from mosca.labelling.automatic.tracklets import TrackletSet
 SOFT_M = 0.005
 """Standard deviation of a distance on one limb, at least [m]."""
 POSE_S = 0.5
-"""Poses of a person so far apart in time are taken as independent: half a stride [s]."""
+"""Time after which poses of a person are assumed to be independent: half a stride [s]."""
 TIGHTEST, FEWEST = 4, 3
-"""Distances that decide, the least changing, and how many there must be: three leave a place and its mirror image."""
+"""Most and fewest distances that decide, the least changing first: three leave a place and its mirror image."""
 ROOM_M = 0.3
-"""Distances of a point of no marker are spread by this [m]."""
+"""Spread of the distances of a point of no marker [m]."""
 DIMENSIONS = 3
-"""A point's position has so many numbers, however many distances tell it."""
+"""A point's position has three coordinates, however many distances determine it."""
 BOUND = 25.0
 """Largest cost of one distance, in units of its variance: one wrong point does not decide."""
 CERTAIN = 1000.0
-"""Degrees of freedom of a normal distribution: for distances on one limb."""
+"""Degrees of freedom that make Student's t a normal distribution: for distances on one limb."""
 ROWS = 12
 """Frames of a tracklet that are compared."""
 RIVAL = 3.0
-"""Tracklets of one label at once, whose log likelihood ratios differ by less: none has it."""
+"""No tracklet gets a label for which two simultaneous tracklets have log likelihood ratios that differ by less."""
 ROUNDS = 20
-"""Times that labels are given and taken back, at most."""
+"""Most rounds of giving labels and taking them back."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,11 +43,11 @@ class PersonDistances:
     mean_m: Array
     sigma_m: Array
     freedom: Array
-    """Degrees of freedom of Student's t: poses that were seen, and one that is known beforehand."""
+    """Degrees of freedom of Student's t: number of poses seen, and one for prior knowledge."""
 
 
 class Labelling:
-    """Which tracklet has which label, while it changes."""
+    """Labels of the tracklets, which change during the search."""
 
     def __init__(self, tracklets: TrackletSet, expected: Expectation, frame_s: float) -> None:
         self.tracklets, self.expected, self.frame_s = tracklets, expected, frame_s
@@ -56,7 +56,7 @@ class Labelling:
         self.xyz = np.full((tracklets.frames, len(expected.mean_m), 3), np.nan)
 
     def give(self, k: int, marker: int, probability: float = 1.0) -> None:
-        """Label tracklet ``k`` (-1: take its label away)."""
+        """Label tracklet ``k`` as ``marker`` (-1: take its label away)."""
         part = self.tracklets.part(k)
         if self.label[k] >= 0:
             self.xyz[self.tracklets.row[part], self.label[k]] = np.nan
@@ -65,7 +65,7 @@ class Labelling:
         self.label[k], self.probability[k] = marker, probability
 
     def rename(self, names: Array) -> None:
-        """Give all tracklets of each label m the label ``names[m]``, -1 for none; no two the same, used or not."""
+        """Replace each label m by ``names[m]``, -1 for none; no two ``names`` may be the same, used or not."""
         xyz = np.full_like(self.xyz, np.nan)
         xyz[:, names[names >= 0]] = self.xyz[:, names >= 0]
         self.xyz = xyz
@@ -73,17 +73,17 @@ class Labelling:
         self.probability = np.where(self.label >= 0, self.probability, 0.0)
 
     def busy(self, k: int) -> Array:
-        """Return which markers (m,) another tracklet is in some frame of ``k``."""
+        """Return which markers (m,) another tracklet has as label in some frame of tracklet ``k``."""
         out = np.isfinite(self.xyz[self.tracklets.row[self.tracklets.part(k)], :, 0]).any(axis=0)
         if self.label[k] >= 0:
             out[self.label[k]] = False
         return np.asarray(out)
 
     def distances(self) -> PersonDistances:
-        """Return what the labelled tracklets show.
+        """Return the distances learned from the labelled tracklets.
 
-        What the distance of two limbs has been says little of what it will be, after few poses: its variance is that
-        of people's motions counted as one pose, and that of the poses seen.
+        A few poses predict later distances across two limbs poorly. So the variance of such a distance is the mean of
+        that of people's motions, counted as one pose, and that of the poses seen.
         """
         step = max(1, len(self.xyz) // 400)
         some = self.xyz[::step]
@@ -163,7 +163,7 @@ def _best(ratios: Array) -> tuple[float, int]:
 
 
 def _give_best(labelling: Labelling, wanted: list[tuple[float, float, int, int]]) -> int:
-    """Give labels, the likeliest first, where no tracklet of the same frames is nearly as likely; return how many."""
+    """Give labels, the likeliest first, unless a tracklet of the same frames is nearly as likely; return how many."""
     given = 0
     by_marker: dict[int, list[tuple[float, int]]] = {}
     for ratio, _, k, marker in wanted:
@@ -185,7 +185,7 @@ def _give_best(labelling: Labelling, wanted: list[tuple[float, float, int, int]]
 
 
 def _take_back(labelling: Labelling, known: PersonDistances, sure: float) -> None:
-    """Take labels away that another, or none, fits better by what is known now."""
+    """Take labels away where, by the distances ``known``, another label or none fits better."""
     for k in np.flatnonzero(labelling.label >= 0).tolist():
         ratios = labelling.ratios(k, known)
         own = ratios[labelling.label[k]]

@@ -1,7 +1,7 @@
-"""A marker-set template: segments of a generic person, and where on them markers usually are.
+"""A marker-set template: segments of a generic person, and the usual places of markers on them.
 
-A TOML file (``full_body.toml`` says what its keys mean). What poses and bodies of other sizes do to distances and
-places is drawn from it: ``expectation``.
+It is read from a TOML file (``full_body.toml`` describes its keys). ``expectation`` estimates from drawn persons how
+poses and body sizes change the distances between markers.
 """
 
 from dataclasses import dataclass
@@ -19,10 +19,10 @@ from mosca.errors import InputError
 STANDARD = Path(__file__).with_name("full_body.toml")
 MOST_MARKERS = 200
 PERSONS, POSES = 60, 24
-"""Drawn for an expectation: persons, and poses of each."""
+"""Number of persons drawn for an expectation, and of poses of each."""
 SEED = 0
 IN_A_SET = 0.97
-"""Share of takes that show a marker of a set that is worn; of those of other sets the rest do."""
+"""Share of takes that show a marker of a set that is worn; the rest show one that is not in the set."""
 
 Name = Annotated[str, Field(min_length=1, max_length=100, pattern=r"^[^\x00-\x1f\x7f]+$")]
 Share = Annotated[float, Field(gt=0, lt=1)]
@@ -102,7 +102,7 @@ class BodyVariation:
     stature: float = 0.07
     """Statures of adults: 4 % within a sex, and 7 % between them (NHANES: 1.62 and 1.76 m, both 0.07 m)."""
     segment: float = 0.05
-    """Of a segment's length, for one stature (Winter's lengths are means alone; textbooks give 4 to 6 %)."""
+    """Segment lengths at one stature (Winter states means only; textbooks give 4 to 6 %)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,9 +111,9 @@ class TemplateSet:
 
     title: str
     names: tuple[str, ...]
-    """(m) what it calls the template's markers."""
+    """(m) its names of the template's markers."""
     share: Array
-    """(m,) of takes that show each."""
+    """(m,) share of takes that show each."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,11 +124,11 @@ class MarkerTemplate:
     segment: Array
     """(m,) index of the segment that carries each."""
     place_m: Array
-    """(m, 3) standing; x forward, y left, z up."""
+    """(m, 3) places in a standing person [m]; x forward, y left, z up."""
     spread_m: Array
-    """(m, 3) standard deviations."""
+    """(m, 3) standard deviations of the places [m]."""
     share: Array
-    """(m,) of takes that show it."""
+    """(m,) share of takes that show it."""
     other_side: Array
     """(m,) index of its mirror image, or its own."""
     beside: Array
@@ -141,22 +141,22 @@ class MarkerTemplate:
     turn_rad: Array
     """(g, 3, 2) ranges about x, y, z."""
     sets: tuple[TemplateSet, ...] = ()
-    """That the person may wear; none where the set is known."""
+    """Sets that the person may wear; none where the set is known."""
     variation: BodyVariation = BodyVariation()
-    """How far the person's size may be from the template's."""
+    """Variation of the person's sizes about the template's."""
 
     def called(self, set_name: str) -> tuple[str, ...]:
-        """Return what a set calls the markers; "" for the template's own names."""
+        """Return the markers' names in a set; the template's own names for ""."""
         return next((one.names for one in self.sets if one.title == set_name), self.names)
 
 
 def read_template(path: Path = STANDARD, set_name: str | None = None) -> MarkerTemplate:
-    """Return the template in ``path``, of one of its sets; InputError where that cannot be."""
+    """Return the template in ``path``, restricted to one set if given; InputError where the file or set is wrong."""
     return template_of(check(TemplateTable, read_toml(path), path), set_name, path)
 
 
 def template_of(file: TemplateTable, set_name: str | None, where: str | Path) -> MarkerTemplate:
-    """Return a template with both sides, of one set alone or all; InputError for an unknown set."""
+    """Return a template with both sides, of one set or of all markers; InputError for an unknown set."""
     if set_name is not None and set_name not in file.sets:
         raise InputError(f"{where}: set '{set_name}' given; it has {', '.join(file.sets) or 'none'}")
     segments: list[tuple[str, TemplateSegment, bool]] = []
@@ -221,20 +221,20 @@ def _set_of(file: TemplateTable, title: str, names: list[str]) -> TemplateSet:
 
 @dataclass(frozen=True, eq=False)
 class Expectation:
-    """What is expected of the distances of markers (m), of people of all sizes in all poses."""
+    """Distances expected between markers (m), over people of all sizes in all poses."""
 
     mean_m: Array
-    """(m, m) distances."""
+    """(m, m) mean distances [m]."""
     sigma_m: Array
-    """(m, m) their standard deviations over people and poses."""
+    """(m, m) standard deviations over people and poses [m]."""
     moved_m: Array
-    """(m, m) over the poses of one person."""
+    """(m, m) standard deviations over the poses of one person [m]."""
     same: Array
-    """(m, m) on one segment."""
+    """(m, m) whether two markers are on one segment."""
 
 
 def expectation(template: MarkerTemplate, seed: int = SEED) -> Expectation:
-    """Return what is expected of the template's markers, drawn from PERSONS in POSES each."""
+    """Return the expectation of the template's markers, from PERSONS drawn in POSES each."""
     rng = np.random.default_rng(seed)
     xyz = drawn_poses(template, template.variation, PERSONS, POSES, rng)
     distances = np.linalg.norm(xyz[..., :, None, :] - xyz[..., None, :, :], axis=-1)

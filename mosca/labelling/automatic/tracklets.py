@@ -1,7 +1,7 @@
-"""Tracklets: runs of samples that are surely of one marker, from tracks whose identities may break, or from points.
+"""Tracklets: runs of samples that are certainly of one marker, from tracks that may change identity, or from points.
 
-Where most tracks are one or two samples long, their numbers say nothing, and points are linked from frame to frame:
-to where constant velocity leads, and only where no other point is nearly as near.
+Where most tracks are one or two samples long, their numbers are not used. Points are then linked from frame to frame:
+to the point near the prediction by constant velocity, if no other point is nearly as near.
 """
 
 from dataclasses import dataclass
@@ -15,17 +15,17 @@ from mosca.data.arrays import Array
 from mosca.data.tracks import Tracks
 
 ACCELERATION = 150.0
-"""Of a marker on a person, at most [m/s^2]: heels and boxers' fists reach 50 to 100 between frames."""
+"""Largest acceleration of a marker on a person [m/s^2]: heels and boxers' fists reach 50 to 100 between frames."""
 NOISE_M = 0.003
-"""Of a measured place, at most: half hidden markers are off by millimetres [m]."""
+"""Largest error of a measured place [m]: half hidden markers are off by millimetres."""
 FIRST_SPEED = 3.0
-"""Of a marker relative to those around it, whose velocity is not known yet [m/s]."""
+"""Largest speed, relative to those around it, of a marker whose velocity is not known yet [m/s]."""
 CLEARLY = 2.0
-"""So many times farther than a linked point its rivals must be."""
+"""A linked point's rivals must be this many times farther."""
 SHORT = 3.0
-"""Tracks of fewer samples than this (median over samples) are points without identity."""
+"""Tracks shorter than this number of samples (median over samples) are treated as points without identity."""
 BRIDGED = 3
-"""A track's gap of so many frames at most is within a tracklet."""
+"""Longest gap of a track within a tracklet [frames]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +35,7 @@ class TrackletSet:
     sample: Array
     """(n,) row of the tracks."""
     row: Array
-    """(n,) number of the frame among those that there are."""
+    """(n,) index of the frame among those of the tracks."""
     xyz: Array
     """(n, 3)"""
     starts: Array
@@ -52,7 +52,7 @@ class TrackletSet:
         return slice(int(self.starts[k]), int(self.starts[k + 1]))
 
     def window(self, pieces: Array, rows: slice) -> Array:
-        """Return the positions (t, k, 3) of ``pieces`` (k,) in a range of frames, NaN where there is none."""
+        """Return the positions (t, k, 3) of tracklets ``pieces`` (k,) in a range of frames, NaN where not seen."""
         out = np.full((rows.stop - rows.start, len(pieces), 3), np.nan)
         for column, k in enumerate(pieces.tolist()):
             part = self.part(k)
@@ -84,12 +84,12 @@ def tracklets_of(tracks: Tracks) -> TrackletSet:
 
 
 def _jumps(xyz: Array, frame: Array, new: Array, dt: float) -> Array:
-    """Return the samples (n,) where a track may have become another marker's: after a long gap or a jump."""
+    """Return whether a track may change to another marker at each sample (n,): after a long gap or a jump."""
     gap = np.diff(frame, prepend=frame[0])
     step = np.diff(xyz, axis=0, prepend=xyz[:1]) / np.maximum(gap, 1)[:, None]
     change = np.zeros(len(frame))
     change[2:] = np.linalg.norm(step[2:] - step[1:-1], axis=1) * gap[2:]
-    # the step that is large, not the one after it
+    # only a step longer than half the one before: not the step after a jump
     long = np.linalg.norm(step, axis=1)
     known = ~new & ~np.roll(new, 1) & (long > 0.5 * np.roll(long, 1))
     reach = gap * (gap + 1) / 2 * ACCELERATION * dt**2 + 2 * NOISE_M
@@ -117,7 +117,7 @@ def _link(xyz: Array, row: Array, frame: Array, dt: float) -> Array:
 
 
 def _matched(last: Array, step: Array, now: Array, dt: float) -> Array:
-    """Return which of ``last`` (k, 3), that moved by ``step`` (NaN: not known), each of ``now`` (n, 3) is, or -1."""
+    """Return the point of ``last`` (k, 3), which moved by ``step`` (NaN: unknown), of each ``now`` (n, 3), or -1."""
     known = np.isfinite(step[:, 0])
     guess = step.copy()
     if known.any() and not known.all():
@@ -128,7 +128,7 @@ def _matched(last: Array, step: Array, now: Array, dt: float) -> Array:
     away = np.linalg.norm((last + guess)[:, None] - now[None], axis=2)
     rows, columns = linear_sum_assignment(np.minimum(away, reach[:, None]))
     found = away[rows, columns]
-    # a rival: another point for this track, or another track for this point, nearly as near
+    # rival: another point nearly as near for this track, or another track for this point
     rival = away.copy()
     rival[rows, columns] = np.inf
     least = np.minimum(rival.min(axis=1)[rows], rival.min(axis=0)[columns])

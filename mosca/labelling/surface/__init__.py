@@ -1,1 +1,1 @@
-"""Labels of markers on a deforming surface, a face: from where people have them and how they move together."""
+"""Labels of markers on a deforming surface, such as a face, from their usual places and common movements."""

@@ -1,10 +1,10 @@
-"""Pose and size of a surface model fitted to its markers' points, and what is then expected of each marker.
+"""Pose and size of a surface model fitted to its markers' points, and the prediction of each marker by the others.
 
-With x_i = R^T (p_i - t) a marker's point in the model's axes, r = x - s mu is normal with the model's covariance and
-the noise's. Pose (flat prior) and logarithm of the size s (normal) are estimated by Gauss-Newton and then integrated
-out: Q below is the inverse covariance of r with both unknown, so that what the other markers say of marker i is
-normal with covariance Q_ii^-1 and mean x_i - Q_ii^-1 (Q r)_i (leave-one-out prediction; Rasmussen and Williams 2006,
-Gaussian Processes for Machine Learning, eq. 5.10-5.12). A marker that is not seen has a noise of 1 m.
+With x_i = R^T (p_i - t) a marker's point in the model's axes, r = x - s mu is normal with the sum of the model's and
+the noise's covariance. Pose (flat prior) and logarithm of the size s (normal) are estimated by Gauss-Newton and then
+integrated out: Q below is the inverse covariance of r with both unknown. The prediction of marker i from the others
+is then normal with covariance Q_ii^-1 and mean x_i - Q_ii^-1 (Q r)_i (leave-one-out prediction; Rasmussen and
+Williams 2006, Gaussian Processes for Machine Learning, eq. 5.10-5.12). A marker that is not seen has a noise of 1 m.
 """
 
 from dataclasses import dataclass
@@ -17,16 +17,16 @@ from mosca.data.arrays import Array
 from mosca.labelling.surface.model import NOISE_M, SurfaceModel
 
 UNSEEN_M2 = 1.0
-"""Variance given to a marker that is not seen [m^2]: so large that it says nothing."""
+"""Variance given to a marker that is not seen [m^2]: so large that it has no influence."""
 _STEPS, _STILL = 10, 1e-7
-"""Steps of a fit at most, and the step [m, rad] below which it has settled."""
+"""Most steps of a fit, and the step [m, rad] below which it has converged."""
 _KEPT = 64
-"""Sets of seen markers whose matrices are kept."""
+"""Number of sets of seen markers whose matrices are cached."""
 
 
 @dataclass(frozen=True, eq=False)
 class SurfacePose:
-    """Where a surface is and how large: world = ``translation`` + ``rotation`` (places times ``size``)."""
+    """Pose and size of a surface: world = ``translation`` + ``rotation`` (places times ``size``)."""
 
     rotation: Array
     """(3, 3)"""
@@ -35,31 +35,31 @@ class SurfacePose:
     size: float
 
     def local(self, points: Array) -> Array:
-        """Return world points (..., 3) in the model's axes, of the person's size."""
+        """Return world points (..., 3) in the model's axes, in the person's size."""
         return np.asarray((points - self.translation) @ self.rotation)
 
 
 @dataclass(frozen=True, eq=False)
 class SurfaceFit:
-    """A fitted pose, and what it leaves open."""
+    """A fitted pose, and the predictions of the markers."""
 
     pose: SurfacePose
     seen: Array
-    """(m,) the markers that have a point."""
+    """(m,) whether a marker has a point."""
     information: Array
     """Q (m, 3, m, 3)."""
     pull: Array
     """Q r (m, 3)."""
     evidence: float
-    """Logarithm of the density of the seen points, pose and size integrated out, but for a constant a marker."""
+    """Log density of the seen points, pose and size integrated out, up to a constant per marker."""
     mean: Array
-    """(m, 3) where the other markers expect each, model axes, person's size [m]."""
+    """(m, 3) prediction of each marker from the others, in the model's axes and the person's size [m]."""
     spread: Array
-    """(m, 3, 3) its covariance, noise included [m^2]."""
+    """(m, 3, 3) covariance of the prediction, noise included [m^2]."""
 
 
 class SurfaceFitter:
-    """Fits ``model`` to points; of its movement's variance a ``share`` counts."""
+    """Fits ``model`` to points, using a ``share`` of the variance of its movement."""
 
     def __init__(self, model: SurfaceModel, share: float = 1.0) -> None:
         self.model = model
@@ -67,7 +67,7 @@ class SurfaceFitter:
         self._kept: dict[bytes, tuple[Array, float]] = {}
 
     def fit(self, points: Array, start: SurfacePose) -> SurfaceFit:
-        """Return the fit to ``points`` (m, 3) [m], NaN where a marker has none, from a pose near it."""
+        """Return the fit to ``points`` (m, 3) [m], NaN where a marker has none, starting from a pose near it."""
         seen: Array = np.asarray(np.isfinite(points).all(axis=1))
         inverse, log_det = self._inverse(seen)
         rotation, translation, log_size = start.rotation, start.translation, float(np.log(start.size))
@@ -88,7 +88,7 @@ class SurfaceFitter:
         weighted = jacobian.T @ inverse
         normal = weighted @ jacobian + np.diag(prior)
         information = inverse - weighted.T @ np.linalg.solve(normal, weighted)
-        # of the prior's size: what is not explained by any size within it
+        # residual at the prior's mean size, for the size is integrated out
         about = r - jacobian[:, 6] * log_size
         pull = information @ about
         evidence = -0.5 * (about @ pull + log_det + float(np.linalg.slogdet(normal)[1]) - np.log(prior[6]))

@@ -1,10 +1,10 @@
-"""Labels of the tracks of a deforming surface, a face, from a surface model: no training, no static pose.
+"""Labels of the tracks of a deforming surface, such as a face, from a surface model: no training, no static pose.
 
-The points of the frame that shows most are matched with the model (``matching``). With these labels the pose of each
-frame is known, and every tracklet's mean place on the surface: a face at its mean expression, which is matched once
-more. That teaches the model this person's own places, and what is left is movement; with it frames are matched that
-show tracklets without a label. At last each label is held against its neighbours over the whole take, and taken away
-where they refute it.
+The points of the frame that shows most are matched with the model (``matching``). These labels give the pose of each
+frame and every tracklet's mean place on the surface. Together these places are a face of mean expression, which is
+matched once more. From it the model is adapted to this person's own places, so that only movement remains open. With
+the adapted model, frames that show unlabelled tracklets are matched. At last each label is compared with its
+neighbours over the whole take, and removed where they refute it.
 """
 
 from dataclasses import dataclass, replace
@@ -25,12 +25,12 @@ from mosca.labelling.surface.matching import SurfaceMatch, SurfaceMatcher
 from mosca.labelling.surface.model import LEAST_MARKERS, NOISE_M, SurfaceModel
 
 MEAN_SHARE = 0.5
-"""Of a movement's mean square about rest, the part that its mean over a take has: a face moves to one side of rest,
-and of values between 0 and a maximum, mostly small ones, the square of the mean is about the variance."""
+"""Share of the squared mean over a take in a movement's mean square about rest. A face moves to one side of rest; for
+values between 0 and a maximum that are mostly small, the square of the mean is about the variance."""
 STEADY = 0.02
-"""Standard deviation of the logarithm of a person's size once it was seen."""
+"""Standard deviation of the logarithm of a person's size after it was estimated."""
 REFUTED = float(chi2.isf(1e-6, 3))
-"""Square of the distance from where the others expect a marker, in standard deviations, that refutes its label."""
+"""Squared Mahalanobis distance of a marker from its prediction by the others beyond which its label is refuted."""
 
 
 @checked_dataclass(frozen=True, config=SETTINGS)
@@ -57,9 +57,9 @@ DEFAULTS = SurfaceSettings()
 
 
 def label_surface(tracks: Tracks, model: SurfaceModel, settings: SurfaceSettings = DEFAULTS) -> AutomaticLabels:
-    """Return ``tracks`` with labels of ``model``, where they are sure; the surface may stand and look anywhere.
+    """Return ``tracks`` with labels of ``model``, where certain; the surface may have any place and orientation.
 
-    Labels that ``tracks`` have are replaced. Without a frame that shows six markers or more, none gets a label.
+    Labels of ``tracks`` are replaced. Without a frame that shows six markers or more, none gets a label.
     """
     tracklets = tracklets_of(tracks)
     take = _SurfaceTake(tracklets, model, settings, _seconds(tracks))
@@ -76,7 +76,7 @@ def _seconds(tracks: Tracks) -> float:
 
 @dataclass(frozen=True, eq=False)
 class _SurfaceFrame:
-    """Points (n, 3) of a frame, the tracklet (n,) of each, and its number among the frames."""
+    """Points (n, 3) of a frame, the tracklet (n,) of each, and the frame's index."""
 
     row: int
     xyz: Array
@@ -84,7 +84,7 @@ class _SurfaceFrame:
 
 
 class _SurfaceTake:
-    """Labels of the tracklets of a take, and how they come about."""
+    """Labels of the tracklets of a take, and the steps that find them."""
 
     def __init__(
         self, tracklets: TrackletSet, model: SurfaceModel, settings: SurfaceSettings, seconds: float
@@ -99,17 +99,17 @@ class _SurfaceTake:
         self._pose: SurfacePose | None = None
 
     def frame(self, row: int) -> _SurfaceFrame:
-        """Return what there is in a frame."""
+        """Return the points of a frame."""
         at = self._order[self._bounds[row] : self._bounds[row + 1]]
         return _SurfaceFrame(row, self.tracklets.xyz[at], self.of[at])
 
     def rows(self) -> list[int]:
-        """Return the frames, evenly spaced, that are looked at."""
+        """Return the frames that are used, evenly spaced."""
         most = min(self.settings.frames, self.tracklets.frames)
         return [int(row) for row in np.unique(np.linspace(0, self.tracklets.frames - 1, most).round())]
 
     def first(self) -> bool:
-        """Label the tracklets of the frame that shows most of long ones; return whether there are any."""
+        """Label the tracklets of the frame that shows most long ones; return whether there are labels."""
         lengths = np.diff(self.tracklets.starts)
         score = np.bincount(self.tracklets.row, weights=np.minimum(lengths, 100)[self.of], minlength=1)
         frame = self.frame(int(np.argmax(score)))
@@ -132,7 +132,7 @@ class _SurfaceTake:
             if fit is not None:
                 np.add.at(total, frame.piece, fit.pose.local(frame.xyz))
                 np.add.at(count, frame.piece, 1)
-        # tracklets of one marker are one point; of the others those that are seen for long
+        # tracklets of one marker are one point; of unlabelled ones, those seen for long are points
         groups = [np.flatnonzero((self.label == k) & (count > 0)) for k in range(len(self.model.names))]
         groups = [group for group in groups if len(group)]
         groups += [np.array([k]) for k in np.flatnonzero((self.label < 0) & (count > 0.5 * max(count.max(), 1)))]
@@ -156,7 +156,7 @@ class _SurfaceTake:
         self.learned = SurfaceFitter(_of_person(self.model, best, places, probability >= self.settings.sure))
 
     def others(self) -> None:
-        """Label further tracklets, the longest first: each frame that shows one is matched with what is known."""
+        """Label further tracklets, the longest first: match a frame that shows each, using the labels so far."""
         matcher, lengths = self._matcher(self.learned), np.diff(self.tracklets.starts)
         waits = self.label < 0
         for _ in range(self.settings.further):
@@ -164,7 +164,7 @@ class _SurfaceTake:
                 break
             own = self.tracklets.row[self.tracklets.part(int(np.argmax(np.where(waits, lengths, 0))))]
             known = np.bincount(self.tracklets.row, self.label[self.of] >= 0)[own]
-            # of those that show most the middle: tracks that break are doubtful at their ends
+            # the middle of the frames that show most labels: tracks that break are doubtful at their ends
             fullest = own[known == known.max()]
             frame = self.frame(int(fullest[len(fullest) // 2]))
             waits[frame.piece] = False
@@ -178,7 +178,7 @@ class _SurfaceTake:
             self._give(best, matcher.probability(best, rivals), frame.piece)
 
     def refuted(self) -> None:
-        """Take labels away from samples about the frames in which the other markers refute them."""
+        """Mark samples whose label is refuted by the other markers in the nearest frame that is used."""
         rows = np.array(self.rows())
         wrong = np.zeros((len(rows), len(self.tracklets)), dtype=bool)
         for k, row in enumerate(rows.tolist()):
@@ -198,7 +198,7 @@ class _SurfaceTake:
         return SurfaceMatcher(fitter, self.settings.shown, self.settings.extra)
 
     def _give(self, match: SurfaceMatch, probability: Array, piece: Array) -> None:
-        """Give sure labels to tracklets without one, where no other tracklet has it meanwhile."""
+        """Give certain labels to tracklets without one, where no simultaneous tracklet has the label."""
         begin = self.tracklets.row[self.tracklets.starts[:-1]]
         end = self.tracklets.row[self.tracklets.starts[1:] - 1]
         for marker in np.flatnonzero(probability >= self.settings.sure).tolist():
@@ -208,7 +208,7 @@ class _SurfaceTake:
                 self.label[k], self.probability[k] = marker, probability[marker]
 
     def _fitted(self, fitter: SurfaceFitter, frame: _SurfaceFrame) -> SurfaceFit | None:
-        """Return the fit to a frame's labelled points; None where they are too few."""
+        """Return the fit to a frame's labelled points; None for too few of them."""
         points = np.full((len(self.model.names), 3), np.nan)
         label = self.label[frame.piece]
         points[label[label >= 0]] = frame.xyz[label >= 0]
@@ -220,7 +220,7 @@ class _SurfaceTake:
 
 
 def _of_person(model: SurfaceModel, match: SurfaceMatch, places: Array, sure: Array) -> SurfaceModel:
-    """Return the model with what the ``sure`` (m,) markers of a mean face, ``places`` (n, 3), tell of this person."""
+    """Return the model adapted to a person from the ``sure`` (m,) markers of a mean face with ``places`` (n, 3)."""
     pose, seen = match.fit.pose, sure & (match.chosen >= 0)
     expected = pose.size * model.place_m
     r = np.where(seen[:, None], pose.local(places[np.maximum(match.chosen, 0)]) - expected, 0.0).reshape(-1)
@@ -234,14 +234,14 @@ def _of_person(model: SurfaceModel, match: SurfaceMatch, places: Array, sure: Ar
 
 
 def _labelled(tracks: Tracks, take: _SurfaceTake) -> AutomaticLabels:
-    """Return ``tracks`` with the labels of a take's tracklets; what is not measured keeps none."""
+    """Return ``tracks`` with the labels of a take's tracklets; samples that were not measured get none."""
     names = np.array(["", *take.model.names])
     sample, label = take.tracklets.sample, np.where(take.bad, -1, take.label[take.of])
     new_label, sure = np.full(len(tracks), "", dtype=names.dtype), np.zeros(len(tracks))
     new_label[sample] = names[label + 1]
     sure[sample] = np.where(label >= 0, take.probability[take.of], 0.0)
     number = np.array(tracks.track)
-    # a track that is several markers', or none's, has a number for each
+    # a track of several markers, or partly of none, gets a number for each
     highest = int(number.max(initial=0))
     if take.tracklets.linked:
         number[sample] = highest + 1 + take.of

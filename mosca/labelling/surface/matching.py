@@ -1,9 +1,9 @@
-"""Which point of a frame is which marker of a surface: from nothing, from a guess, and how sure it is.
+"""Assignment of a frame's points to a surface's markers, with or without an initial guess, and its probability.
 
-From nothing: places are laid onto the points in 60 directions (the rotations of an icosahedron: none is farther than
-45 degrees from one) and brought nearer by turns of assignment and alignment, within a gate that narrows. The best are
-refined with the model's covariances: each marker is compared with where the others expect it, so that a wrong point
-does not speak for itself.
+Without a guess, places are aligned to the points in 60 orientations (the rotations of an icosahedron: no rotation is
+farther than 45 degrees from one of them). Assignment and alignment then alternate within a gate that narrows. The
+best are refined with the model's covariances: each marker is compared with its prediction from the others, so that a
+wrong point does not support itself.
 """
 
 from collections.abc import Sequence
@@ -19,12 +19,12 @@ from mosca.labelling.surface.fit import SurfaceFit, SurfaceFitter, SurfacePose, 
 from mosca.labelling.surface.model import LEAST_MARKERS
 
 GATES = (0.3, 0.2, 0.15, 0.12, 0.1, 0.08, 0.08, 0.08)
-"""Farthest a point is taken for a marker's, turn by turn, in units of the surface's extent."""
+"""Largest distance of a point from its marker in each successive turn, in units of the surface's extent."""
 REFINED = 6
-"""Beginnings that are refined."""
+"""Number of starts that are refined."""
 TURNS = 12
 NEAR = 3.0
-"""Unseen markers are compared with points this near to where they are expected, in their standard deviations."""
+"""Unseen markers are compared with points this near to their prediction, in standard deviations."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,28 +34,28 @@ class SurfaceMatch:
     chosen: Array
     """(m,) point of each marker, or -1."""
     value: float
-    """Logarithm of the density of the points, against none of them being a marker."""
+    """Log density of the points, against none of them being a marker."""
     fit: SurfaceFit
     cost: Array
-    """(m, n) of each point being that marker, by what all other markers expect: log-odds against neither."""
+    """(m, n) cost of each point as each marker, by the prediction from all others: log-odds against neither."""
 
 
 class SurfaceMatcher:
     """Matches the points of a frame with a fitter's model.
 
-    ``shown``: share of the markers that a frame shows; ``extra``: points within the surface's box that are none.
+    ``shown``: share of the markers that a frame shows; ``extra``: points in the surface's box that are no markers.
     """
 
     def __init__(self, fitter: SurfaceFitter, shown: float, extra: float) -> None:
         self.fitter, self.place = fitter, fitter.model.place_m
         size = np.ptp(self.place, axis=0)
         self.extent = float(np.linalg.norm(size))
-        # box with room of a tenth of the extent on all sides
+        # box with a margin of a tenth of the extent on all sides
         self.log_density = float(np.log(extra / np.prod(size + 0.2 * self.extent)))
         self.log_shown = float(np.log(shown / (1 - shown)))
 
     def found(self, points: Array) -> list[SurfaceMatch]:
-        """Return what points (n, 3) may be, the likeliest first; none where too few fit."""
+        """Return possible matches of points (n, 3), the likeliest first; none where too few fit."""
         if len(points) < LEAST_MARKERS:
             return []
         begun = sorted(
@@ -71,11 +71,11 @@ class SurfaceMatcher:
         return sorted(matches, key=lambda match: -match.value)
 
     def refined(self, points: Array, chosen: Array, pose: SurfacePose) -> SurfaceMatch:
-        """Return the best match from ``chosen`` (m,) at ``pose``: turns of fit and assignment, then exchanges."""
+        """Return the best match from ``chosen`` (m,) at ``pose``: alternating fit and assignment, then exchanges."""
         return self._exchanged(points, self._turned(points, chosen, pose))
 
     def _turned(self, points: Array, chosen: Array, pose: SurfacePose) -> SurfaceMatch:
-        """Return the best match of turns of fit and assignment."""
+        """Return the best match of alternating fit and assignment."""
         best = now = self.valued(points, chosen, pose)
         for _ in range(TURNS):
             again = self._assigned(now.cost)
@@ -95,14 +95,14 @@ class SurfaceMatcher:
         return SurfaceMatch(chosen, fit.evidence + count * each, fit, self.costs(points, fit))
 
     def costs(self, points: Array, fit: SurfaceFit) -> Array:
-        """Return log-odds (m, n) against points (n, 3) being the markers, by what all others of a fit expect."""
+        """Return log-odds (m, n) against points (n, 3) being the markers, by a fit's predictions from all others."""
         away = fit.pose.local(points)[None] - fit.mean[:, None]
         square = np.einsum("mna,mab,mnb->mn", away, np.linalg.inv(fit.spread), away)
         log_det = np.linalg.slogdet(2 * np.pi * fit.spread)[1]
         return np.asarray(0.5 * (square + log_det[:, None]) + self.log_density - self.log_shown)
 
     def _assigned(self, cost: Array) -> Array:
-        """Return points (m,) of least total cost; none where that is better."""
+        """Return the points (m,) of least total cost; -1 where none is better."""
         rows, columns = linear_sum_assignment(np.minimum(cost, 0.0))
         chosen = np.full(len(cost), -1)
         good = cost[rows, columns] < 0
@@ -110,7 +110,7 @@ class SurfaceMatcher:
         return chosen
 
     def _laid(self, points: Array, turn: Array) -> tuple[float, Array, SurfacePose]:
-        """Return the cost, the points (m,) and the pose that turns of assignment and alignment lead to."""
+        """Return the cost, the points (m,) and the pose found by alternating assignment and alignment."""
         sigma = self.fitter.model.size_sigma
         ratio = np.linalg.norm(points.std(axis=0)) / np.linalg.norm(self.place.std(axis=0))
         least, most = np.exp(-2 * sigma), np.exp(2 * sigma)
@@ -132,7 +132,7 @@ class SurfaceMatcher:
         return value, chosen, pose
 
     def _exchanged(self, points: Array, match: SurfaceMatch) -> SurfaceMatch:
-        """Return the match after exchanges of two markers' points as long as they make it likelier."""
+        """Return the match after exchanges of two markers' points, as long as they make it likelier."""
         for _ in range(TURNS):
             odds = exchange_odds(match)
             i, j = (int(k) for k in np.unravel_index(np.argmax(odds), odds.shape))
@@ -149,9 +149,9 @@ class SurfaceMatcher:
     def challenged(self, points: Array, matches: Sequence[SurfaceMatch]) -> tuple[SurfaceMatch, list[SurfaceMatch]]:
         """Return the likeliest match (of one or more), and others that were compared with it.
 
-        A chain of neighbours, each with the next one's point, is not seen marker by marker. So every unseen marker is
-        given the points near to where it is expected, and every point that nothing claims to the markers near it; the
-        assignment starts again from there.
+        A chain of neighbours, each with the next one's point, is not found by looking at single markers. So every
+        unseen marker is given each point near its prediction, and every free point is given to each marker near it.
+        The assignment starts again from there.
         """
         best, rivals = matches[0], list(matches[1:])
         for _ in range(TURNS):
@@ -165,7 +165,7 @@ class SurfaceMatcher:
         return best, list({one.chosen.tobytes(): one for one in rivals}.values())
 
     def _forced(self, points: Array, match: SurfaceMatch) -> list[Array]:
-        """Return assignments (m,) in which an unseen marker has a point near it, or a marker one of nothing's."""
+        """Return assignments (m,) with an unseen marker at a point near it, or a marker at a free point near it."""
         local = match.fit.pose.local(points)
         away = np.linalg.norm(local[None] - match.fit.mean[:, None], axis=2)
         reach = NEAR * np.sqrt(np.trace(match.fit.spread, axis1=1, axis2=2))
@@ -180,7 +180,7 @@ class SurfaceMatcher:
         return out
 
     def probability(self, match: SurfaceMatch, rivals: Sequence[SurfaceMatch]) -> Array:
-        """Return the probability (m,) that each point is right: against exchanges of two, and ``rivals``."""
+        """Return the probability (m,) of each point, against exchanges of two points and against ``rivals``."""
         odds = exchange_odds(match).sum(axis=1)
         seen = np.flatnonzero(match.chosen >= 0)
         odds[seen] += np.exp(np.clip(match.cost[seen, match.chosen[seen]], -700, 50))
@@ -190,12 +190,12 @@ class SurfaceMatcher:
 
 
 def exchange_odds(match: SurfaceMatch) -> Array:
-    """Return odds (m, m) of the exchange of two seen markers' points against the match; 0 for unseen ones."""
+    """Return the odds (m, m) of exchanging two seen markers' points, against the match; 0 for unseen ones."""
     fit = match.fit
     m = len(match.chosen)
     index = np.arange(m)
     q, own = fit.information, fit.information[index, :, index]
-    # a marker's point: where the others expect it, plus what pulls it there
+    # a marker's point: prediction from the others, plus the residual from it
     local = fit.mean + np.einsum("iab,ib->ia", np.linalg.inv(own), fit.pull)
     u = local[None] - local[:, None]
     cross = q.transpose(0, 2, 1, 3)

@@ -1,9 +1,9 @@
 """A surface model: mean places of markers on a deforming surface, and how these places vary together.
 
-Differences between people (shape, and where markers are put) and movements are normal distributions, whose covariance
-over the markers is a Gaussian kernel of their distance: neighbours differ and move alike (as of Gaussian process
-morphable models, Luethi et al. 2018, IEEE TPAMI 40, 1860). A TOML file (``face.toml`` says what its keys mean) holds
-the places, so that no person has to be learned first.
+Differences between people (shape and placement of markers) and movements are modelled as normal distributions. Their
+covariance over the markers is a Gaussian kernel of the distance: neighbours differ and move alike (as in Gaussian
+process morphable models, Luethi et al. 2018, IEEE TPAMI 40, 1860). The places are read from a TOML file
+(``face.toml`` describes its keys), so that no person has to be learned first.
 """
 
 from dataclasses import dataclass
@@ -20,11 +20,11 @@ FACE = Path(__file__).with_name("face.toml")
 MOST_MARKERS = 200
 LEAST_MARKERS = 6
 _MIRROR = np.array([1.0, -1.0, 1.0])
-"""y is from one side of the face to the other."""
+"""Mirrors y, which runs from one side of the face to the other."""
 _SAME_M = 1e-6
-"""Markers are each other's mirror image where they are so near to it [m]: the file states them so."""
+"""Markers are mirror images of each other if they are this near to it [m], as the file states them."""
 NOISE_M = 0.0005
-"""Of a measured marker, at most: half hidden ones are off by tenths of millimetres [m]."""
+"""Largest error of a measured marker [m]: half hidden ones are off by tenths of millimetres."""
 
 Name = Annotated[str, Field(min_length=1, max_length=100, pattern=r"^[^\x00-\x1f\x7f]+$")]
 
@@ -69,7 +69,7 @@ class SurfaceTable(Table):
 
 @dataclass(frozen=True, eq=False)
 class SurfaceModel:
-    """Markers (m) of a surface: what is known of a person's."""
+    """Markers (m) of a surface, and the distribution of their places."""
 
     names: tuple[str, ...]
     place_m: Array
@@ -88,12 +88,12 @@ class SurfaceModel:
             object.__setattr__(self, name, read_only(getattr(self, name), (3 * m, 3 * m), name))
 
     def covariance(self, share: float = 1.0) -> Array:
-        """Return the covariance (3 m, 3 m) of the places in a frame; of its movement's variance a ``share``."""
+        """Return the covariance (3 m, 3 m) of the places in a frame, with a ``share`` of the movement's variance."""
         return np.asarray(self.person + share * self.motion)
 
 
 def read_surface_model(path: Path = FACE) -> SurfaceModel:
-    """Return the model in ``path``; InputError where it is none."""
+    """Return the model in ``path``; InputError where the file is no surface model."""
     return surface_model(check(SurfaceTable, read_toml(path), path))
 
 
@@ -114,7 +114,7 @@ def surface_model(file: SurfaceTable) -> SurfaceModel:
     shape = file.shape_sigma_m**2 * np.exp(-0.5 * away / file.shape_reach_m**2)
     shape_across = file.shape_sigma_m**2 * np.exp(-0.5 * across / file.shape_reach_m**2)
     seat, opposite = np.square(seats), (across < _SAME_M**2).astype(float)
-    # f(x) + mirrored f of the mirror image, as large as f: alike on both sides
+    # f(x) + mirrored f of the mirror image, scaled to the size of f: alike on both sides
     person = np.kron(shape + np.diag(seat), np.eye(3))
     person += file.symmetry * np.kron(shape_across + seat * opposite, np.diag(_MIRROR))
     # a product of kernels is a kernel: the covariance stays positive

@@ -1,1 +1,1 @@
-"""Poses in a control loop: a filter that fuses late poses and predicts, the delay from data, the delay margin."""
+"""Poses in a control loop: a filter that fuses late poses and predicts, estimation of the delay, the delay margin."""

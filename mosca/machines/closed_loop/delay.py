@@ -1,8 +1,9 @@
-"""The delay between a pose's exposure and its use, from a flight's own log: inputs, and poses as they arrived.
+"""The delay between a pose's exposure and its use, from a flight's own log of inputs and of poses as they arrived.
 
-Maximum likelihood: at the right delay the Kalman filter's innovations are smallest for the noise that it expects
-(prediction error method, Ljung 1999, section 7.4; consistent in closed loop where the noise is modelled, section
-13.4). The unexplained acceleration and the poses' noise are estimated with the delay, so that neither need be known.
+Maximum likelihood: at the right delay the Kalman filter's innovations are smallest relative to the noise that it
+assumes (prediction error method, Ljung 1999, section 7.4; consistent in closed loop where the noise is modelled,
+section 13.4). The unexplained acceleration and the poses' noise are estimated together with the delay, so that
+neither needs to be known.
 """
 
 from dataclasses import dataclass
@@ -18,29 +19,29 @@ from mosca.numba_support.decorators import kernel
 
 FEWEST_POSES = 100
 LONGEST_S = 0.3
-"""Delays up to this are tried."""
+"""Longest delay that is tried."""
 _GRID_S = 0.02
-"""Step of the delays of which the likeliest begins the search, and the search's unit."""
+"""Step of a grid of delays, the likeliest of which starts the search; also the unit of the search."""
 WORST_SIGMA_S = 0.002
-"""Where the motion tells a delay no better than this, none is given."""
+"""Largest standard deviation of a delay that is returned."""
 _CURVED_S = 0.001
-"""Step of the second difference of the likelihood: below the errors that are claimed."""
+"""Step of the second difference of the likelihood: smaller than the stated errors."""
 _START_SIGMA = (1.0, 1.0)
-"""Of position [m] and velocity [m/s] before the first pose: wide."""
+"""Standard deviations of position [m] and velocity [m/s] before the first pose: wide."""
 
 
 @dataclass(frozen=True, eq=False)
 class FlightLog:
-    """What a ground computer can log; one clock, but for the stamps."""
+    """Log of a ground computer; all times but ``frame_s`` are of one clock."""
 
     input_s: Array
-    """(n,) from when each acceleration holds [s]."""
+    """(n,) time from which each acceleration holds [s]."""
     acceleration: Array
     """(n, 3) known acceleration: measured on board, or commanded and passed through the vehicle's lag [m/s^2]."""
     arrival_s: Array
-    """(k,) when each pose arrived [s]."""
+    """(k,) time at which each pose arrived [s]."""
     frame_s: Array
-    """(k,) its exposure by the cameras' clock, whose offset is not known: frame number over rate [s]."""
+    """(k,) exposure of each pose by the cameras' clock, whose offset is unknown: frame number over rate [s]."""
     position: Array
     """(k, 3) [m]"""
     covariance: Array
@@ -54,20 +55,20 @@ class FlightLog:
 
 @dataclass(frozen=True)
 class DelayEstimate:
-    """A delay with what its estimate rests on."""
+    """An estimated delay, with the noise estimated together with it."""
 
     delay_s: float
-    """Mean time from a pose's mid-exposure to its arrival, against the clock of the inputs [s]."""
+    """Mean time from a pose's mid-exposure to its arrival, by the clock of the inputs [s]."""
     sigma_s: float
     """Standard deviation [s], from the curvature of the likelihood."""
     acceleration_mps2: float
-    """Rms of the acceleration that the inputs do not explain, as estimated [m/s^2]."""
+    """Estimated rms of the acceleration that the inputs do not explain [m/s^2]."""
     noise_factor: float
-    """Standard deviation of the poses' noise over the stated one, as estimated."""
+    """Estimated ratio of the standard deviation of the poses' noise to the stated one."""
     poses: int
 
     allowed_s: ClassVar[float] = 0.002
-    """A believed delay that is off by less than this does not matter."""
+    """Error of an assumed delay below which it does not matter."""
 
     @property
     def ci95(self) -> tuple[float, float]:
@@ -80,8 +81,9 @@ def estimate_delay(
 ) -> DelayEstimate:
     """Return the delay of the poses in ``log``.
 
-    InputError where there are too few poses, where the motion leaves the delay open, or where it lies at an end of
-    the range 0 to ``longest_s``. ``correlation_s`` of the unexplained acceleration, ``white``: as of ``MotionNoise``.
+    ``correlation_s`` of the unexplained acceleration and ``white`` as in ``MotionNoise``. InputError where there are
+    too few poses, where the motion does not determine the delay, or where the delay lies at an end of the range 0 to
+    ``longest_s``.
     """
     if len(log.arrival_s) < FEWEST_POSES:
         raise InputError(
@@ -137,11 +139,11 @@ class _Prepared:
         self._speed = np.vstack([np.zeros(3), np.cumsum(gaps * log.acceleration[:-1], axis=0)])
         ways = gaps * self._speed[:-1] + 0.5 * gaps**2 * log.acceleration[:-1]
         self._way = np.vstack([np.zeros(3), np.cumsum(ways, axis=0)])
-        # frames come at whole periods: few gaps differ
+        # frames come at whole periods: there are few different gaps
         self._gaps, self._gap_of = np.unique(np.round(np.diff(self._frame_s), 9), return_inverse=True)
 
     def log_likelihood(self, delay_s: float, noise: MotionNoise, factor: float) -> float:
-        """Return that of the poses, were they exposed ``delay_s`` before they arrived on average."""
+        """Return the log likelihood of the poses for a mean time ``delay_s`` from exposure to arrival."""
         stamps = self._frame_s + self.late_s - delay_s
         v, x = self._integrals(stamps)
         gap = np.diff(stamps)[:, None]
@@ -154,7 +156,7 @@ class _Prepared:
         return float(_innovations(self._position, variance, way, speed, transitions, processes, start))
 
     def _integrals(self, time_s: Array) -> tuple[Array, Array]:
-        """Return the input's integrals (n, 3): once [m/s], twice [m]."""
+        """Return the input's single [m/s] and double [m] integrals (n, 3)."""
         k = np.clip(np.searchsorted(self._input_s, time_s, side="right") - 1, 0, len(self._input_s) - 1)
         h = np.maximum(time_s - self._input_s[k], 0.0)[:, None]
         v = self._speed[k] + h * self._value[k]
@@ -178,7 +180,7 @@ def _innovations(
                     v + f[1, 2] * d + speed[k - 1, axis],
                     f[2, 2] * d,
                 )
-                # rows of F P, then of F P F': F is an upper triangle with ones but for its last element
+                # rows of F P, then of F P F': F is upper triangular, its diagonal is 1 except for the last element
                 a0, a1, a2 = (
                     p00 + f[0, 1] * p01 + f[0, 2] * p02,
                     p01 + f[0, 1] * p11 + f[0, 2] * p12,

@@ -1,9 +1,9 @@
-"""How much delay a position loop stands: phase margin of the linear loop over its crossover frequency.
+"""Delay margin of a position loop: phase margin of the linear loop divided by its crossover frequency.
 
-The loop of one horizontal axis: a double integrator, position and velocity feedback, the attitude loop as a lag of
-second order, a delay: L(s) = (kv s + kp) / s^2 * w^2 / (s^2 + 2 z w s + w^2) * exp(-s T). Its delay margin is the
-phase margin over the crossover frequency (Franklin, Powell & Emami-Naeini, Feedback Control of Dynamic Systems, 7th
-ed., section 6.4).
+The loop of one horizontal axis consists of a double integrator, position and velocity feedback, the attitude loop as
+a second-order lag, and a delay: L(s) = (kv s + kp) / s^2 * w^2 / (s^2 + 2 z w s + w^2) * exp(-s T). Its delay margin
+is the phase margin over the crossover frequency (Franklin, Powell & Emami-Naeini, Feedback Control of Dynamic
+Systems, 7th ed., section 6.4).
 """
 
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ class PositionLoop:
     velocity_gain: float = 7.2
     """[1/s]"""
     attitude_rad_s: float = 20.0
-    """Natural frequency of the attitude loop; infinite: without a lag."""
+    """Natural frequency of the attitude loop [rad/s]; infinite for no lag."""
     attitude_damping: float = 0.8
 
     def gain(self, rad_s: float) -> complex:
@@ -35,10 +35,10 @@ class PositionLoop:
 
 
 def delay_margin_s(loop: PositionLoop) -> float:
-    """Return the delay at which ``loop`` begins to oscillate for good [s]; 0 where it does so without any delay."""
+    """Return the delay from which on ``loop`` is unstable [s]; 0 where it is unstable without any delay."""
     low, high = 1e-3 * np.sqrt(loop.position_gain), 10 * (loop.velocity_gain + np.sqrt(loop.position_gain))
     crossover = float(brentq(lambda w: abs(loop.gain(w)) - 1.0, low, high))
-    # the phase runs on from -180 degrees of the double integrator; the lag takes up to 180 more
+    # the phase starts from the double integrator's -180 degrees; the lag subtracts up to 180 more
     lead = np.arctan2(loop.velocity_gain * crossover, loop.position_gain)
     lag = 0.0
     if np.isfinite(loop.attitude_rad_s):
@@ -48,9 +48,9 @@ def delay_margin_s(loop: PositionLoop) -> float:
 
 
 def mean_age_s(period_s: float, dropout: float) -> float:
-    """Return the mean age of the newest pose beyond its delay [s]: frames ``period_s`` apart, a share lost at random.
+    """Return the mean age of the newest pose beyond its delay [s], for frames ``period_s`` apart.
 
-    The gaps are geometric: E[n^2] / (2 E[n]) = (1 + dropout) / (2 (1 - dropout)) periods (renewal theory: mean age
-    of a renewal process).
+    ``dropout``: share of frames lost at random. The gaps are geometrically distributed: E[n^2] / (2 E[n]) =
+    (1 + dropout) / (2 (1 - dropout)) periods (renewal theory: mean age of a renewal process).
     """
     return period_s * (1 + dropout) / (2 * (1 - dropout))

@@ -1,10 +1,10 @@
-"""Stability of a position loop with its Kalman filter in it, which takes late poses for new ones.
+"""Stability of a position loop that contains a Kalman filter, which treats late poses as new ones.
 
-The loop of one horizontal axis, linear and without noise, as a periodic discrete system: a double integrator
-behind the attitude loop's lag, poses every so many control steps, each ``delay`` late, the filter's stationary
-gain, feedback of the predicted position and velocity, and the filter's unexplained acceleration subtracted, which
-is an integral action. It is stable where all eigenvalues over a period lie within the unit circle (Floquet;
-Bittanti & Colaneri, Periodic Systems, 2009, section 1.2).
+The loop of one horizontal axis is modelled as linear, without noise, and as a periodic discrete system. It consists
+of a double integrator behind the attitude loop's lag, poses every so many control steps, each ``delay`` late, and the
+filter's stationary gain. Predicted position and velocity are fed back, and the filter's unexplained acceleration is
+subtracted, which is an integral action. The loop is stable where all eigenvalues over a period lie within the unit
+circle (Floquet; Bittanti & Colaneri, Periodic Systems, 2009, section 1.2).
 """
 
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ from mosca.machines.closed_loop.delay_margin import PositionLoop
 from mosca.machines.closed_loop.late_pose_filter import MotionNoise
 
 LONGEST_S = 0.5
-"""Delays up to this are tried."""
+"""Longest delay that is tried."""
 
 
 @dataclass(frozen=True)
@@ -27,16 +27,16 @@ class FilteredLoop:
     loop: PositionLoop
     noise: MotionNoise
     sigma_m: float
-    """Standard deviation of a pose's position, an axis [m]."""
+    """Standard deviation of a pose's position, per axis [m]."""
     control_s: float
     """Control period [s]."""
     frame_s: float
-    """Mean time between poses that arrive [s]; to the nearest control period."""
+    """Mean time between poses that arrive [s]; rounded to whole control periods."""
     measures: bool = False
-    """Whether the known acceleration is measured, and nothing is subtracted; else it is the commands'."""
+    """True: the known acceleration is measured, and nothing is subtracted; False: it is that of the commands."""
 
     def radius(self, delay_s: float) -> float:
-        """Return the largest eigenvalue's size over a pose period: below 1 the loop is stable."""
+        """Return the largest absolute eigenvalue over a pose period: below 1 the loop is stable."""
         late = max(1, round(delay_s / self.control_s))
         every = max(1, round(self.frame_s / self.control_s))
         state = np.eye(4 + late + 3 + 4)
@@ -46,14 +46,14 @@ class FilteredLoop:
         return float(np.abs(np.linalg.eigvals(state)).max())
 
     def margin_s(self) -> float:
-        """Return the delay from which on the loop is unstable [s], to a control period; infinite above LONGEST_S."""
+        """Return the delay from which on the loop is unstable [s], to one control period; inf above LONGEST_S."""
         for late in range(1, round(LONGEST_S / self.control_s)):
             if self.radius(late * self.control_s) > 1.0:
                 return (late - 0.5) * self.control_s
         return np.inf
 
     def _gain(self, period_s: float) -> Array:
-        """Return the stationary gain (3,) of poses ``period_s`` apart."""
+        """Return the filter's stationary gain (3,) for poses ``period_s`` apart."""
         transition, process = self.noise.step(period_s)
         row = np.array([[1.0, 0.0, 0.0]])
         prior = solve_discrete_are(transition.T, row.T, process, np.array([[self.sigma_m**2]]))
@@ -61,10 +61,10 @@ class FilteredLoop:
         return gain
 
     def _stepped(self, state: Array, late: int, gain: Array | None) -> Array:
-        """Return the states (n, columns) a control period later; ``gain``: a pose is fused before.
+        """Return the states (n, columns) one control period later; with a ``gain``, a pose is fused first.
 
-        Rows: position, velocity, acceleration, its rate; earlier positions; the filter's three; the lag's model, its
-        mean acceleration over the coming period, and the command that acts in it.
+        Rows: position, velocity, acceleration and its rate; earlier positions; the filter's three states; the model
+        of the lag, its mean acceleration over the coming period, and the command that acts in that period.
         """
         h = self.control_s
         plant, line, known = state[:4], state[4 : 4 + late], state[4 + late : 7 + late].copy()

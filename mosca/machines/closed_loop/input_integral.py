@@ -8,9 +8,9 @@ from mosca.data.arrays import Array
 
 
 class InputIntegral:
-    """Known acceleration (3,) [m/s^2] over time; each value holds until the next, the last one for good.
+    """Known acceleration (3,) [m/s^2] over time; each value holds until the next, the last one without end.
 
-    Values are appended in order of time; before the first one the acceleration is zero.
+    Values are appended in order of time; before the first value the acceleration is zero.
     """
 
     def __init__(self) -> None:
@@ -20,7 +20,7 @@ class InputIntegral:
         self._way: list[Array] = []
 
     def append(self, time_s: float, acceleration: Array) -> None:
-        """Let ``acceleration`` (3,) hold from ``time_s`` on; a value at the last one's instant replaces it."""
+        """Let ``acceleration`` (3,) hold from ``time_s`` on; it replaces a last value at the same instant."""
         if self._time and time_s < self._time[-1]:
             raise ValueError(f"time_s = {time_s} given after {self._time[-1]}; inputs come in order of time")
         speed, way = self._at(time_s)
@@ -33,7 +33,7 @@ class InputIntegral:
         self._way.append(way)
 
     def effect(self, from_s: float, until_s: float) -> tuple[Array, Array]:
-        """Return what the input adds to position (3,) [m] and velocity (3,) [m/s] of a body from rest."""
+        """Return the change of position (3,) [m] and velocity (3,) [m/s] of a body from rest by the input."""
         v0, x0 = self._at(from_s)
         v1, x1 = self._at(until_s)
         return x1 - x0 - v0 * (until_s - from_s), v1 - v0

@@ -1,8 +1,8 @@
 """A Kalman filter that fuses poses at the instants at which they were exposed, however late they arrive.
 
-State of each axis: position, velocity, and an acceleration that the known input does not explain (a first-order
-Gauss-Markov process; Bar-Shalom, Li & Kirubarajan 2001, section 8.2, the Singer model, here beside a known input). A
-pose that is older than one already fused is put in its place and the later ones are fused again, which is exact.
+The state of each axis is position, velocity, and an acceleration that the known input does not explain (a first-order
+Gauss-Markov process; Bar-Shalom, Li & Kirubarajan 2001, section 8.2, the Singer model, here added to a known input).
+A pose older than one already fused is inserted at its instant, and the later ones are fused again, which is exact.
 The prediction to the present integrates the known input.
 """
 
@@ -20,14 +20,14 @@ _AXES = np.eye(3)
 
 @dataclass(frozen=True)
 class MotionNoise:
-    """What the known input leaves open."""
+    """Noise of the acceleration that the known input does not explain."""
 
     acceleration_mps2: float = 0.1
     """Rms of the unexplained acceleration, each axis [m/s^2]."""
     correlation_s: float = 1.0
     """Its correlation time [s]."""
     white: float = 0.0
-    """Density of a white noise of the known acceleration beside it [m/s^2/sqrt(Hz)]."""
+    """Density of an additional white noise of the known acceleration [m/s^2/sqrt(Hz)]."""
 
     def step(self, dt_s: float) -> tuple[Array, Array]:
         """Return transition and process covariance (3, 3) of one axis over ``dt_s`` [s] (Singer 1970, eq. 8)."""
@@ -43,7 +43,7 @@ class MotionNoise:
         x = a * dt_s
         gain_v, gain_p = tc * (1 - e), tc * tc * (e - 1 + x)
         transition = np.array([[1.0, dt_s, gain_p], [0.0, 1.0, gain_v], [0.0, 0.0, e]])
-        if x < 1e-2:  # the closed form cancels; white jerk for so short a step, error of order x
+        if x < 1e-2:  # the closed form suffers cancellation; white jerk for a short step, error of order x
             q = 2 * self.acceleration_mps2**2 * a
             d = dt_s
             short = q * np.array(
@@ -67,13 +67,13 @@ class PredictedMotion(NamedTuple):
     velocity: Array
     """(3,) [m/s]"""
     unexplained: Array
-    """(3,) acceleration beside the known input [m/s^2]."""
+    """(3,) acceleration in addition to the known input [m/s^2]."""
     covariance: Array
     """(9, 9) of position, velocity and unexplained acceleration."""
 
 
 class _Fused(NamedTuple):
-    """State after a pose was fused, and that pose."""
+    """State after fusing a pose, and the pose."""
 
     time_s: float
     mean: Array  # (3, 3): rows position, velocity, unexplained acceleration; columns x, y, z
@@ -84,20 +84,20 @@ class _Fused(NamedTuple):
 
 
 class LatePoseFilter:
-    """Fuses late poses and predicts to any later instant; one clock for inputs and stamps.
+    """Fuses late poses and predicts to any later instant; inputs and stamps must be of one clock.
 
     Parameters
     ----------
     noise
-        What the inputs do not explain.
+        Acceleration that the inputs do not explain.
     time_s, position, velocity
-        The start: (3,) [m], (3,) [m/s].
+        Instant [s], position (3,) [m] and velocity (3,) [m/s] of the start.
     sigma
         Standard deviations of the start's position [m] and velocity [m/s], each axis.
     memory_s
         A pose older than the newest fused one by more than this is refused.
     inputs
-        The known acceleration; it may grow. Default: none yet.
+        The known acceleration, to which values may be appended. Default: none yet.
     """
 
     def __init__(
@@ -126,7 +126,7 @@ class LatePoseFilter:
     def fuse(self, time_s: float, position: Array, covariance: Array) -> bool:
         """Fuse a pose that was exposed at ``time_s``: ``position`` (3,) [m], ``covariance`` (3, 3) [m^2].
 
-        Returns False, and counts, where it is older than all that is remembered.
+        Returns False, and counts it in ``refused``, where it is older than all states kept.
         """
         k = bisect_right([one.time_s for one in self._fused], time_s) - 1
         if k < 0:

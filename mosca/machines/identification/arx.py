@@ -1,7 +1,7 @@
-"""Poles of an ARX model by linear least squares: quick, and biased by the output's noise; starts for the search.
+"""Poles of an ARX model by linear least squares: fast, biased by the output's noise; used to start the search.
 
 y(k) + a_1 y(k-1) + ... + a_n y(k-n) = sum over inputs and i = 0..n of b_i u(k-i), plus a constant (Ljung 1999, 4.2).
-The output's noise is in the regressors y(k-i), which pulls the poles to 0.
+The output's noise is in the regressors y(k-i), which biases the poles towards 0.
 """
 
 import numpy as np
@@ -12,7 +12,7 @@ from mosca.machines.identification.output_error import OutputRecord
 
 
 def arx_poles(record: OutputRecord, order: int, delay_s: float) -> Array:
-    """Return the discrete poles (order,) by least squares over the rows whose last ``order`` values are measured."""
+    """Return the discrete poles (order,) by least squares over samples whose last ``order`` values are measured."""
     u = on_grid(record.inputs, delay_s, record.grid).mean
     y = record.values
     n = len(y) - order
@@ -25,9 +25,9 @@ def arx_poles(record: OutputRecord, order: int, delay_s: float) -> Array:
 
 
 def continuous(discrete: Array, period_s: float) -> Array | None:
-    """Return continuous poles [rad/s], one of each pair, of stable ``discrete`` ones; None where there is another.
+    """Return the continuous poles [rad/s], one of each pair, of ``discrete`` ones; None where one has no counterpart.
 
-    A pole on the negative real axis is that of no continuous system of the same order.
+    These are unstable poles, and poles on the negative real axis, which no continuous system of the same order has.
     """
     if np.any(np.abs(discrete) >= 1) or np.any((np.abs(discrete.imag) < 1e-9) & (discrete.real <= 0)):
         return None

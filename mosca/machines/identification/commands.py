@@ -1,9 +1,9 @@
 """Commands from a CSV file: a clock, and a column for each input.
 
-The clock is one of ``time_ns`` or ``time_s``, on the tracks' session clock, or ``frame``, a number of the tracks'
-frames. Inputs are ``left`` and ``right``, or ``pwm_left`` and ``pwm_right`` (as in a run folder's commands.csv), in
-the unit of the motor's driver, or the columns that the reader is told of; other columns are left alone. Each row sets
-its values at its time, and they hold until the next row; before the first they are 0.
+The clock is ``time_ns`` or ``time_s``, on the tracks' session clock, or ``frame``, a frame number of the tracks.
+Inputs are ``left`` and ``right``, or ``pwm_left`` and ``pwm_right`` (as in a run folder's commands.csv), in the unit
+of the motor's driver, or columns given to the reader; other columns are ignored. Each row sets its values at its
+time; they hold until the next row. Before the first row they are 0.
 """
 
 from collections.abc import Sequence
@@ -51,7 +51,7 @@ class CommandRows:
 def read_commands(path: Path, inputs: Sequence[str] = ()) -> CommandRows:
     """Read commands. Raises InputError naming column or row and what is allowed.
 
-    ``inputs``: the columns that are inputs, where they are others than those of ``SIDES``.
+    ``inputs``: the columns that are inputs, where they are not those of ``SIDES``.
     """
     path = Path(path)
     rows = read_rows(path)

@@ -1,4 +1,4 @@
-"""A body whose axes its targets define, as the Mosca paper's robot (section 4.3): a centre, an x and a y axis."""
+"""A body with axes defined by its targets, as the Mosca paper's robot (section 4.3): a centre, an x and a y axis."""
 
 from dataclasses import dataclass, replace
 
@@ -14,7 +14,7 @@ from mosca.rigid_bodies.learn import learn_body
 
 @dataclass(frozen=True)
 class DeckAxes:
-    """Names of targets: the ``centre``; the two that the x axis goes through, back and front; y, right and left."""
+    """Names of targets: the ``centre``; back and front target of the ``x`` axis; right and left target of ``y``."""
 
     centre: str
     x: tuple[str, str]
@@ -22,16 +22,16 @@ class DeckAxes:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """All of them."""
+        """All names."""
         return (self.centre, *self.x, *self.y)
 
 
 PAPER = DeckAxes("T8", ("T6", "T10"), ("T13", "T3"))
-"""Of the paper's robot: #8; #6 and #10; #3 and #13."""
+"""Axes of the paper's robot: #8; #6 and #10; #3 and #13."""
 
 
 def read_axes(text: str) -> DeckAxes:
-    """Return the axes that ``CENTRE,BACK-FRONT,RIGHT-LEFT`` names; InputError where it is something else."""
+    """Return the axes given as ``CENTRE,BACK-FRONT,RIGHT-LEFT``; InputError for any other text."""
     parts = [part.strip() for part in text.split(",")]
     pairs = [tuple(part.split("-")) for part in parts[1:]]
     if len(parts) != 3 or not parts[0] or not all(len(pair) == 2 and all(pair) for pair in pairs):
@@ -41,18 +41,19 @@ def read_axes(text: str) -> DeckAxes:
 
 
 def in_axes(body: RigidBody, axes: DeckAxes) -> RigidBody:
-    """Return ``body`` in the axes that its targets define: x through its two, y across x, z up; origin at the centre.
+    """Return ``body`` in the axes defined by its targets: x through its two targets, y across x, z up.
 
-    Raises InputError where it has no such target, or the two axes are within 30 degrees of each other.
+    The origin is at the centre. Raises InputError where a target is missing, or the two axes are within 30 degrees of
+    each other.
     """
     origin, rotation = _frame(body, axes)
     return replace(body, positions=(body.positions - origin) @ rotation.T)
 
 
 def learned_deck(tracks: Tracks, axes: DeckAxes) -> RigidBody:
-    """Return the body "deck" of the labelled targets of ``tracks``, learned from them, in the axes of ``axes``.
+    """Return the body "deck" learned from the labelled targets of ``tracks``, in the axes of ``axes``.
 
-    Raises InputError where a target is missing or the targets are no rigid body.
+    Raises InputError where a target is missing or the targets are not a rigid body.
     """
     labels = np.unique(tracks.label[tracks.label != ""]).tolist()
     missing = [name for name in axes.names if name not in labels]
@@ -73,7 +74,7 @@ def poses_in_axes(poses: BodyPoses, body: RigidBody, axes: DeckAxes) -> BodyPose
     mine = poses.of(body.name)
     world = np.array([rotation_from_quaternion(q) for q in mine.quaternion]).reshape(len(mine), 3, 3)
     arm = world @ origin
-    # of a rotation r about the world's axes: the origin moves by r x arm
+    # by a rotation r about the world's axes the origin moves by r x arm
     change = np.tile(np.eye(6), (len(mine), 1, 1))
     change[:, :3, 3:] = np.cross(arm[:, None, :], np.eye(3)[None])
     covariance = change @ mine.covariance @ change.transpose(0, 2, 1)

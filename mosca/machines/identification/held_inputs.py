@@ -1,4 +1,4 @@
-"""Inputs that are held between commands, and what they are on the grid of the exposures, exactly."""
+"""Inputs that are held between commands, and their exact values on the grid of the exposures."""
 
 from dataclasses import dataclass
 
@@ -9,7 +9,7 @@ from mosca.data.arrays import Array, set_read_only
 
 @dataclass(frozen=True, eq=False)
 class HeldInputs:
-    """Values of k inputs that each command sets and that are held until the next; 0 before the first."""
+    """Values of k inputs, set by each command and held until the next; 0 before the first."""
 
     names: tuple[str, ...]
     time_s: Array
@@ -45,15 +45,15 @@ class InputsOnGrid:
     """Inputs on a grid of n intervals: k values each, exact for commands at any time."""
 
     at_start: Array
-    """(n, k) in force at an interval's start."""
+    """(n, k) values at the start of each interval."""
     mean: Array
-    """(n, k) over the interval."""
+    """(n, k) means over each interval."""
     row: Array
-    """(j,) interval in which a command falls."""
+    """(j,) interval of each command that falls into one."""
     rest_s: Array
-    """(j,) from that command to the interval's end [s]."""
+    """(j,) time from that command to the interval's end [s]."""
     step: Array
-    """(j, k) by how much it changes the inputs."""
+    """(j, k) change of the inputs by that command."""
 
 
 def on_grid(inputs: HeldInputs, delay_s: float, grid: IntervalGrid) -> InputsOnGrid:

@@ -1,7 +1,8 @@
-"""The linear model from commands to v_x and yaw rate: orders, poles, gains, delays, and how far they can be trusted.
+"""The linear model from commands to v_x and yaw rate: orders, poles, gains and delays, with their uncertainty.
 
-The order is the smallest whose error on the last part of the take, which it was not fitted to, is not larger than the
-best order's beyond doubt: a pole more must show that it is needed.
+Orders are compared by the error on the last part of the take, which they were not fitted to. The smallest order whose
+error is not significantly larger than that of the best order is chosen: an additional pole must show that it is
+needed.
 """
 
 from collections.abc import Callable
@@ -38,9 +39,9 @@ from mosca.machines.identification.velocities import (
 )
 
 FIRST_RATES = (0.03, 0.1, 0.3)
-"""Poles that are tried at each delay, times the sampling rate: the response is seen best between 3 and 30 samples."""
+"""Poles tried at each delay, in units of the sampling rate: responses of 3 to 30 samples are seen best."""
 RESPONSE = 8
-"""Time constants of the pulse response that the realization is made of: e^-8 is 0.03 %."""
+"""Length of the pulse response for the realization, in time constants: e^-8 is 0.03 %."""
 Report = Callable[[int, int | None], None]
 
 
@@ -49,19 +50,20 @@ class IdentifySettings:
     """How a model is identified."""
 
     most_order: int = 3
-    """Orders from 1 to this are tried; one more than the best needs is seen not to help."""
+    """Largest order that is tried, from 1 on; one above the best order should show that it does not help."""
     most_delay_s: float = 0.2
-    """Largest delay of the motion behind the commands, or before them, where clocks differ."""
+    """Largest delay of the motion after the commands, or before them, where clocks differ."""
     held_out: float = 0.3
-    """Share of the take, its end, that orders are compared on."""
+    """Share of the take, at its end, on which orders are compared."""
 
 
 @dataclass(frozen=True, eq=False)
 class IdentifiedOutput:
     """One output's model.
 
-    ``held_out_rms``: of the orders 1, 2, ... that were tried, in the output's unit; ``fit_held_out``: of the order
-    chosen, fitted without that part [%]; ``arx``: discrete poles of the ARX model of that order.
+    ``held_out_rms``: rms error on the part held out, of the orders 1, 2, ... that were tried, in the output's unit;
+    ``fit_held_out``: fit of the chosen order on that part, fitted without it [%]; ``arx``: discrete poles of the ARX
+    model of that order.
     """
 
     name: str
@@ -79,7 +81,7 @@ class IdentifiedOutput:
 
 @dataclass(frozen=True, eq=False)
 class IdentifiedModel:
-    """Model of all outputs, and what it was made of; times are from the first pose on."""
+    """Model of all outputs, and the data it was made from; times count from the first pose."""
 
     inputs: tuple[str, ...]
     outputs: tuple[IdentifiedOutput, ...]
@@ -88,7 +90,7 @@ class IdentifiedModel:
     velocities: BodyVelocities
 
     def response(self, inputs: HeldInputs, grid: IntervalGrid, *, means: bool, from_rest: bool = False) -> Array:
-        """Return v_x and yaw rate (n, 2) as ``OutputModel.response`` does."""
+        """Return v_x [m/s] and yaw rate [rad/s] (n, 2), as ``OutputModel.response``."""
         models = [one.estimate.model for one in self.outputs]
         return np.stack([m.response(inputs, grid, means=means, from_rest=from_rest) for m in models], axis=1)
 
@@ -107,7 +109,7 @@ def identify(
 ) -> IdentifiedModel:
     """Return the model of a take. ``inputs``: on a clock that is 0 at the first pose.
 
-    Raises InputError where the inputs do not vary, or the take is too short to tell how far the model can be trusted.
+    Raises InputError where the inputs do not vary, or where the take is too short for the model's uncertainty.
     """
     settings = settings or IdentifySettings()
     grid, means = path.grid, mean_velocities(path)
@@ -118,7 +120,7 @@ def identify(
         counted = lambda order, k=k: progress(k * settings.most_order + order, steps)  # noqa: E731
         searches.append(_identified(record, settings, counted))
     models = [found.estimate.model for found in searches]
-    # each command takes effect at the mean of the outputs' delays: the clocks' offset is common to them
+    # each command takes effect after the mean of the outputs' delays: the clocks' offset is common to them
     delay = float(np.mean([model.delay_s for model in models]))
     velocities = smoothed_velocities(path, inputs.time_s + delay)
     progress(steps - 1, steps)
@@ -141,7 +143,7 @@ def identify(
 def fit_on(
     model: IdentifiedModel, path: PlanarPath, inputs: HeldInputs
 ) -> tuple[BodyVelocities, Array, tuple[float, ...]]:
-    """Return velocities of another take, the model's answer (n, 2) to its commands from rest, and the fits [%]."""
+    """Return velocities of another take, the model's response (n, 2) to its commands from rest, and the fits [%]."""
     delay = float(np.mean([one.estimate.model.delay_s for one in model.outputs]))
     velocities = smoothed_velocities(path, inputs.time_s + delay)
     answer = model.response(inputs, path.grid, means=False, from_rest=True)[path.frame - path.frame[0]]
@@ -150,7 +152,7 @@ def fit_on(
 
 @dataclass(frozen=True, eq=False)
 class _Search:
-    """An output's order: the ``estimate`` from the whole take, and the ``first`` model, without what was held out."""
+    """An output's order, the ``estimate`` from the whole take, and the ``first`` model without the held-out part."""
 
     order: int
     estimate: OutputEstimate
@@ -183,7 +185,7 @@ def _identified(record: OutputRecord, settings: IdentifySettings, tried: Callabl
 
 
 def _first(record: OutputRecord, most_delay_s: float) -> tuple[Array, float]:
-    """Return pole and delay of the best of a grid of first-order models."""
+    """Return the pole (as logarithm) and delay of the best of a grid of first-order models."""
     period = record.grid.period_s
     y = record.values[record.rows]
     best = (np.inf, np.zeros(1), 0.0)
@@ -197,7 +199,7 @@ def _first(record: OutputRecord, most_delay_s: float) -> tuple[Array, float]:
 
 
 def _best(record: OutputRecord, order: int, logs: Array, delay_s: float, most_delay_s: float) -> OutputModel:
-    """Return the best model of ``order`` from starts: the poles of a smaller model and a faster one, and ARX's."""
+    """Return the best model of ``order``, started from a smaller model's poles plus a faster one, and from ARX's."""
     starts = [logs]
     if order > 1:
         poles = poles_of(logs)
@@ -212,9 +214,9 @@ def _best(record: OutputRecord, order: int, logs: Array, delay_s: float, most_de
 
 
 def _smallest_good(squares: list[Array], blocks: int) -> int:
-    """Return the first of the models whose squared errors (n,) are not larger than the best's beyond doubt.
+    """Return the first of the models whose squared errors (n,) are not significantly larger than the best's.
 
-    The doubt is a two-sided 95 % interval of the difference to the best, from ``blocks`` of time.
+    The limit is a two-sided 95 % interval of the difference from the best, from ``blocks`` of time.
     """
     best = int(np.argmin([one.mean() for one in squares]))
     for k, one in enumerate(squares[:best]):

@@ -1,7 +1,7 @@
 """``model.json``: an identified model as plain numbers, for other programs. Rates in rad/s, times in s, SI outputs.
 
-Each quantity is ``[value, low, high]`` with its 95 % interval. ``numerators`` and ``denominator`` are the transfer
-function from each input in s, highest power first, to be delayed by ``delay_s``.
+Each quantity is ``[value, low, high]`` with its 95 % interval. ``numerators`` and ``denominator`` are polynomials in
+s, highest power first, of the transfer function from each input; its response is to be delayed by ``delay_s``.
 """
 
 import json
@@ -19,7 +19,7 @@ FORMAT = 1
 
 
 def write_model(model: IdentifiedModel, path: Path, unseen: tuple[float, ...] | None = None) -> None:
-    """Write ``model`` to ``path``, whole or not at all. ``unseen``: fits on another take [%], where there is one."""
+    """Write ``model`` to ``path``, whole or not at all. ``unseen``: fits on another take [%], if there is one."""
     document = {
         "format": FORMAT,
         "inputs": list(model.inputs),
@@ -45,7 +45,7 @@ def transfer_function(one: IdentifiedOutput, inputs: int) -> tuple[Array, Array]
     at = 0
     for pole in half:
         for part in (1.0,) if pole.imag == 0 else (1.0, -1j):
-            # Re x and Im x of x' = pole x + u: halves of the pair's responses
+            # Re x and Im x of x' = pole x + u: each is half of the pair's responses
             share = model.coefficients[at : at + inputs] * part
             numerators += _with_pole(share, pole, whole, 1.0 if pole.imag == 0 else 0.5)
             at += inputs + 1
@@ -53,7 +53,7 @@ def transfer_function(one: IdentifiedOutput, inputs: int) -> tuple[Array, Array]
 
 
 def _with_pole(share: Array, pole: complex, whole: Array, half: float) -> Array:
-    """Return the numerators (k, n) of ``share`` (k,) of a pole's response, and of the conjugate's."""
+    """Return the numerators (k, n) of ``share`` (k,) of the response of a pole and of its conjugate."""
     result = np.zeros((len(share), len(whole)), dtype=complex)
     for one, factor in ((pole, share),) if half == 1.0 else ((pole, share), (pole.conjugate(), np.conj(share))):
         rest = np.delete(whole, int(np.argmin(np.abs(whole - one))))

@@ -1,8 +1,9 @@
-"""Responses of single poles to held inputs: exact in continuous time, between samples too.
+"""Responses of single poles to held inputs: exact in continuous time, also between samples.
 
 A mode is x' = lambda x + u. Over an interval of length T with u held, x(T) = e^(lambda T) x(0) +
-(e^(lambda T) - 1) / lambda u; a command inside the interval adds the same of its change and of the time that is left.
-The mean of x over an interval follows from its ends: ((x(T) - x(0)) / T - mean of u) / lambda.
+(e^(lambda T) - 1) / lambda u. A command inside the interval adds the second term, with the input's change for u and
+the remaining time for T. The mean of x over an interval follows from its ends: ((x(T) - x(0)) / T - mean of u) /
+lambda.
 """
 
 import numpy as np
@@ -12,10 +13,10 @@ from mosca.machines.identification.held_inputs import InputsOnGrid, IntervalGrid
 
 
 def poles_of(logs: Array) -> Array:
-    """Return the poles [rad/s], one of each complex pair, of sections with coefficients of logarithms ``logs`` (n,).
+    """Return the poles [rad/s], one of each complex pair, of sections with ``logs`` (n,) of their coefficients.
 
-    Two values b, c a section s^2 + e^b s + e^c, and a last one a of s + e^a where n is odd: all are stable, and real
-    poles become a complex pair without a step.
+    Two values b, c give a section s^2 + e^b s + e^c; where n is odd, the last value a gives s + e^a. All poles are
+    stable, and two real poles become a complex pair continuously.
     """
     poles: list[complex] = []
     for k in range(0, len(logs) - 1, 2):
@@ -31,7 +32,10 @@ def poles_of(logs: Array) -> Array:
 
 
 def logs_of(poles: Array) -> Array:
-    """Return what ``poles_of`` makes stable ``poles`` of, one of each pair; an odd number's slowest is alone."""
+    """Return the ``logs`` from which ``poles_of`` makes stable ``poles``, given one of each complex pair.
+
+    Of an odd number of real poles the slowest has a section of its own.
+    """
     pairs = [p for p in poles if p.imag != 0]
     real = sorted((p.real for p in poles if p.imag == 0), reverse=True)
     alone = [real.pop(0)] if len(real) % 2 else []
@@ -42,7 +46,7 @@ def logs_of(poles: Array) -> Array:
 
 
 def states(poles: Array, inputs: InputsOnGrid, grid: IntervalGrid) -> Array:
-    """Return the states (n + 1, l, k) of the modes of ``poles`` (l,) for each input, from 0 at the first instant."""
+    """Return the states (n + 1, l, k) of the modes of ``poles`` (l,) for each input, starting from 0."""
     from scipy.signal import lfilter  # takes a second to import
 
     result = np.zeros((grid.n + 1, len(poles), inputs.at_start.shape[1]), dtype=complex)
@@ -60,10 +64,10 @@ def interval_means(poles: Array, inputs: InputsOnGrid, grid: IntervalGrid) -> Ar
 
 
 def columns(poles: Array, of_inputs: Array, grid: IntervalGrid, *, means: bool) -> Array:
-    """Return the real regressors (n, c) of an output: what its linear coefficients multiply.
+    """Return the real regressors (n, c) of an output, which its linear coefficients multiply.
 
-    For each pole its response to each input and to its own initial state (real and imaginary part of a complex one),
-    then a constant. ``of_inputs`` (n, l, k): ``interval_means``, or ``states``; ``means``: which of them.
+    They are, for each pole, its response to each input and to its initial state (real and imaginary part of a complex
+    one), then a constant. ``of_inputs`` (n, l, k): ``interval_means`` if ``means``, else ``states``.
     """
     t = grid.period_s * np.arange(len(of_inputs))
     made = []
@@ -75,7 +79,7 @@ def columns(poles: Array, of_inputs: Array, grid: IntervalGrid, *, means: bool) 
 
 
 def gains(poles: Array, coefficients: Array, inputs: int) -> Array:
-    """Return the DC gains (k,) of ``coefficients`` (c,) of the columns of ``columns``, k ``inputs``."""
+    """Return the DC gains (k,) for ``coefficients`` (c,) of the regressors of ``columns``; k is ``inputs``."""
     result, at = np.zeros(inputs), 0
     for pole in poles:
         at_rest = -1.0 / pole

@@ -1,12 +1,12 @@
 """Output-error models of one output, in continuous time: least squares of the simulated response, with intervals.
 
-The model's response to the commands alone is held against the measured mean velocities. Noise of the output is in the
-residual, not in the regressors, so that it biases nothing (Ljung 1999, sections 4.2 and 8.4; an ARX model's least
-squares do regress on the noisy output). Where the system is not linear the estimate tends to its best linear
-approximation for inputs of that kind (Pintelon and Schoukens 2012, chapter 3), and the residual holds what is not
-linear: coloured, and depending on the input. The covariance is therefore the sandwich of White (1982) with the scores
-summed over blocks of time, much longer than the system's memory; a t distribution with one degree of freedom less
-than there are blocks holds for few blocks (Bester, Conley and Hansen 2011).
+The model's response to the commands alone is compared with the measured mean velocities. Noise of the output is in
+the residual, not in the regressors, so it causes no bias (Ljung 1999, sections 4.2 and 8.4; an ARX model's least
+squares do regress on the noisy output). For a nonlinear system the estimate tends to its best linear approximation
+for inputs of that kind (Pintelon and Schoukens 2012, chapter 3). The residual then contains the nonlinear part, which
+is coloured and depends on the input. The covariance is therefore the sandwich of White (1982), with the scores summed
+over blocks of time much longer than the system's memory. For few blocks, a t distribution holds with one degree of
+freedom less than the number of blocks (Bester, Conley and Hansen 2011).
 
 Linear coefficients are solved for at each step (variable projection, Golub and Pereyra 1973): the search is over the
 poles and the delay.
@@ -26,17 +26,17 @@ from mosca.machines.identification.modes import columns, gains, interval_means, 
 
 MOST_BLOCKS, FEWEST_BLOCKS = 30, 8
 MEMORIES = 10
-"""A block is at least so many times as long as the system remembers: half of that leaves 5 % of the variance of a sum
-to correlations across its ends, double costs blocks."""
+"""Least length of a block in units of the system's memory: half of that leaves 5 % of the variance of a sum to
+correlations across its ends, double costs blocks."""
 STEP = 1e-5
 """Step of the difference quotients, of logarithms and of periods."""
 
 
 @dataclass(frozen=True, eq=False)
 class OutputRecord:
-    """What a model of one output is fitted to.
+    """Data that a model of one output is fitted to.
 
-    ``values`` (n,) means over the intervals of ``grid``, NaN where not measured; ``inputs`` on the same clock.
+    ``values`` (n,): means over the intervals of ``grid``, NaN where not measured; ``inputs`` on the same clock.
     """
 
     grid: IntervalGrid
@@ -48,11 +48,11 @@ class OutputRecord:
 
     @cached_property
     def rows(self) -> Array:
-        """The intervals that are measured."""
+        """Indices of the measured intervals."""
         return np.flatnonzero(np.isfinite(self.values))
 
     def until(self, n: int) -> "OutputRecord":
-        """Return the record with what is after the first ``n`` intervals not measured."""
+        """Return the record with all intervals after the first ``n`` marked as not measured."""
         return OutputRecord(self.grid, np.where(np.arange(self.grid.n) < n, self.values, np.nan), self.inputs)
 
 
@@ -60,8 +60,8 @@ class OutputRecord:
 class OutputModel:
     """A model of one output: gain from each input by n poles, a delay, an offset.
 
-    ``logs`` (n,) as ``modes.poles_of`` takes them; ``coefficients`` (c,) of ``modes.columns``; ``delay_s``: by how
-    much later than its time a command acts.
+    ``logs`` (n,) as for ``modes.poles_of``; ``coefficients`` (c,) of ``modes.columns``; ``delay_s``: time from a
+    command to its effect.
     """
 
     logs: Array
@@ -84,7 +84,7 @@ class OutputModel:
     def response(self, inputs: HeldInputs, grid: IntervalGrid, *, means: bool, from_rest: bool = False) -> Array:
         """Return the output: means (n,) over the grid's intervals, or values (n + 1,) at its instants.
 
-        ``from_rest``: without the initial state that belongs to the record that the model was fitted to.
+        ``from_rest``: without the initial state of the record to which the model was fitted.
         """
         poles = poles_of(self.logs)
         on = on_grid(inputs, self.delay_s, grid)
@@ -101,7 +101,7 @@ class OutputEstimate:
     """A fitted model and its uncertainty.
 
     ``quantities`` (q,): real and imaginary part of each pole, the slowest first [rad/s]; the k gains; the delay [s].
-    ``covariance`` (q, q); ``quantile`` of the t distribution for 95 %; ``sum_of_squares`` of the residuals.
+    ``covariance`` (q, q); ``quantile`` of the t distribution for 95 %; ``residual_rms`` by the degrees of freedom.
     """
 
     model: OutputModel
@@ -123,17 +123,17 @@ class OutputEstimate:
 
 
 def regressors(record: OutputRecord, logs: Array, delay_s: float) -> Array:
-    """Return the columns (rows, c) of the measured intervals for poles and delay."""
+    """Return the regressors (rows, c) of the measured intervals for poles and a delay."""
     poles = poles_of(logs)
     on = on_grid(record.inputs, delay_s, record.grid)
     return columns(poles, interval_means(poles, on, record.grid), record.grid, means=True)[record.rows]
 
 
 def fit(record: OutputRecord, logs: Array, delay_s: float, most_delay_s: float) -> OutputModel:
-    """Return the model of least squares, searched from poles and a delay, which stays within +-``most_delay_s``.
+    """Return the least-squares model, searched from poles and a delay, which stays within +-``most_delay_s``.
 
-    Poles are kept between the slowest of which the record is FEWEST_BLOCKS long and the Nyquist frequency: others
-    cannot be told.
+    Poles are kept between the slowest one for which the record has FEWEST_BLOCKS blocks and the Nyquist frequency:
+    others cannot be determined.
     """
     period = record.grid.period_s
     slow, fast = np.log(slowest_rate(record)), np.log(np.pi / period)
@@ -152,7 +152,7 @@ def fit(record: OutputRecord, logs: Array, delay_s: float, most_delay_s: float) 
 
 
 def estimate(record: OutputRecord, model: OutputModel) -> OutputEstimate:
-    """Return the uncertainty of a model that was fitted to ``record``."""
+    """Return a model that was fitted to ``record``, with its uncertainty."""
     period, k = record.grid.period_s, record.inputs.values.shape[1]
     at = np.append(model.logs, model.delay_s / period)
     n, linear = len(at), model.coefficients
@@ -189,22 +189,22 @@ def estimate(record: OutputRecord, model: OutputModel) -> OutputEstimate:
 
 
 def slowest_rate(record: OutputRecord) -> float:
-    """Return the slowest pole of which the record is long enough, without its sign [rad/s]."""
+    """Return the absolute value [rad/s] of the slowest pole for which the record is long enough."""
     return FEWEST_BLOCKS * MEMORIES / (len(record.rows) * record.grid.period_s)
 
 
 def block_length_s(record: OutputRecord, model: OutputModel) -> float:
-    """Return how long a block of the record is at least: MEMORIES times the slowest time constant and a command."""
+    """Return the least length [s] of a block: MEMORIES times the sum of slowest time constant and command's hold."""
     held = float(np.median(np.diff(record.inputs.time_s))) if len(record.inputs.time_s) > 1 else 0.0
     return MEMORIES * (float(np.max(-1.0 / model.poles.real)) + held)
 
 
 def _blocks(record: OutputRecord, model: OutputModel) -> tuple[Array, int]:
-    """Return the block (rows,) of each measured interval, and how many blocks there are."""
+    """Return the block (rows,) of each measured interval, and the number of blocks."""
     count = block_count(len(record.rows) * record.grid.period_s, block_length_s(record, model))
     return np.arange(len(record.rows)) * count // len(record.rows), count
 
 
 def block_count(span_s: float, length_s: float) -> int:
-    """Return the number of blocks of ``length_s`` in a span, FEWEST_BLOCKS to MOST_BLOCKS."""
+    """Return the number of blocks of ``length_s`` in a span, limited to FEWEST_BLOCKS to MOST_BLOCKS."""
     return int(np.clip(span_s / length_s, FEWEST_BLOCKS, MOST_BLOCKS))

@@ -1,8 +1,8 @@
-"""A second opinion without a search: Markov parameters by least squares, and their eigensystem realization.
+"""A second estimate without a search: Markov parameters by least squares, and their eigensystem realization.
 
-Both are python-control's: ``markov`` fits the pulse response of inputs and outputs together, ``eigensys_realization``
-(Juang and Pappa 1985) the system of given order whose pulse response is nearest in its Hankel matrix. Nothing is said
-of its uncertainty.
+Both are functions of python-control. ``markov`` fits the pulse response of all inputs and outputs together.
+``eigensys_realization`` (Juang and Pappa 1985) finds the system of given order with the nearest pulse response in its
+Hankel matrix. Its uncertainty is not estimated.
 """
 
 from collections.abc import Sequence
@@ -31,11 +31,11 @@ class Realization:
 def realization(records: Sequence[OutputRecord], delays_s: Sequence[float], order: int, samples: int) -> Realization:
     """Return the realization of ``order`` of the outputs ``records``, all on one grid and with the same inputs.
 
-    Each output is fitted by itself, as its delay is its own, and scaled to its standard deviation, so that the unit
-    of none counts. ``samples``: of the pulse response. Values that were not measured are taken linearly between those
-    that were.
+    Each output is fitted by itself, since it has its own delay, and scaled by its standard deviation, so that units
+    have no influence. ``samples``: length of the pulse response. Values that were not measured are interpolated
+    linearly.
     """
-    import control  # a second, and the plot library: only where a model is identified
+    import control  # takes a second and loads the plot library: only where a model is identified
 
     pulses, scales = [], []
     for record, delay in zip(records, delays_s, strict=True):

@@ -1,11 +1,11 @@
-"""How fast a body on the ground moves forwards and turns, from its poses with their covariance.
+"""Forward velocity and yaw rate of a body on the ground, from its poses with their covariance.
 
-Two kinds. ``smoothed_velocities``: at each pose, by Rauch-Tung-Striebel smoothing of distance and heading, with
-covariance; what plots and comparisons show. ``mean_velocities``: over each interval between exposures, from the poses
-at its ends, without any model of the motion. A model is fitted to the means: a smoother takes off what is fast, of
-which the poles are made.
+There are two kinds. ``smoothed_velocities`` are values at each pose, by Rauch-Tung-Striebel smoothing of distance and
+heading, with covariance; plots and comparisons show them. ``mean_velocities`` are means over each interval between
+exposures, from the poses at its ends, without a model of the motion. Models are fitted to the means, since a smoother
+removes the fast changes that determine the poles.
 
-Forwards is the horizontal direction of the body's x axis, the turn is about the world's z.
+Forwards is the horizontal direction of the body's x axis; the body turns about the world's z.
 """
 
 from dataclasses import dataclass
@@ -25,12 +25,12 @@ OUTPUTS = ("v_x", "yaw_rate")
 UNITS = ("m/s", "rad/s")
 FEWEST_POSES = 100
 LEARNED_FROM = 2000
-"""Instants that the motion's strength and memory, and unknown noise, are learned from; half of that changes the rms
-of the smoothed velocities of the twin's robot by less than 2 %."""
+"""Number of instants from which the motion's strength and memory, and unknown noise, are learned; half of that
+changes the rms of the smoothed velocities of the twin's robot by less than 2 %."""
 SEARCHED = 7.0
-"""Strengths and memory are sought within a factor e^7, 1000, of the first guess; at a steady speed there is none."""
+"""Strengths and memory are searched within a factor e^7, 1000, of the first guess; a steady speed determines none."""
 UNKNOWN = 1e12
-"""Variance of what tells nothing."""
+"""Variance of a value without information."""
 OFF_GRID = 0.1
 """Share of the period by which an exposure may be off the regular grid."""
 
@@ -39,8 +39,8 @@ OFF_GRID = 0.1
 class PlanarPath:
     """Poses of a body on the ground at n exposures.
 
-    ``frame`` (n,), ``time_ns`` (n,); ``values`` (n, 3) x, y [m] and yaw [rad], which runs on; ``covariance`` (n, 3,
-    3), NaN where the tracks have none.
+    ``frame`` (n,), ``time_ns`` (n,); ``values`` (n, 3): x, y [m] and unwrapped yaw [rad]; ``covariance`` (n, 3, 3),
+    NaN where the tracks have none.
     """
 
     frame: Array
@@ -55,7 +55,7 @@ class PlanarPath:
 
     @property
     def period_s(self) -> float:
-        """Time from a frame to the next [s]."""
+        """Time from one frame to the next [s]."""
         return float((self.time_ns[-1] - self.time_ns[0]) * 1e-9 / (self.frame[-1] - self.frame[0]))
 
     @property
@@ -80,10 +80,10 @@ class BodyVelocities:
 
 
 def planar_path(poses: BodyPoses, where: str) -> PlanarPath:
-    """Return the path on the ground of one body's measured poses; ``where``: what an InputError begins with.
+    """Return the path on the ground of one body's measured poses; an InputError's text begins with ``where``.
 
     The covariance is that of the poses, without the calibration's. InputError for too few poses, times that are not
-    those of regular frames, and an x axis that points up.
+    those of regular frames, and an x axis that points up or down.
     """
     if len(poses) < FEWEST_POSES:
         raise InputError(f"{where}: the body has a pose in {len(poses)} frames; {FEWEST_POSES} at least are wanted")
@@ -92,7 +92,7 @@ def planar_path(poses: BodyPoses, where: str) -> PlanarPath:
     level = e[:, 0] ** 2 + e[:, 1] ** 2
     if level.min() < 0.25:
         raise InputError(f"{where}: the body's x axis points up or down by more than 60 degrees; choose other --axes")
-    # of the rotation vector about the world's axes: e + r x e turns by r_z - e_z (e_x r_x + e_y r_y) / level
+    # by the rotation vector r about the world's axes, e + r x e turns by r_z - e_z (e_x r_x + e_y r_y) / level
     change = np.zeros((len(poses), 3, 6))
     change[:, 0, 0] = change[:, 1, 1] = change[:, 2, 5] = 1.0
     change[:, 2, 3:5] = -e[:, 2:] * e[:, :2] / level[:, None]
@@ -111,9 +111,10 @@ def planar_path(poses: BodyPoses, where: str) -> PlanarPath:
 
 
 def distance_along(path: PlanarPath) -> tuple[Array, Array]:
-    """Return the distance gone forwards (n,) [m] since the first pose, and its variance (n,) [m^2].
+    """Return the distance (n,) [m] moved forwards since the first pose, and its variance (n,) [m^2].
 
-    The displacement from pose to pose along the mean of their headings: off by (turn between them)^2 / 24 of it.
+    It is the sum of displacements from pose to pose along the mean of their headings; its relative error is
+    (turn between them)^2 / 24.
     """
     heading = (path.values[1:, 2] + path.values[:-1, 2]) / 2
     move = np.diff(path.values[:, :2], axis=0)
@@ -135,9 +136,9 @@ def mean_velocities(path: PlanarPath) -> Array:
 def smoothed_velocities(path: PlanarPath, changes_s: Array) -> BodyVelocities:
     """Return velocities with covariance at each pose, smoothed over the whole path.
 
-    The acceleration, forwards and of the yaw, each by itself, has a memory and an even noise (Singer), and jumps when
-    a command takes effect: ``changes_s`` (m,) after the first pose. Strengths and memory are the likeliest for the
-    path; where the poses have no covariance, so is the noise.
+    Forward and yaw acceleration are each modelled with a memory and a steady noise (Singer), and with jumps when a
+    command takes effect, at ``changes_s`` (m,) [s] after the first pose. Strengths and memory are maximum likelihood
+    estimates from the path; so is the noise where the poses have no covariance.
     """
     gone, variance = distance_along(path)
     outputs = []
@@ -149,14 +150,14 @@ def smoothed_velocities(path: PlanarPath, changes_s: Array) -> BodyVelocities:
 
 
 class _Axis:
-    """One coordinate over time, ``values`` (n,) with ``variance`` (n,), and when its acceleration may jump."""
+    """One coordinate over time, ``values`` (n,) with ``variance`` (n,), and the instants of jumps in acceleration."""
 
     def __init__(self, values: Array, variance: Array, time_ns: Array, changes_s: Array) -> None:
         self.values, self.time_ns = values, time_ns
         self.variance = variance if np.isfinite(variance).all() else None
         seconds = (time_ns - time_ns[0]) * 1e-9
         self.steps = np.diff(seconds, prepend=seconds[0])
-        # of the first velocity; forgotten within a few frames
+        # variance of the first velocity; it has no influence after a few frames
         self.speed2 = float(np.max((np.diff(values) / self.steps[1:]) ** 2)) + 1e-12
         row = np.searchsorted(seconds, changes_s)
         inside = (row > 0) & (row < len(seconds))
@@ -176,7 +177,7 @@ class _Axis:
         return state[:, 3], spread[:, 3, 3]
 
     def _first_guess(self) -> Array:
-        """Return logarithms of even and jumping acceleration, of the memory [s], and of noise that is not stated."""
+        """Return logarithms of steady and jumping acceleration, of the memory [s], and of noise if not stated."""
         rate = np.diff(self.values) / self.steps[1:]
         memory = 5.0 * float(np.median(self.steps[1:]))
         strength = max(float(rate.std()) / memory / 2, 1e-6)
@@ -186,7 +187,7 @@ class _Axis:
     def _smooth(self, n: int, logs: Array) -> tuple[Array, Array, float]:
         """Return states (n, 9), covariances (n, 9, 9) and -2 log-likelihood of the first ``n`` instants.
 
-        The kernel's state has three axes: the first is this one, nothing is known of the others.
+        The kernel's state has three axes: the first is this one; the others carry no information.
         """
         even, jump, memory = np.exp(logs[:3])
         variance = np.full(len(self.values), np.exp(2 * logs[-1])) if self.variance is None else self.variance

@@ -1,1 +1,1 @@
-"""Where a moving camera was: its poses from a test field in its images, and how they compare with a rig's."""
+"""Poses of a moving camera from a test field in its images, and their comparison with those of a rig."""

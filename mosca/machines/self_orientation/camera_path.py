@@ -1,8 +1,8 @@
-"""Poses of a camera over time, with errors of their own and errors that all of them share.
+"""Poses of a camera over time, with individual errors and errors that all of them share.
 
 Errors are (position x, y, z [m], rotation vector r about the frame's axes [rad], R_true = exp([r]) R), as in
-``mosca.data.bodies``. Per frame the image noise is new; lens, targets, lever arm and clock are wrong once for the
-whole take, so that they do not average out: ``by_parameter`` carries their common covariance to each pose.
+``mosca.data.bodies``. Image noise is independent in each frame. Errors of lens, targets, lever arm and clock are the
+same in the whole take, so they do not average out: ``by_parameter`` propagates their common covariance to each pose.
 """
 
 from collections.abc import Sequence
@@ -17,12 +17,12 @@ from mosca.data.rig import Pose
 
 DRAWS = 2000
 DRAW_SEED = 1004
-"""Of the draws that give the band of a mean NEES; the band moves by 1 % of its width with another."""
+"""Seed of the draws that give the band of a mean NEES; with another seed the band moves by 1 % of its width."""
 
 
 @dataclass(frozen=True, eq=False)
 class SharedErrors:
-    """k parameters that are wrong once for all poses, what they are, and their common covariance."""
+    """Names of k parameters whose errors are the same for all poses, and their common covariance."""
 
     names: tuple[str, ...]
     covariance: Array
@@ -38,7 +38,7 @@ NO_SHARED = SharedErrors((), np.zeros((0, 0)))
 
 @dataclass(frozen=True, eq=False)
 class CameraPath:
-    """Poses frame_from_camera at n instants, camera axes right, down, ahead."""
+    """Poses frame_from_camera at n instants; the camera's axes point right, down, ahead."""
 
     time_ns: Array
     """(n,) rising."""
@@ -47,10 +47,10 @@ class CameraPath:
     position: Array
     """(n, 3) [m]"""
     covariance: Array
-    """(n, 6, 6) of the errors that each pose has for itself."""
+    """(n, 6, 6) of the individual errors of each pose."""
     shared: SharedErrors = NO_SHARED
     by_parameter: Array | None = None
-    """(n, 6, k): error of a pose by each of the shared parameters."""
+    """(n, 6, k): derivative of a pose's error by each of the shared parameters."""
 
     def __post_init__(self) -> None:
         n = len(np.asarray(self.time_ns))
@@ -70,7 +70,7 @@ class CameraPath:
         return Pose(self.rotation[k], self.position[k])
 
     def select(self, rows: Array) -> "CameraPath":
-        """Return the poses that a boolean mask or an index array names."""
+        """Return the poses selected by a boolean mask or an index array."""
         assert self.by_parameter is not None
         time_ns, rotation, position, covariance, by_parameter = (
             values[rows]
@@ -79,13 +79,13 @@ class CameraPath:
         return CameraPath(time_ns, rotation, position, covariance, self.shared, by_parameter)
 
     def total_covariance(self) -> Array:
-        """Return the covariance (n, 6, 6) of each pose, its own and the shared errors together."""
+        """Return the covariance (n, 6, 6) of each pose, of individual and shared errors together."""
         assert self.by_parameter is not None
         common = self.by_parameter @ self.shared.covariance @ np.swapaxes(self.by_parameter, 1, 2)
         return np.asarray(self.covariance + common)
 
     def with_shared(self, names: Sequence[str], covariance: Array, by_parameter: Array) -> "CameraPath":
-        """Return the path with more shared errors, independent of those that it has: k more ``names``, their
+        """Return the path with more shared errors, independent of the present ones: k more ``names``, their
         ``covariance`` (k, k) and ``by_parameter`` (n, 6, k).
         """
         assert self.by_parameter is not None
@@ -93,8 +93,8 @@ class CameraPath:
         return replace(self, shared=both, by_parameter=np.concatenate([self.by_parameter, by_parameter], axis=2))
 
     def rates(self) -> Array:
-        """Return the rate of change (n, 6) of position [m/s] and rotation [rad/s], frame axes, of the straight and
-        even motion between neighbouring poses (mean of both sides).
+        """Return the rate of change (n, 6) of position [m/s] and rotation [rad/s], frame axes, for straight motion of
+        constant velocity between neighbouring poses (mean of both sides).
         """
         if len(self) < 2:
             return np.zeros((len(self), 6))
@@ -112,8 +112,9 @@ def pose_errors(measured: CameraPath, rotation: Array, position: Array) -> Array
 
 
 def moved(path: CameraPath, after: Pose) -> CameraPath:
-    """Return the path of another point of the same rigid body: poses frame_from_b of b = ``after`` in the camera's
-    axes (camera_from_b), with its errors carried along the lever arm.
+    """Return the path of another point b of the same rigid body: poses frame_from_b, with ``after`` = camera_from_b.
+
+    Errors are propagated along the lever arm.
     """
     assert path.by_parameter is not None
     arm = np.einsum("nij,j->ni", path.rotation, after.translation)
@@ -145,7 +146,7 @@ def in_frame(path: CameraPath, frame_from_old: Pose) -> CameraPath:
 def at_instants(path: CameraPath, time_ns: Array, gap_s: float) -> tuple[CameraPath, Array]:
     """Return the path at those of ``time_ns`` (m,) between poses at most ``gap_s`` apart, and which (m,) these are.
 
-    Straight and even in between: wrong by an eighth of acceleration times the gap squared, 0.05 mm for 4 m/s^2 and
+    Interpolation is linear; its error is an eighth of acceleration times the gap squared, 0.05 mm for 4 m/s^2 and
     10 ms.
     """
     assert path.by_parameter is not None
@@ -175,8 +176,8 @@ def at_instants(path: CameraPath, time_ns: Array, gap_s: float) -> tuple[CameraP
 def mean_nees(path: CameraPath, errors: Array) -> tuple[float, tuple[float, float]]:
     """Return the mean of e^T S^-1 e over the poses of ``errors`` (n, 6), and its 95 % band under the stated errors.
 
-    Shared errors make the poses depend on each other, so that the band is no chi-square's of 6 n: it is drawn from
-    the stated covariances themselves.
+    Shared errors correlate the poses, so the band is not that of a chi-square with 6 n degrees of freedom: it is
+    estimated from draws of the stated covariances.
     """
     assert path.by_parameter is not None
     n, k = len(path), len(path.shared.names)
@@ -195,7 +196,7 @@ def mean_nees(path: CameraPath, errors: Array) -> tuple[float, tuple[float, floa
 
 
 def _carried(arm: Array) -> Array:
-    """Return what carries errors of a pose (n, 6, 6) to a point that lies ``arm`` (n, 3) farther, frame axes."""
+    """Return matrices (n, 6, 6) that propagate a pose's errors to a point at ``arm`` (n, 3) from it, frame axes."""
     carry = np.tile(np.eye(6), (len(arm), 1, 1))
     # position error grows by r x arm = -[arm]x r
     x, y, z = arm.T

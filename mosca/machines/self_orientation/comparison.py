@@ -1,8 +1,8 @@
-"""A camera's own poses against a rig's, as in the Mosca paper's Table 4: mean and rms differences.
+"""A camera's own poses compared with a rig's, as in the Mosca paper's Table 4: mean and rms differences.
 
-Angles are the components of the rotation between both about the frame's axes: omega about X, alpha about Y, kappa
-about Z. In a test field's frame (z towards the camera) these are, to first order, differences of the photogrammetric
-angles of a camera that looks at the field.
+Angles are the components about the frame's axes of the rotation between both poses: omega about X, alpha about Y,
+kappa about Z. In a test field's frame (z towards the camera) these are, to first order, differences of the
+photogrammetric angles of a camera that looks at the field.
 """
 
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ NAMES = ("X", "Y", "Z", "omega", "alpha", "kappa")
 FEWEST = 2
 
 GAP_PERIODS = 2.5
-"""Of the rig's frames: poses farther apart are not interpolated between."""
+"""Longest gap between poses for interpolation, in periods of the rig's frames."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,9 +28,9 @@ class Comparison:
     """Differences of two paths at common instants."""
 
     own: CameraPath
-    """(n) by the camera itself."""
+    """n poses by the camera itself."""
     by_rig: CameraPath
-    """(n) at the same instants."""
+    """n poses by the rig at the same instants."""
     difference: Array
     """(n, 6) own minus rig: position [m], then omega, alpha, kappa [rad]."""
 
@@ -49,7 +49,7 @@ class Comparison:
 
     @property
     def sigma_of_mean(self) -> Array:
-        """Return the standard deviations (6,) of the means that both sides' stated errors give."""
+        """Return the standard deviations (6,) of the means, from the stated errors of both sides."""
         total = np.zeros((6, 6))
         for path in (self.own, self.by_rig):
             assert path.by_parameter is not None
@@ -61,7 +61,7 @@ class Comparison:
 def compare(own: CameraPath, by_rig: CameraPath, gap_s: float) -> Comparison:
     """Compare at the camera's instants, where the rig has poses at most ``gap_s`` apart; both in one frame and clock.
 
-    InputError where they have hardly an instant in common.
+    InputError where they have fewer than FEWEST instants in common.
     """
     other, inside = at_instants(by_rig, own.time_ns, gap_s)
     if len(other) < FEWEST:
@@ -74,10 +74,10 @@ def compare(own: CameraPath, by_rig: CameraPath, gap_s: float) -> Comparison:
 
 
 def estimated_lever_arm(own: CameraPath, body: CameraPath, gap_s: float) -> LeverArm:
-    """Return where the camera sits on the body, from the takes themselves: the mean of body_from_camera.
+    """Return the pose of the camera on the body, estimated from the takes: the mean of body_from_camera.
 
-    What both sides have wrong on average goes into it: mean differences say nothing afterwards, their scatter does.
-    The covariance is that of the mean of as many independent poses.
+    It contains the mean errors of both sides. So mean differences are meaningless afterwards, but their scatter is
+    not. The covariance is that of the mean of as many independent poses.
     """
     other, inside = at_instants(body, own.time_ns, gap_s)
     if len(other) < FEWEST:

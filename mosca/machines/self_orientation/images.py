@@ -12,7 +12,7 @@ from mosca.machines.self_orientation.shutter import TargetImages
 
 
 def coded_settings(field: TestField, colour: Literal["white", "black", "both"] = "both") -> CodedSettings:
-    """Return how the field's coded targets look; InputError where it has none."""
+    """Return the settings for detecting the field's coded targets; InputError where it has none."""
     coded = [one.target for one in field.targets if isinstance(one.target, CodedTarget)]
     if not coded:
         raise InputError(
@@ -31,5 +31,5 @@ def coded_in(
 
 
 def target_images(frame: Frame, found: CodedDetections) -> TargetImages:
-    """Return the targets found in a frame as the resection takes them."""
+    """Return the targets found in a frame in the form that the resection needs."""
     return TargetImages(frame.index, mid_exposure_ns(frame), found.number, found.xy_px, found.covariance_px2)

@@ -1,4 +1,4 @@
-"""Where a lamp at a known place of the test field is in the frames of a moving camera."""
+"""Images of a lamp at a known place of the test field in the frames of a moving camera."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
@@ -13,7 +13,7 @@ from mosca.data.rotations import rotation_from_vector
 from mosca.machines.self_orientation.resection import Resected
 
 ROW_ROUNDS = 2
-"""The row says when the lamp is exposed, and that where it is: the second round moves it by less than 0.1 px."""
+"""Rounds of computing a lamp's exposure from its image row, and its image from that: the second moves it < 0.1 px."""
 
 
 def lamp_in_flight(
@@ -21,7 +21,8 @@ def lamp_in_flight(
 ) -> Iterator[tuple[Frame, Array, float, float]]:
     """Yield the frames that have a pose, with the lamp's image (2,), its radius [px] and its distance [m].
 
-    ``xyz`` (3,): its middle in the field's frame [m]. The camera moves until the lamp's rows are exposed.
+    ``xyz`` (3,): its centre in the field's frame [m]. Motion of the camera until the lamp's rows are exposed is
+    included.
     """
     row_of = {int(frame): k for k, frame in enumerate(own.frame)}
     rates = own.path.rates()
@@ -40,7 +41,7 @@ def lamp_in_flight(
 
 
 def lamp_image(camera: Camera, xyz: Array, diameter_m: float) -> tuple[Array, float, float]:
-    """Return where a lamp at ``xyz`` (3,) is in a camera's image (2,), its radius [px] and its distance [m]."""
+    """Return the image (2,) [px] of a lamp at ``xyz`` (3,) [m] in a camera, its radius [px] and its distance [m]."""
     away = float(np.linalg.norm(camera.world_from_camera.translation - xyz))
     aside = camera.world_from_camera.rotation[:, 0] * diameter_m / 2
     centre, rim = project(camera, np.stack([xyz, xyz + aside]))

@@ -1,6 +1,7 @@
-"""Registration of a test field in a rig's world: its coded targets, triangulated by the rig, against its own file.
+"""Registration of a test field in a rig's world: coded targets triangulated by the rig against the field's own file.
 
-Rigid motion by least squares with the points' covariances; start: Horn (1987) (``mosca.rigid_bodies.pose_kernels``).
+The rigid motion is estimated by least squares with the points' covariances, started by Horn (1987)
+(``mosca.rigid_bodies.pose_kernels``).
 """
 
 from collections import defaultdict
@@ -25,16 +26,16 @@ FEWEST_TARGETS = 4
 
 @dataclass(frozen=True, eq=False)
 class Registration:
-    """Where a test field stands in a rig's world."""
+    """Pose of a test field in a rig's world."""
 
     world_from_field: Pose
     covariance: Array
-    """(6, 6) of its position and rotation vector about the world's axes; without the rig's calibration."""
+    """(6, 6) of position and rotation vector about the world's axes, without errors of the rig's calibration."""
     rms_m: float
-    """Of the targets from their places."""
+    """Rms distance of the targets from their places [m]."""
     targets: int
     by_calibration: Array | None = None
-    """(6, u): its error by each of the parameters of the rig's calibration; None where these are not known."""
+    """(6, u): derivative of the pose by each parameter of the rig's calibration; None where these are not known."""
 
     def __post_init__(self) -> None:
         set_read_only(self, covariance=(6, 6))
@@ -45,10 +46,10 @@ class Registration:
 def register_field(
     rig: Rig, seen: Iterable[CodedDetections], field: TestField, calibration: Calibration | None = None
 ) -> Registration:
-    """Return where ``field`` stands, from what the rig's cameras see of it at rest in any number of images.
+    """Return the pose of ``field`` at rest, from any number of images of the rig's cameras.
 
-    ``calibration``: the rig's, where its own errors are known: they move field and body alike.
-    InputError where fewer than four targets are seen by two cameras each, or they lie in a line.
+    ``calibration``: the rig's, where its errors are known; they move field and body alike.
+    InputError where fewer than four targets are seen by two cameras each, or where they lie in a line.
     """
     row_of = {one.target.number: k for k, one in enumerate(field.targets) if isinstance(one.target, CodedTarget)}
     images: dict[tuple[int, int], list[Array]] = defaultdict(list)
@@ -89,8 +90,8 @@ def register_field(
 
 
 def pose_shift(arms: Array, shifts: Array) -> Array:
-    """Return how a rigid body moves (..., 6, u) whose points, ``arms`` (..., m, 3) from its origin, move by
-    ``shifts`` (..., m, 3, u): the least squares of translation and rotation vector, all points weighing alike.
+    """Return the motion (..., 6, u) of a rigid body whose points, at ``arms`` (..., m, 3) from its origin, move by
+    ``shifts`` (..., m, 3, u): translation and rotation vector by least squares with equal weights.
     """
     shape = (*arms.shape[:-1], 3, 3)
     cross = cross_matrices(arms.reshape(-1, 3)).reshape(shape)

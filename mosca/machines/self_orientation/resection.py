@@ -1,9 +1,9 @@
 """Space resection of one calibrated camera, frame by frame, from coded targets at known positions.
 
-The adjustment is by collinearity with the camera's own lens model (Mosca paper, section 2.2; Luhmann 2014, section
-4.2.3): six unknowns, x - x(pose) weighted by the image's covariance and the targets' positions' carried into it. The
-start comes from ``target_pose``. What lens and targets have wrong is the same in every frame and is kept apart
-(``camera_path``): pose error = -(J^T W J)^-1 J^T W (dx/dp) dp.
+The adjustment uses the collinearity equations with the camera's own lens model (Mosca paper, section 2.2; Luhmann
+2014, section 4.2.3). There are six unknowns; residuals x - x(pose) are weighted by the covariance of the image plus
+that of the targets' positions projected into it. The start comes from ``target_pose``. Errors of lens and targets are
+the same in every frame and are kept separate (``camera_path``): pose error = -(J^T W J)^-1 J^T W (dx/dp) dp.
 """
 
 from collections.abc import Sequence
@@ -32,21 +32,21 @@ STEPS = 20
 SETTLED = 1e-10
 """Largest change of position [m] or rotation [rad] at convergence."""
 MEDIAN_CHI2 = 2 * float(np.log(2))
-"""Of two degrees of freedom."""
+"""Median of chi squared with two degrees of freedom."""
 LEAST_SIGMA_PX = 0.003
-"""No centre is better known than this (as in ``mosca.calibration.rigid_target``)."""
+"""Least standard deviation of a centre (as in ``mosca.calibration.rigid_target``)."""
 
 
 @dataclass(frozen=True)
 class ResectionSettings:
-    """When a frame gives a pose."""
+    """Conditions under which a frame gives a pose."""
 
     fewest: int = 6
-    """Targets at least; four determine a pose, more find a wrong one."""
+    """Least number of targets; four determine a pose, more reveal a wrong target."""
     reject: float = 0.001
     """Chance that a good image is rejected."""
     row_time_s: float = 0.0
-    """Delay from row to row of a rolling shutter; 0: all rows are exposed at once."""
+    """Delay from row to row of a rolling shutter [s]; 0: all rows are exposed at once."""
 
     def __post_init__(self) -> None:
         if self.fewest < FEWEST_TARGETS:
@@ -57,26 +57,26 @@ class ResectionSettings:
 
 @dataclass(frozen=True, eq=False)
 class Resected:
-    """The camera's poses, and how the images fit."""
+    """The camera's poses, and the fit of the images."""
 
     path: CameraPath
     frame: Array
     """(n,) the camera's frame numbers."""
     targets: Array
-    """(n,) images used."""
+    """(n,) number of target images used."""
     residual_px: Array
-    """(n,) rms of an image coordinate."""
+    """(n,) rms residual of an image coordinate."""
     sigma0: float
     """Standard deviation of unit weight over all frames: 1 where the stated errors are right."""
     withheld: int
-    """Frames with targets, but not enough that agree."""
+    """Number of frames with targets, of which too few agree."""
     rejected: int = 0
-    """Images left out as blunders."""
+    """Number of target images left out as blunders."""
     used: tuple[Array, ...] = field(default=())
-    """Of each pose the numbers of the targets that it rests on."""
+    """For each pose, the numbers of the targets that it is based on."""
 
     def poses(self, name: str) -> BodyPoses:
-        """Return the poses as those of a body ``name``, for files; the covariance is the whole one."""
+        """Return the poses as those of a body ``name``, for files; the covariance includes shared errors."""
         n = len(self.path)
         return BodyPoses(
             self.frame,
@@ -100,7 +100,7 @@ class LensErrors:
 
     @classmethod
     def of(cls, calibration: Calibration, camera: str) -> "LensErrors":
-        """Return those of a calibration's camera; its pose is not among them."""
+        """Return the lens errors of a calibration's camera, without those of its pose."""
         lens = vars(calibration.rig.camera(camera).lens)
         rows = [k for k, name in enumerate(calibration.parameters) if _lens_name(name, camera, lens)]
         names = tuple(calibration.parameters[k].rpartition(".")[2] for k in rows)
@@ -116,7 +116,7 @@ def _lens_name(name: str, camera: str, lens: dict[str, float]) -> bool:
 class _Fit:
     pose: Pose
     covariance: Array
-    """(6, 6) by the images alone."""
+    """(6, 6) from the images alone."""
     by_parameter: Array
     """(6, 3 m + k)"""
     chi2: float
@@ -131,11 +131,11 @@ def resect_frames(
     lens_errors: LensErrors | None = None,
     settings: ResectionSettings | None = None,
 ) -> Resected:
-    """Return the camera's pose in the test field's frame in each of the frames ``seen`` that gives one.
+    """Return the camera's pose in the test field's frame, for each of the frames ``seen`` that gives one.
 
-    ``camera``: its lens alone is used; ``lens_errors``: None, where they are not known, leaves them out of the
-    covariance. With a rolling shutter the images are carried to the instant of the central row (``shutter``).
-    InputError where no frame gives a pose.
+    ``camera``: only its lens is used; ``lens_errors``: None, for unknown, leaves them out of the covariance. With a
+    rolling shutter the images are corrected to the instant of the central row (``shutter``). InputError where no
+    frame gives a pose.
     """
     settings = settings or ResectionSettings()
     solver = _Solver(camera, targets, lens_errors or LensErrors((), np.zeros((0, 0))), settings)
@@ -216,12 +216,12 @@ class _Solver:
             if found is None:
                 return None
             pose, jacobian, weight, rest, by_point = found
-            # an image's share in its own residual is taken off: the residual's covariance is W^-1 - J N^-1 J^T
+            # an image affects the pose and so its own residual, whose covariance is W^-1 - J N^-1 J^T
             inverse = np.linalg.inv(np.einsum("nki,nkl,nlj->ij", jacobian, weight, jacobian))
             left = np.linalg.inv(weight) - jacobian @ inverse @ np.swapaxes(jacobian, 1, 2)
             size = np.einsum("ni,nij,nj->n", rest, np.linalg.pinv(left), rest)
             worst = int(np.argmax(size))
-            # where all images fit worse than stated (a shutter that is not known yet), none of them is the blunder
+            # where all images fit worse than stated (a shutter that is not corrected yet), none of them is a blunder
             if size[worst] <= limit * max(1.0, float(np.median(size)) / MEDIAN_CHI2) or len(rows) == FEWEST_TARGETS:
                 return self._kept(pose, inverse, jacobian, weight, rest, by_point, rows, number, noise)
             keep = np.arange(len(rows)) != worst
@@ -237,7 +237,7 @@ class _Solver:
             return last
         best = fits[0]
         if last is not None and len(fits) > 1 and fits[1].rms_rad < 2 * fits[0].rms_rad:
-            # of two poses of a plane that fit alike the one nearer to the last frame's
+            # of two poses of a plane that fit about equally, take the one nearer to the last frame's
             best = min(fits, key=lambda f: float(np.linalg.norm(f.camera_from_target.rotation.T - last.rotation)))
         return best.camera_from_target.inverse()
 
@@ -245,7 +245,7 @@ class _Solver:
         self, pose: Pose, xy: Array, rows: Array, noise: Array
     ) -> tuple[Pose, Array, Array, Array, Array] | None:
         """Return the pose, Jacobians (n, 2, 6) by position and rotation about the frame's axes, weights (n, 2, 2),
-        residuals (n, 2) and Jacobians by the points (n, 2, 3); None where the points leave it open.
+        residuals (n, 2) and Jacobians by the points (n, 2, 3); None where the points do not determine the pose.
         """
         points = self.xyz[rows]
         for _ in range(STEPS):
@@ -282,15 +282,15 @@ class _Solver:
         number: Array,
         noise: Array,
     ) -> _Fit:
-        pull = np.einsum("ij,nkj,nkl->nil", inverse, jacobian, weight)  # (n, 6, 2): pose by image
+        pull = np.einsum("ij,nkj,nkl->nil", inverse, jacobian, weight)  # (n, 6, 2): derivative of pose by image
         own = np.einsum("nik,nkl,njl->ij", pull, noise, pull)
         by_targets = np.zeros((6, len(self.xyz), 3))
         by_targets[:, rows] = np.swapaxes(pull @ by_point, 0, 1)
         camera = replace(self.camera, world_from_camera=pose)
         wanted = tuple(f"{camera.name}.{name}" for name in self.lens.names)
         by_lens = sensitivity(Rig((camera,)), 0, wanted, self.xyz[rows]).by_parameter
-        # the error is true minus measured: a target or lens told too far by d moves the pose by -pull d, so that
-        # the true one lies pull d from it
+        # the error is true minus measured: if a target or lens is stated too large by d, the pose moves by -pull d,
+        # so that the true pose lies pull d from it
         shared = np.hstack([by_targets.reshape(6, -1), np.einsum("nik,nkp->ip", pull, by_lens)])
         size = float(np.einsum("ni,nij,nj->", rest, weight, rest))
         return _Fit(pose, own, shared, size, number, float(np.sqrt(np.mean(rest**2))))

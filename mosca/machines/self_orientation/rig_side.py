@@ -1,4 +1,4 @@
-"""What a rig tells of a camera on a body that it tracks: poses in the test field's frame, with all their errors."""
+"""Poses of a camera on a body that a rig tracks, in the test field's frame, with all their errors."""
 
 from dataclasses import dataclass, replace
 
@@ -16,13 +16,13 @@ from mosca.machines.self_orientation.camera_path import CameraPath, in_frame, mo
 from mosca.machines.self_orientation.registration import Registration, pose_shift
 
 RIG = "rig "
-"""How the names of the rig's own parameters begin among the shared ones."""
+"""Prefix of the names of the rig's own parameters among the shared ones."""
 AXES = ("x", "y", "z", "turn x", "turn y", "turn z")
 
 
 @dataclass(frozen=True, eq=False)
 class LeverArm:
-    """Where a camera sits on a body: body_from_camera, and its covariance (6, 6), body axes."""
+    """Pose of a camera on a body: body_from_camera, and its covariance (6, 6) in the body's axes."""
 
     body_from_camera: Pose
     covariance: Array
@@ -32,7 +32,7 @@ class LeverArm:
 
 
 def body_path(poses: BodyPoses, name: str) -> CameraPath:
-    """Return the measured poses of a body in the order of time; InputError where there are fewer than two."""
+    """Return the measured poses of a body in order of time; InputError for fewer than two."""
     mine = poses.of(name)
     if len(mine) < 2:
         raise InputError(
@@ -44,8 +44,8 @@ def body_path(poses: BodyPoses, name: str) -> CameraPath:
 
 
 def with_calibration(path: CameraPath, body: RigidBody, calibration: Calibration) -> CameraPath:
-    """Return the path with the errors that the rig's calibration gives to the body's poses, all markers weighing
-    alike and seen by all cameras in whose images they lie.
+    """Return the path with the errors of the body's poses from the rig's calibration, assuming equal weights of all
+    markers and that each is seen by all cameras in whose images it lies.
     """
     n, m, u = len(path), len(body.markers), len(calibration.parameters)
     arm = np.einsum("nij,kj->nki", path.rotation, body.positions)
@@ -65,11 +65,11 @@ def camera_by_rig(body: CameraPath, lever: LeverArm, field: Registration) -> Cam
     g = field.world_from_field
     away = cross_matrices(path.position - g.translation)
     by_field = np.zeros((len(path), 6, 6))
-    # the field stands d farther and is turned by r: in its frame the camera lies d nearer and is turned back
+    # if the field is shifted by d and turned by r, the camera is shifted by -d and turned back in the field's frame
     by_field[:, :3, :3], by_field[:, :3, 3:], by_field[:, 3:, 3:] = -np.eye(3), away, -np.eye(3)
     path = path.with_shared(tuple(f"field {axis}" for axis in AXES), field.covariance, by_field)
     if field.by_calibration is not None:
-        # the rig's calibration moves body and field together: what both share cancels in the field's frame
+        # the rig's calibration moves body and field together: common errors cancel in the field's frame
         assert path.by_parameter is not None
         rig = np.flatnonzero([name.startswith(RIG) for name in path.shared.names])
         both = np.array(path.by_parameter)

@@ -1,10 +1,10 @@
-"""A rolling shutter taken out of the images of targets: each is carried to the instant of the image's central row.
+"""Correction of a rolling shutter: images of targets are shifted to the instant of the image's central row.
 
-The motion between frames is that of cubic splines through the poses at the central rows' instants (positions;
-rotations by SciPy's RotationSpline). The poses are adjusted together: every point is projected at its own row's
-instant, and each pose has a part in the points of its neighbours' frames, by the spline's weights (Gauss-Newton).
-Poses of single frames, corrected in turn, would not do: with a readout of a whole period what alternates from frame
-to frame grows from round to round.
+The motion between frames is modelled by cubic splines through the poses at the central rows' instants (positions;
+rotations by SciPy's RotationSpline). The poses are adjusted together (Gauss-Newton): every point is projected at its
+own row's instant, and each pose affects the points of neighbouring frames by the spline's weights. Correcting the
+poses of single frames in turn would fail: with a readout of a whole period, errors that alternate from frame to frame
+grow from round to round.
 """
 
 from collections.abc import Mapping, Sequence
@@ -24,16 +24,16 @@ from mosca.data.rig import Camera, Lens, Pose
 AT_ENDS = 2
 """Frames at both ends of a stretch that give no pose: the motion before and after it is not known."""
 FEWEST_IN_A_ROW = 2 * AT_ENDS + 1
-"""Poses of a stretch."""
+"""Least number of poses of a stretch."""
 STEPS = 8
 SETTLED = 1e-7
 """Largest change of a position [m] or rotation [rad] at convergence: a ten-thousandth of a pixel."""
 DAMPING = 1e-9
-"""Share of its diagonal that is added to the normal matrix: a frame that no point tells of keeps its pose."""
+"""Share of its diagonal that is added to the normal matrix: a frame that no point determines keeps its pose."""
 LEAST_WEIGHT = 1e-4
-"""Weights of a spline's knots below this are left out: they fall by 3.7 from knot to knot."""
+"""Weights of a spline's knots below this are left out: they fall by a factor of 3.7 from knot to knot."""
 LONGEST_GAP = 1.5
-"""Of the median period: where frames without a pose end a stretch."""
+"""Gap between poses, in median periods, above which a stretch ends."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,11 +60,11 @@ def at_central_row(
     place_of: Mapping[int, Array],
     row_time_s: float,
 ) -> list[TargetImages]:
-    """Return the images as they would be had all rows been exposed with the central one; none of frames whose motion
-    is not known: the first and the last two of a stretch with poses.
+    """Return the images as if all rows had been exposed together with the central one.
 
-    ``poses`` (world_from_camera) of the frames, None where there is none; ``place_of``: number of a target -> its
-    place (3,) [m].
+    Frames of unknown motion get no images: the first two and the last two of a stretch with poses. ``poses``
+    (world_from_camera) of the frames, None where there is none; ``place_of``: number of a target -> its place (3,)
+    [m].
     """
     nothing = np.zeros(0)
     out = [TargetImages(one.frame, one.time_ns, nothing, np.zeros((0, 2)), np.zeros((0, 2, 2))) for one in seen]
@@ -85,7 +85,7 @@ def at_central_row(
 
 @dataclass(frozen=True, eq=False)
 class _Points:
-    """Image points of a stretch: number of the frame in it, row in the frame, own instant, image, place."""
+    """Image points of a stretch: index of the frame in it, index in the frame, own instant [s], image, place."""
 
     frame: Array
     row: Array
@@ -154,14 +154,14 @@ def _adjusted(motion: _Motion, points: _Points, lens: Lens) -> _Motion:
     for _ in range(STEPS):
         there, turn = motion.seen_from(points.time_s, points.xyz)
         xy, by_direction, _ = pixels(lens, there)
-        # a camera that moves by d and turns by exp([r]) sees R^T (X - p) change by R^T ([X - p]x r - d)
+        # if a camera moves by d and turns by exp([r]), R^T (X - p) changes by R^T ([X - p]x r - d)
         by_position = -by_direction @ np.swapaxes(turn, 1, 2)
         by_rotation = -by_position @ cross_matrices(np.einsum("nij,nj->ni", turn, there))
         jacobian = np.concatenate([by_position, by_rotation], axis=2)
         rest = points.xy_px - xy
         good = between & np.isfinite(rest).all(axis=1) & np.isfinite(jacobian).all(axis=(1, 2))
         jacobian, rest = np.where(good[:, None, None], jacobian, 0.0), np.where(good[:, None], rest, 0.0)
-        # blunders have the weight of Huber's function at three robust standard deviations
+        # blunders are down-weighted by Huber's function beyond three robust standard deviations
         size = np.linalg.norm(rest, axis=1)
         limit = 3 * SIGMA_BY_MEDIAN_2D * float(np.median(size[good]))
         root = np.sqrt(np.minimum(1.0, limit / np.maximum(size, 1e-12)))[:, None]

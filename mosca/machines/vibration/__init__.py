@@ -1,1 +1,1 @@
-"""Vibration of things that tracks show: displacements, spectra, noise floor, and modes without a known excitation."""
+"""Vibration from tracks: displacements, spectra, noise floor, and modes without a known excitation."""

@@ -1,7 +1,7 @@
-"""Operational modal analysis of displacements: modes, spectra, noise floor, and what to beware of.
+"""Operational modal analysis of displacements: modes, spectra, noise floor and warnings.
 
-Poles that stay from order to order (SSI-cov) give the modes and their shapes; each mode's displacement, by least
-squares over all shapes, gives frequency and damping by maximum likelihood.
+Poles that are stable from order to order (SSI-cov) give the modes and their shapes. Each mode's displacement is
+computed by least squares over all shapes; from it frequency and damping are estimated by maximum likelihood.
 """
 
 from dataclasses import dataclass, field, replace
@@ -17,11 +17,11 @@ from mosca.machines.vibration.modal import Mode, looks_steady, mac, phase_collin
 from mosca.machines.vibration.spectra import NoiseFloor, Spectra, filled, noise_floor, spectra
 from mosca.machines.vibration.subspace import Candidate, Poles, SubspaceSettings, candidates, correlations, poles_of
 
-_FILLED_BY = 8  # patterns: as many modes as a record of few targets tells apart
+_FILLED_BY = 8  # patterns: as many modes as a record of few targets can separate
 _LEAST_EVIDENCE = 30.0
-"""Of a mode: chi squared of three parameters exceeds it once in 700,000 places without one."""
+"""Least evidence of a mode: chi squared of three parameters exceeds it once in 700,000 places without a mode."""
 _ALIKE = 0.8
-"""MAC from which two shapes are not told apart by a filter of shapes."""
+"""MAC from which on two shapes are not separated by a spatial filter."""
 
 
 @dataclass(frozen=True)
@@ -29,9 +29,9 @@ class VibrationSettings:
     """How a record is analysed."""
 
     lowest_hz: float = 1.0
-    """Lower poles are no modes: drift, and the rest of a rigid motion."""
+    """Lower poles are not modes, but drift and the remainder of a rigid motion."""
     exposure_s: float = 0.0
-    """Of the cameras: it averages, which takes sinc(f T) of an amplitude; 0 for unknown, nothing is corrected."""
+    """Exposure of the cameras [s]: averaging over it leaves sinc(f T) of an amplitude; 0 (unknown): no correction."""
     segment_s: float = 8.0
     """Length of a segment of the spectra: resolution 1.5 / segment."""
     subspace: SubspaceSettings = field(default_factory=SubspaceSettings)
@@ -39,11 +39,11 @@ class VibrationSettings:
 
 @dataclass(frozen=True, eq=False)
 class Vibration:
-    """What a record tells."""
+    """Results of the analysis of a record."""
 
     displacements: Displacements
     modes: tuple[Mode, ...]
-    """Lowest first; steady lines among them."""
+    """Lowest frequency first; steady lines are included."""
     spectra: Spectra
     poles: Poles
     floor: NoiseFloor
@@ -62,7 +62,7 @@ def analyse(record: Displacements, settings: VibrationSettings | None = None) ->
     segment = min(round(settings.segment_s * record.rate_hz), len(whole) // 4)
     averaged = spectra(whole, record.rate_hz, segment)
     poles = _poles(record, whole, settings)
-    # a rigid motion that was taken out leaves no pole; a carrier's that was not is below the lowest mode
+    # a removed rigid motion leaves no pole; a carrier's motion that was not removed is below the lowest mode
     chosen = [
         one for one in candidates(poles, settings.subspace)
         if settings.lowest_hz <= one.frequency_hz < 0.5 * record.rate_hz
@@ -82,7 +82,7 @@ def _poles(record: Displacements, whole: Array, settings: VibrationSettings) -> 
     basis = np.linalg.eigh(np.cov(whole.T).reshape(whole.shape[1], -1))[1][:, ::-1][:, :size]
     seen = np.isfinite(record.values)
     components = (whole - whole.mean(axis=0)) @ basis
-    # an instant counts where most channels were measured; what is filled there comes from the others of the instant
+    # an instant counts where most channels were measured; filled values there come from these channels
     components[seen.mean(axis=1) < 0.5] = np.nan
     return poles_of(correlations(components, 2 * own.block_rows), record.rate_hz, basis, own)
 
@@ -93,7 +93,7 @@ def _modes(
     """Return the candidates that stand out of the spectrum, with frequency and damping by maximum likelihood."""
     if not chosen:
         return ()
-    # alone each: a false one must not take the others' band or shape
+    # each one alone: a false one must not reduce the others' band or shape
     sure = _distinct([_fitted([one], record, whole, settings)[0] for one in chosen])
     if not sure:
         return ()
@@ -114,13 +114,13 @@ _Fitted = tuple[Candidate, Array, Array, ModeFit]
 
 
 def _fitted(ones: list[Candidate], record: Displacements, whole: Array, settings: VibrationSettings) -> list[_Fitted]:
-    """Return of each candidate its real shape (c,), its displacement (t,) [m], and the fit to that."""
+    """Return for each candidate its real shape (c,), its displacement (t,) [m], and the fit to the displacement."""
     shapes = np.stack([real_shape(one.shape) for one in ones], axis=1)
     frequencies = np.array([one.frequency_hz for one in ones])
     moved = whole - whole.mean(axis=0)
     rows = []
     for k, one in enumerate(ones):
-        # what has nearly the same shape cannot be told apart by it, only by its frequency
+        # modes of nearly the same shape cannot be separated by shape, only by frequency
         apart = mac(shapes[:, [k]], shapes)[0] < _ALIKE
         q = moved @ np.linalg.pinv(np.column_stack([shapes[:, k], shapes[:, apart]]))[0]
         others = np.delete(frequencies, k)
@@ -130,7 +130,7 @@ def _fitted(ones: list[Candidate], record: Displacements, whole: Array, settings
 
 
 def _distinct(rows: list[_Fitted]) -> list[Candidate]:
-    """Return the candidates that stand out of the spectrum; of those that found one peak, the one nearest to it."""
+    """Return the candidates that stand out of the spectrum; of several that found one peak, the nearest to it."""
     left = [row for row in rows if row[3].evidence > _LEAST_EVIDENCE]
     left.sort(key=lambda row: abs(row[3].frequency_hz - row[0].frequency_hz) / row[0].frequency_hz)
     kept: list[_Fitted] = []
@@ -146,7 +146,7 @@ def _distinct(rows: list[_Fitted]) -> list[Candidate]:
 
 
 def _modal_density(frequency_hz: Array, modes: tuple[Mode, ...], n: int, rate_hz: float, exposure_s: float) -> Array:
-    """Return the mean over the channels of the modes' density (k,) [m^2/Hz]; a steady line has one place alone."""
+    """Return the modes' density (k,) [m^2/Hz], mean over channels; steady lines, at one frequency, are left out."""
     total = np.zeros(len(frequency_hz))
     for mode in modes:
         if not mode.is_line:

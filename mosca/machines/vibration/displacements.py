@@ -1,4 +1,4 @@
-"""Displacements of targets from tracks: each about its own mean place, on an even grid of frames."""
+"""Displacements of targets from tracks, each about its own mean place, on a regular grid of frames."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -12,17 +12,17 @@ from mosca.errors import InputError
 LEAST_MEASURED = 0.9
 """Share of the frames in which a target must be measured to be used."""
 FEWEST_FRAMES = 256
-_TURNS = 3  # passes that find the mean places of targets on something that moves
+_TURNS = 3  # passes that find the mean places of targets on a moving carrier
 
 
 @dataclass(frozen=True, eq=False)
 class Displacements:
-    """Displacements of c channels (targets, or their three axes one after another) at t instants of an even grid."""
+    """Displacements of c channels (targets, or their three axes in turn) at t instants of a regular grid."""
 
     names: tuple[str, ...]
-    """(m) of the targets."""
+    """(m) names of the targets."""
     place: Array
-    """(m, 3) where they are in the mean [m]."""
+    """(m, 3) mean places of the targets [m]."""
     direction: Array
     """(d, 3) unit vectors: the normal alone, or x, y and z."""
     values: Array
@@ -31,7 +31,7 @@ class Displacements:
     """(m * d,) stated variance of one sample, mean over the frames [m^2]; NaN where the tracks state none."""
     rate_hz: float
     rigid: Array
-    """(m * d, r) orthonormal patterns of the rigid motions that were taken out; r = 0 for none."""
+    """(m * d, r) orthonormal patterns of the rigid motions that were removed; r = 0 for none."""
     left_out: tuple[str, ...]
     """Targets that are measured in too few frames."""
 
@@ -59,10 +59,10 @@ def displacements(
     direction: Array | None = None,
     rigid_by: tuple[str, ...] | Literal["all"] | None = None,
 ) -> Displacements:
-    """Return displacements of the targets in ``tracks``; only measured samples count.
+    """Return displacements of the targets in ``tracks``; only measured samples are used.
 
-    Targets are the labels, or the tracks where nothing has a label; tracks without labels at nearly one place are one
-    target that was lost and found.
+    Targets are the labels, or the tracks where there are no labels. Tracks without labels at nearly one place are one
+    target that was lost and found again.
 
     Parameters
     ----------
@@ -71,10 +71,10 @@ def displacements(
     axes
         "normal": along the direction; "xyz": all three.
     direction
-        Of the displacements (3,), by default the normal of the plane through the targets, on its upper side.
+        Direction of the displacements (3,); default: normal of the plane through the targets, on its upper side.
     rigid_by
-        Targets whose rigid motion (rotation and translation, frame by frame) is taken out: of "all", which also takes
-        what the modes have of it, or of targets on the carrier, which are then left out. None: nothing is.
+        Targets whose rigid motion (rotation and translation, frame by frame) is removed: "all", which also removes
+        the rigid part of the modes, or targets on the carrier, which are then left out. None: nothing is removed.
 
     Raises InputError where there are too few frames or targets.
     """
@@ -123,7 +123,7 @@ def _seen(tracks: Tracks) -> tuple[tuple[str, ...], Array, Array, tuple[str, ...
 
 
 def channels_of(shapes: Array, direction: Array) -> Array:
-    """Return shapes (m, 3, k) in space as those of channels (m * d, k) along ``direction`` (d, 3)."""
+    """Return the shapes (m * d, k) of the channels along ``direction`` (d, 3), for shapes (m, 3, k) in space."""
     return np.asarray(np.einsum("di,mik->mdk", direction, shapes).reshape(-1, shapes.shape[2]))
 
 
@@ -137,7 +137,7 @@ def _targets(tracks: Tracks) -> tuple[tuple[str, ...], Array]:
     numbers, part = np.unique(tracks.track, return_inverse=True)
     count = np.bincount(part)
     mean = np.stack([np.bincount(part, weights=tracks.xyz[:, k]) / count for k in range(3)], axis=1)
-    # the longest tracks are targets; what comes nearer to one than a quarter of their spacing was lost and found
+    # the longest tracks are targets; a track nearer to one than a quarter of their spacing is the same target
     order = np.argsort(-count, kind="stable")
     long = order[count[order] >= 0.5 * count.max()]
     apart = np.linalg.norm(mean[long, None] - mean[None, long], axis=-1) + np.diag(np.full(len(long), np.inf))
@@ -155,7 +155,7 @@ def _targets(tracks: Tracks) -> tuple[tuple[str, ...], Array]:
 
 
 def _stated(covariance: Array, target: Array, m: int) -> Array:
-    """Return the mean of the covariances (n, 3, 3) of each target's samples (m, 3, 3), NaN where there are none."""
+    """Return each target's mean (m, 3, 3) of its samples' covariances (n, 3, 3), NaN where there are none."""
     flat = covariance.reshape(-1, 9)
     known = np.isfinite(flat).all(axis=1)
     count = np.bincount(target[known], minlength=m)

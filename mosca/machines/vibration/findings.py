@@ -1,4 +1,4 @@
-"""What to beware of in a record of vibration: aliasing, exposure, short records, gaps, noise not as stated."""
+"""Warnings about a record of vibration: aliasing, exposure, short records, gaps, noise not as stated."""
 
 import numpy as np
 
@@ -8,21 +8,21 @@ from mosca.machines.vibration.modal import Mode, damping_bound
 from mosca.machines.vibration.spectra import NoiseFloor, Spectra
 
 HIGHEST_SHARE = 0.4
-"""Of the frame rate: frequencies up to here are claimed."""
+"""Share of the frame rate up to which frequencies are stated without a warning of aliasing."""
 _ABOVE_FLOOR = 2.0
-"""A spectrum that is so many times its low level next to half the frame rate has not ended there."""
+"""A spectrum has not ended at the Nyquist frequency if it is this many times its low level near there."""
 _LOW = 0.25
-"""Quantile of a spectrum that is its low level."""
+"""Quantile of a spectrum that is taken as its low level."""
 _TOLD_FILLED = 0.01
-"""Share of samples missing from which it is said that spectra rest on filled ones."""
+"""Share of missing samples from which on a warning says that spectra are based on filled samples."""
 _MOST_NAMED = 12
-"""Names in one line."""
+"""Most names in one line."""
 
 
 def findings_of(
     record: Displacements, modes: tuple[Mode, ...], averaged: Spectra, floor: NoiseFloor, exposure_s: float
 ) -> tuple[str, ...]:
-    """Return what to beware of, a sentence each."""
+    """Return the warnings, one sentence each."""
     lines = [*_aliasing(record.rate_hz, modes, averaged), *_exposure(record.rate_hz, exposure_s)]
     if record.left_out:
         lines.append(f"left out, measured in too few frames: {_some(record.left_out)}")
@@ -49,10 +49,10 @@ def _some(names: tuple[str, ...]) -> str:
 
 
 def _aliasing(rate_hz: float, modes: tuple[Mode, ...], averaged: Spectra) -> list[str]:
-    """Return signs of content beyond half the frame rate, which no analysis can tell from content below it.
+    """Return signs of content beyond half the frame rate, which no analysis can distinguish from content below it.
 
-    Random forces of an even spectrum leave displacements that fall with the fourth power of the frequency above each
-    mode, so that a spectrum that has not fallen to the noise by half the frame rate goes on beyond it.
+    Random forces with a flat spectrum cause displacements that fall with the fourth power of the frequency above each
+    mode. So a spectrum that has not fallen to the noise by half the frame rate continues beyond it.
     """
     lines = []
     nyquist = rate_hz / 2
@@ -64,7 +64,7 @@ def _aliasing(rate_hz: float, modes: tuple[Mode, ...], averaged: Spectra) -> lis
             )
     near: Array = averaged.frequency_hz > 0.9 * nyquist
     largest = averaged.singular_values[:, 0]
-    # beside the largest value where it is low: noise that all targets share, of shaking cameras, is in both
+    # relative to the largest singular value where it is low: noise common to all targets (camera shake) is in both
     level = float(np.median(largest[near]) / np.quantile(largest[1:], _LOW))
     if level > _ABOVE_FLOOR:
         lines.append(

@@ -1,9 +1,10 @@
 """Frequency and damping of one mode by maximum likelihood from the periodogram of its own displacement.
 
-Whittle's likelihood: ordinates of a long periodogram are independent and exponential about their expectation. That of
-a sampled oscillator on white force over a finite record is known in closed form, so that the record's length gives no
-bias (debiased Whittle likelihood, Sykulski et al., Biometrika 2019). It reaches the bound of
-``mosca.machines.vibration.modal.frequency_bound``, and its curvature gives the standard deviations.
+Whittle's likelihood: ordinates of a long periodogram are independent and exponentially distributed about their
+expectation. For a sampled oscillator driven by white force, the expectation over a finite record is known in closed
+form, so that the record's length causes no bias (debiased Whittle likelihood, Sykulski et al., Biometrika 2019). The
+estimate reaches the bound of ``mosca.machines.vibration.modal.frequency_bound``; standard deviations come from the
+likelihood's curvature.
 """
 
 from collections.abc import Callable
@@ -15,10 +16,10 @@ from mosca.data.arrays import Array
 
 _STEPS = 60
 _BAND = 25.0
-"""Half width of the band, in half widths of the resonance: 1 / (1 + 25^2) of its peak is left at the ends."""
+"""Half width of the band, in half widths of the resonance: 1 / (1 + 25^2) of its peak remains at the ends."""
 _FEWEST = 15  # ordinates: three for each parameter
-_LEAST_LOG = float(np.log(1e-6))  # of a damping: no record tells it from a steady line's 0
-_NOTHING = 1e-30  # m^2/Hz: keeps a record of zeros from the logarithm
+_LEAST_LOG = float(np.log(1e-6))  # of a damping: no record distinguishes it from a steady line's 0
+_NOTHING = 1e-30  # m^2/Hz: avoids the logarithm of 0 for a record of zeros
 
 
 @dataclass(frozen=True)
@@ -31,16 +32,16 @@ class ModeFit:
     damping_sigma: float
     rms_m: float
     evidence: float
-    """Twice the logarithm of how much more likely the ordinates are with the resonance than without any."""
+    """Twice the log likelihood ratio of the ordinates with the resonance to those without any."""
 
 
 def expected_periodogram(frequency_hz: Array, f0: float, damping: float, n: int, rate_hz: float) -> Array:
     """Return the expected one-sided periodogram (k,) [1/Hz] of n samples of an oscillator of mean square 1.
 
-    Its correlation is Re(C e^(lambda t)), lambda = w (-zeta + i sqrt(1 - zeta^2)), C = 1 - i zeta / sqrt(1 - zeta^2);
-    the sum of (1 - m / n) z^m over the lags m, z = e^((lambda - i w) / rate), is a geometric one.
+    Its correlation is Re(C e^(lambda t)), lambda = w (-zeta + i sqrt(1 - zeta^2)), C = 1 - i zeta / sqrt(1 - zeta^2).
+    The sum of (1 - m / n) z^m over the lags m, z = e^((lambda - i w) / rate), is a geometric series.
     """
-    if damping >= 1:  # no oscillation: not a value that a search may take
+    if damping >= 1:  # no oscillation: not allowed in a search
         return np.full(len(frequency_hz), np.nan)
     root = np.sqrt(1 - damping**2)
     c = 1 - 1j * damping / root
@@ -58,8 +59,8 @@ def fit_mode(
 ) -> ModeFit:
     """Return the fit to a mode's displacement ``values`` (t,) [m], from ``start`` (frequency [Hz], damping).
 
-    ``neighbours_hz``: frequencies of other modes; the band ends half way to the nearest. ``exposure_s``: its low pass
-    is part of the model, and of the rms.
+    ``neighbours_hz``: frequencies of other modes; the band ends half way to the nearest. ``exposure_s``: the low pass
+    by exposure is part of the model, and is corrected in the rms.
     """
     n = len(values)
     ordinates = np.abs(np.fft.rfft(values - values.mean())) ** 2 * 2 / (n * rate_hz)
@@ -100,7 +101,7 @@ def fit_mode(
 
 
 def _maximum(model: Callable[[Array], Array], p: Array, power: Array) -> tuple[float, Array, Array]:
-    """Return the least of sum(ln S + I / S) by damped Fisher scoring, where it is, and the information there."""
+    """Return the minimum of sum(ln S + I / S) by damped Fisher scoring, its parameters, and the information there."""
     cost, damp = _cost(model(p), power), 1e-3
     information = np.eye(len(p))
     for _ in range(_STEPS):

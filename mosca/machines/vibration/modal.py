@@ -1,4 +1,4 @@
-"""What a mode is, and how shapes are compared: modal assurance criterion, phase collinearity, real shapes."""
+"""Modes and the comparison of their shapes: modal assurance criterion, phase collinearity, real shapes."""
 
 from dataclasses import dataclass
 
@@ -9,25 +9,25 @@ from mosca.data.arrays import Array, set_read_only
 
 @dataclass(frozen=True, eq=False)
 class Mode:
-    """A mode of vibration, or a steady line that the excitation holds."""
+    """A mode of vibration, or a steady line that is driven by the excitation."""
 
     frequency_hz: float
     frequency_sigma_hz: float
     damping: float
-    """Share of critical."""
+    """Damping as a share of critical damping."""
     damping_sigma: float
     shape: Array
-    """(c,) real, the largest of one size 1, one number a channel."""
+    """(c,) real, one number per channel, the largest of absolute value 1."""
     mpc: float
-    """Modal phase collinearity of the complex shape, 1 where all move in phase or against it."""
+    """Modal phase collinearity of the complex shape: 1 where all channels move in phase or in antiphase."""
     rms_m: float
-    """Of its displacement where the shape is 1 [m]."""
+    """Rms displacement where the shape is 1 [m]."""
     kurtosis: float
-    """Of its displacement: 3 for a mode that random forces drive, 1.5 for a steady line."""
+    """Kurtosis of the displacement: 3 for a mode driven by random forces, 1.5 for a steady line."""
     orders: float
-    """Share of the model orders, from the first in which it is found, that have it."""
+    """Share of the model orders that have the mode, counted from the first in which it is found."""
     is_line: bool = False
-    """Whether it is a steady line and no mode."""
+    """Whether it is a steady line instead of a mode."""
 
     def __post_init__(self) -> None:
         set_read_only(self, shape=(None,))
@@ -36,8 +36,8 @@ class Mode:
 def looks_steady(kurtosis: float, frequency_hz: float, damping: float, length_s: float) -> bool:
     """Return whether a peak is a steady line: nearer to a sine's kurtosis of 1.5 than to a Gaussian's 3, and narrow.
 
-    A mode too has a low kurtosis where the record holds few of its time constants; its peak, 2 zeta f wide, is then
-    still wider than the record's resolution 1 / T.
+    A mode also has a low kurtosis where the record is only a few of its time constants long; its peak, 2 zeta f wide,
+    is then still wider than the record's resolution 1 / T.
     """
     return kurtosis < 2.25 and 2 * damping * frequency_hz * length_s < 1.0
 
@@ -56,7 +56,7 @@ def mac(first: Array, second: Array) -> Array:
 def phase_collinearity(shape: Array) -> float:
     """Return the modal phase collinearity of a complex shape (c,): 1 on a line of the complex plane, 0 on a circle.
 
-    Pappa, Elliott and Schenk (1993), without their removal of the mean, which takes a rigid shape's own size away.
+    Pappa, Elliott and Schenk (1993), without their removal of the mean, which would remove a rigid shape itself.
     """
     x, y = shape.real, shape.imag
     spread = np.array([[x @ x, x @ y], [x @ y, y @ y]])
@@ -65,8 +65,8 @@ def phase_collinearity(shape: Array) -> float:
 
 
 def real_shape(shape: Array) -> Array:
-    """Return a complex shape (c,) turned to be as real as it can be, its largest component 1."""
-    # the phase that makes the sum of squares real makes the real part's share the largest
+    """Return the real part of a complex shape (c,) after turning it to be as real as possible, its largest one 1."""
+    # the phase that makes the sum of squares real also maximises the real part's share
     turned = shape * np.exp(-0.5j * np.angle(np.sum(shape**2)))
     real = turned.real
     return np.asarray(real / real[np.argmax(np.abs(real))])
@@ -75,14 +75,14 @@ def real_shape(shape: Array) -> Array:
 def frequency_bound(frequency_hz: float, damping: float, length_s: float) -> float:
     """Return the smallest relative standard deviation of a frequency that random excitation for ``length_s`` allows.
 
-    sqrt(zeta / (2 pi f T)). Of a periodogram's independent, exponentially distributed ordinates (Whittle) the
-    information on a parameter p is T * integral (d ln S / dp)^2 df; near a resonance S ~ 1 / ((f - f0)^2 + h^2) with
-    h = zeta f0, which gives 2 pi T / h for f0 and, the force's density known, as much for h. Gersch (1974) gives the
-    same order.
+    It is sqrt(zeta / (2 pi f T)). A periodogram's independent, exponentially distributed ordinates (Whittle) have the
+    information T * integral (d ln S / dp)^2 df on a parameter p. Near a resonance S ~ 1 / ((f - f0)^2 + h^2) with
+    h = zeta f0, which gives 2 pi T / h for f0 and, with known density of the force, the same for h. Gersch (1974)
+    gives the same order.
     """
     return float(np.sqrt(damping / (2 * np.pi * frequency_hz * length_s)))
 
 
 def damping_bound(frequency_hz: float, damping: float, length_s: float) -> float:
-    """Return the same of a damping: 1 / sqrt(2 pi f zeta T)."""
+    """Return the same bound for a damping: 1 / sqrt(2 pi f zeta T)."""
     return float(1 / np.sqrt(2 * np.pi * frequency_hz * damping * length_s))

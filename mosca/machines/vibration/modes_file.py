@@ -1,4 +1,4 @@
-"""Modes of vibration as JSON, or as a table (.csv) of one row a mode."""
+"""Modes of vibration as JSON, or as a table (.csv) with one row per mode."""
 
 import json
 import math
@@ -22,7 +22,7 @@ def write_modes(found: Vibration, path: Path) -> None:
 
 
 def _document(found: Vibration) -> dict[str, Any]:
-    """Return modes, floor and findings as plain data for JSON; what is not known is None."""
+    """Return modes, floor and findings as plain data for JSON; unknown values are None."""
     record = found.displacements
     return {
         "frame_rate_hz": record.rate_hz,
@@ -38,7 +38,7 @@ def _document(found: Vibration) -> dict[str, Any]:
 
 
 def _table(found: Vibration) -> str:
-    """Return the modes as a table, one row a mode, its shape in the last columns, one a target and direction."""
+    """Return the modes as a table with one row per mode; the last columns are its shape by target and direction."""
     record = found.displacements
     axes = [""] if len(record.direction) == 1 else ["_x", "_y", "_z"]
     shape = [f"shape_{name}{axis}" for name in record.names for axis in axes]

@@ -9,9 +9,9 @@ from mosca.data.arrays import Array, set_read_only
 from mosca.data.distributions import chi2
 
 _PASSES = 4
-"""Times that patterns are found anew from what they filled."""
+"""Number of times that patterns are found anew from the values that they filled."""
 _QUIET = 0.25
-"""Share of the frequencies, those where modes have least, that show the noise."""
+"""Share of the frequencies that show the noise: those with the least density of the modes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +42,7 @@ class Spectra:
 
     @property
     def interval95(self) -> tuple[float, float]:
-        """Factors on a density that give the ends of its 95 % interval: chi squared of two degrees an average."""
+        """Factors on a density for the ends of its 95 % interval: chi squared, two degrees of freedom per average."""
         freedom = 2 * self.averages
         return float(freedom / chi2.ppf(0.975, freedom)), float(freedom / chi2.ppf(0.025, freedom))
 
@@ -63,17 +63,17 @@ def spectra(values: Array, rate_hz: float, segment: int) -> Spectra:
     if segment % 2 == 0:
         total[-1] /= 2
     n = len(starts)
-    # neighbours that overlap by half are correlated by 1/6 in amplitude
+    # neighbouring segments that overlap by half have a correlation of 1/6 in amplitude
     effective = n / (1 + 2 / 36 * (n - 1) / n)
     return Spectra(np.fft.rfftfreq(segment, 1 / rate_hz), total, effective)
 
 
 def filled(values: Array, rank: int) -> Array:
-    """Return values (t, c) with gaps (NaN) filled, for spectra alone: nothing filled is counted as measured.
+    """Return values (t, c) with gaps (NaN) filled, for spectra only: filled values do not count as measured.
 
-    Where more than ``rank`` channels were measured, by the ``rank`` strongest patterns of all channels, fitted to
-    those of the instant (the patterns are found anew from what was filled, some times over); other instants by a
-    cubic in time.
+    Where more than ``rank`` channels were measured, the ``rank`` strongest patterns of all channels are fitted to the
+    measured channels of the instant; the patterns are found anew from the filled values several times. Other instants
+    are filled by a cubic spline in time.
     """
     there = np.isfinite(values)
     if there.all():
@@ -96,10 +96,10 @@ def filled(values: Array, rank: int) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class NoiseFloor:
-    """Noise that the spectra show, beside the one that the tracks' covariances state."""
+    """Noise that the spectra show, and noise that the tracks' covariances state."""
 
     measured_m2_per_hz: float
-    """Mean over the channels of what no mode explains, where the modes have least."""
+    """Mean density over the channels that no mode explains, at frequencies where the modes have least."""
     expected_m2_per_hz: float
     """2 sigma^2 / rate; NaN where the tracks state no covariance."""
 
@@ -109,18 +109,18 @@ class NoiseFloor:
         return self.measured_m2_per_hz / self.expected_m2_per_hz
 
     def sigma_m(self, rate_hz: float) -> float:
-        """Return the standard deviation of one sample that the measured floor amounts to [m]."""
+        """Return the standard deviation [m] of one sample that corresponds to the measured floor."""
         return float(np.sqrt(self.measured_m2_per_hz * rate_hz / 2))
 
 
 def noise_floor(averaged: Spectra, modal: Array, variance: Array, rate_hz: float, rigid: Array) -> NoiseFloor:
-    """Return the noise in ``averaged`` spectra beside that of ``variance`` (c,) [m^2].
+    """Return the noise in ``averaged`` spectra, and the noise expected from ``variance`` (c,) [m^2].
 
-    Measured is the mean of the channels' mean density less ``modal`` (k,), that of the modes [m^2/Hz], over the
-    quarter of the frequencies where the modes have least, since their part is averaged over few independent values.
-    No median: noise that all targets share, of shaking cameras, has few independent values as well, and its median
-    lies below its mean. What ``rigid`` (c, r), the motions that were taken out, took of white noise is
-    allowed for. Samples that were filled have the noise of those that they come from; nothing is corrected for them.
+    The measured noise is the channels' mean density less that of the modes, ``modal`` (k,) [m^2/Hz]. It is averaged
+    over the quarter of the frequencies where the modes have least, since their part rests on few independent values.
+    A median would not do: noise common to all targets, from camera shake, also has few independent values, and its
+    median lies below its mean. White noise removed with the rigid motions ``rigid`` (c, r) is allowed for. Filled
+    samples have the noise of those that they come from, without a correction.
     """
     keeps = 1 - np.sum(rigid**2, axis=1)
     left = averaged.densities.sum(axis=1)[1:-1] - averaged.matrix.shape[1] * modal[1:-1]

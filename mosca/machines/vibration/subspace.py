@@ -1,7 +1,7 @@
 """Poles and shapes from correlations: covariance-driven stochastic subspace identification (SSI-cov).
 
-Peeters and De Roeck, Reference-based stochastic subspace identification, 1999. Correlations are means over the pairs
-of samples that were both measured, so that gaps need no filling.
+Peeters and De Roeck, Reference-based stochastic subspace identification, 1999. Correlations are means over pairs of
+measured samples, so that gaps need no filling.
 """
 
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ _Pole = tuple[int, float, float, Array, bool]
 
 @dataclass(frozen=True, eq=False)
 class Poles:
-    """Poles of models of several orders, one row a pole of one order."""
+    """Poles of models of several orders, one row per pole and order."""
 
     order: Array
     """(p,)"""
@@ -43,27 +43,27 @@ class Poles:
 
 @dataclass(frozen=True)
 class SubspaceSettings:
-    """How models are fitted, and which poles are taken for modes."""
+    """Settings for fitting models and selecting poles as modes."""
 
     components: int = 16
     """Principal directions of the channels that are kept."""
     block_rows: int = 50
-    """Lags either way: at least a quarter period of the lowest mode, more for close ones."""
+    """Lags in either direction: at least a quarter period of the lowest mode, more for close modes."""
     orders: tuple[int, ...] = tuple(range(4, 61, 2))
     frequency_step: float = 0.01
-    """Largest relative change from one order to the next of a stable pole."""
+    """Largest relative change of a stable pole's frequency from one order to the next."""
     damping_step: float = 0.2
-    """The same of its damping; damping is known an order less well than frequency."""
+    """The same for its damping, which is known an order of magnitude less well than its frequency."""
     shape_mac: float = 0.95
-    """Least MAC of its shapes."""
+    """Least MAC of a stable pole's shapes from one order to the next."""
     most_damping: float = 0.2
     least_mpc: float = 0.7
     least_share: float = 0.6
-    """Share of the orders, from the first that has it, in which a mode is stable."""
+    """Least share of the orders, from the first that has it, in which a mode is stable."""
 
 
 def correlations(values: Array, lags: int) -> Array:
-    """Return R (lags + 1, c, c) = mean of y(t + l) y(t)^T of values (t, c); NaN where not measured."""
+    """Return R (lags + 1, c, c) = mean of y(t + l) y(t)^T for values y (t, c), NaN where not measured."""
     there = np.isfinite(values)
     y, m = np.where(there, values, 0.0), there.astype(np.float64)
     t = len(y)
@@ -76,7 +76,7 @@ def correlations(values: Array, lags: int) -> Array:
 
 
 def poles_of(correlation: Array, rate_hz: float, basis: Array, settings: SubspaceSettings) -> Poles:
-    """Return the poles of all orders from correlations (2 i, c, c) of ``rate_hz``, shapes by ``basis`` (channels, c).
+    """Return the poles of all orders from correlations (2 i, c, c) at ``rate_hz``, shapes by ``basis`` (channels, c).
 
     Poles that grow, do not oscillate or are damped more than ``most_damping`` are left out.
     """
@@ -117,7 +117,7 @@ def _has(poles: list[_Pole], f: float, d: float, shape: Array, s: SubspaceSettin
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A pole that stays from order to order: medians, a complex shape (c,), share of orders that have it."""
+    """A pole that is stable from order to order: medians, a complex shape (c,), share of orders that have it."""
 
     frequency_hz: float
     damping: float
@@ -126,7 +126,7 @@ class Candidate:
 
 
 def candidates(poles: Poles, settings: SubspaceSettings) -> tuple[Candidate, ...]:
-    """Return the poles that stay, lowest first: stable ones of nearly one frequency and shape, over the orders."""
+    """Return groups of stable poles with nearly one frequency and shape over the orders, lowest frequency first."""
     left = np.flatnonzero(poles.stable)
     orders = np.unique(poles.order)
     found = []
