@@ -82,12 +82,12 @@ def drawn(lab: LabTwin, random: np.random.Generator) -> LabTwin:
 
 
 def bounded(key: str, value: float, drawn_value: float) -> float:
-    """Return a draw of a key within what is possible: about 0, half a normal law; about more, more than 0."""
+    """Return a draw of a key within what is possible: folded at 0, and of a key above 0 not far below its value."""
     if key.startswith(SIGNED):
         return drawn_value
-    if value == 0.0:
-        return abs(drawn_value) if key != "timing.row_time_s" else 0.0
-    return max(drawn_value, LEAST_SHARE * value)
+    if value == 0.0 and key == "timing.row_time_s":
+        return 0.0
+    return max(abs(drawn_value), LEAST_SHARE * value)
 
 
 def _stated(camera: Mapping[str, Any], key: str) -> float | None:

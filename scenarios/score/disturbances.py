@@ -22,6 +22,8 @@ from twin.cameras.virtual_camera import VirtualCamera
 
 FALSE_ALARM = 1e-6
 """Probability that a sound run is refused, for each disturbance."""
+LEAST_JITTER_S = 1e-8
+"""Jitter below which it is not judged: times are whole nanoseconds."""
 GAP_FRAMES = 25
 """Frames of each camera, all over the run, by which the gap is measured."""
 MOTION_FACTOR = 2.0
@@ -111,7 +113,7 @@ def _frames_of(truth: Truth, c: int) -> _Frames:
 def _jitter(frames: _Frames, stated_s: float) -> tuple[float, int, float]:
     """Return the squares of mid-exposures about even spacing [s^2], their degrees of freedom, and the stated rms."""
     n = len(frames.number)
-    if n < 3:
+    if n < 3 or stated_s < LEAST_JITTER_S:
         return 0.0, 0, stated_s
     number = frames.number - frames.number.mean()
     middle = (frames.middle_ns - frames.middle_ns[0]) * 1e-9

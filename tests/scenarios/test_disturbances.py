@@ -65,6 +65,12 @@ def test_what_is_stated_is_found(tmp_path):
     assert found["gap_px"]["value"] > 0.05
 
 
+def test_jitter_below_the_resolution_of_times_is_not_judged(tmp_path):
+    """Times are whole nanoseconds: of 0.2 ns rms there is nothing in the truth."""
+    path = write_tiny(tmp_path)
+    assert "trigger_jitter_s" not in run(path, "errors.trigger_jitter_s=2e-10").record.premises
+
+
 def test_one_target_does_not_tell_the_lens_gap(tmp_path):
     """It stands where the gap happens to be small, or not."""
     path = write_tiny(tmp_path)

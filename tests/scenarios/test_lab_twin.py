@@ -111,7 +111,8 @@ def test_draws_follow_the_standard_deviations(tmp_path):
     assert delay.std() == pytest.approx(1e-4, rel=0.15)
     assert delay.min() < 0.0
     assert {one.errors.bits for one in made} == {12}
-    assert bounded("errors.body_px", 0.1, -0.5) > 0.0
+    assert bounded("errors.body_px", 0.1, -0.5) == 0.5
+    assert bounded("errors.full_well_e", 1e4, 1.0) == 500.0
     assert bounded("delivery.dropped_share", 0.0, -0.01) == 0.01
 
 

@@ -205,11 +205,15 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--first", type=int, default=1)
     parser.add_argument("--labs", type=int, default=4)
+    parser.add_argument("--seconds", type=float, default=10.0, help="of the wand")
+    parser.add_argument("--draws", type=int, default=4, help="of the lab's parameters and the seed")
     given = parser.parse_args()
     every = []
     for seed in range(given.first, given.first + given.labs):
         with tempfile.TemporaryDirectory() as folder:
-            scores, measured, said, worse = blind(seed, Path(folder), twice=True)
+            scores, measured, said, worse = blind(
+                seed, Path(folder), seconds=given.seconds, draws=given.draws, twice=True
+            )
         every += scores
         z = np.array([row[-1] for row in scores])
         print(f"lab {seed}: {np.sum(np.abs(z) <= 3)} of {len(z)} parameters within 3 sigma")
