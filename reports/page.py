@@ -38,6 +38,8 @@ TILES = {
 """The headline figures of a page, with names of their own."""
 OF_EVERY_RUN = ("sets_complete", "frames_complete")
 """Limits that every run has."""
+ERRORS = ("_rms", "relative_accuracy")
+"""Ends of the names of metrics that are errors."""
 MOST_TILES = 4
 
 
@@ -276,12 +278,14 @@ def write_rendered(path: Path, template: str, **values: Any) -> None:
 
 
 def _headlines(record: RunRecord) -> list[Metric]:
-    """Return the metrics of the cards: those of ``TILES`` that are judged, others that are, the rest of ``TILES``."""
-    named = [metric for name in TILES if (metric := record.metric(name)) is not None]
-    judged = [metric for metric in named if metric.as_it_must is not None]
-    left = [metric for metric in named if metric.as_it_must is None]
-    own = [m for m in record.metrics if m.as_it_must is not None and m.name not in {*TILES, *OF_EVERY_RUN}]
-    return [*judged, *own, *left][:MOST_TILES]
+    """Return the metrics of the cards: those that are judged, errors first, then the rest of ``TILES``."""
+    order = {name: k for k, name in enumerate(TILES)}
+    judged = [
+        metric for metric in record.metrics if metric.as_it_must is not None and metric.name not in OF_EVERY_RUN
+    ]
+    judged.sort(key=lambda one: (not one.name.endswith(ERRORS), order.get(one.name, len(order))))
+    left = [metric for name in TILES if (metric := record.metric(name)) is not None and metric.as_it_must is None]
+    return [*judged, *left][:MOST_TILES]
 
 
 def _tiles(record: RunRecord) -> list[dict[str, str]]:

@@ -142,7 +142,7 @@ def test_cards_show_what_is_judged_first(tmp_path: Path) -> None:
     write_page(tmp_path / "p.html", example_record(metrics=metrics), example_evidence(views=0))
     cards = re.findall(r'<div class="card tile ?\w*">(.*?)</div>', (tmp_path / "p.html").read_text("utf-8"))
     names = [re.sub("<[^>]*>", " ", inside).split("  ")[0].strip() for inside in cards]
-    wanted = ["Completeness", "Joint center rms", "Joint angle rms", "Position error, rms"]
+    wanted = ["Joint center rms", "Joint angle rms", "Completeness", "Position error, rms"]
     assert [name.startswith(one) for name, one in zip(names, wanted, strict=True)] == [True] * 4
 
 
