@@ -21,7 +21,7 @@ LISTEN_HELP = "endpoint to listen on, with the address of the interface, e.g. tc
 
 
 def _trusted(command: Callable[..., None]) -> Callable[..., None]:
-    """Add the options that say whose messages are taken."""
+    """Add the options that select whose messages are accepted."""
     for option in (
         click.option("--insecure", is_flag=True, help="take every program's messages, on a network of their own"),
         click.option("--key", type=FILE, help="key file that all stations share; without it this PC only"),
