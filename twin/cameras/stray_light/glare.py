@@ -10,7 +10,7 @@ from mosca.data.arrays import Array
 from mosca.errors import InputError
 
 PART_PX = 8
-"""Edge of the parts of the image on which the haze, which is far wider, is computed [px]."""
+"""Approximate edge of the parts of the image on which the haze, which is far wider, is computed [px]."""
 
 
 @dataclass(frozen=True)
