@@ -1,4 +1,4 @@
-"""A person as a stick figure at some instants of a take, beside the truth."""
+"""Stick figures of a person at some instants of a take, with the truth."""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -11,18 +11,18 @@ from reports.plot_style import BLUE, GRID, INK, MUTED, ORANGE, WIDE, Picture, ca
 from reports.units import figure as number
 
 INSTANTS = 6
-"""Figures beside each other."""
+"""Number of figures side by side."""
 TURNED = np.deg2rad(50.0)
-"""From where the person looks to where it is seen from: both sides of the body show."""
+"""Angle from the person's viewing direction to the observer, so that both sides of the body are visible."""
 MARGIN_M, NEAR_M = 0.12, 1.3
-"""Around all figures, and between a marker and the middle of the joints at most [m]."""
+"""Margin around all figures, and largest distance of a drawn marker from the middle of the joints [m]."""
 
 
 def biped_picture(joints: JointMotion, truth: JointMotion | None = None, tracks: Tracks | None = None) -> Picture:
     """Draw the joints at INSTANTS evenly spread instants with a pose, from a side; ``truth`` in a light colour.
 
-    ``truth``: joints at instants of its own, the nearest of which is drawn; ``tracks``: points of these instants are
-    drawn as dots. ValueError where no instant has a bone.
+    ``truth``: joints at instants of its own, of which the nearest one is drawn; ``tracks``: their points at the drawn
+    instants become dots. ValueError where no instant has a bone.
     """
     posed = [k for k in range(len(joints)) if strips(joints.joints, joints.centre[k])]
     if not posed:
@@ -54,7 +54,7 @@ _View = tuple[list[Array], list[Array], Array, list[str]]
 
 
 def _seen(joints: JointMotion, truth: JointMotion | None, tracks: Tracks | None, k: int) -> _View:
-    """Return what is seen at one instant, about the middle of the joints, upwards from the ground."""
+    """Return the lines and dots of one instant, about the middle of the joints, upwards from the ground."""
     lines = strips(joints.joints, joints.centre[k])
     middle = np.concatenate(lines).mean(axis=0) * [1, 1, 0]
     right = _to_the_right(joints, k)
@@ -77,7 +77,7 @@ def _seen(joints: JointMotion, truth: JointMotion | None, tracks: Tracks | None,
 
 
 def _to_the_right(joints: JointMotion, k: int) -> Array:
-    """Return the horizontal direction (3,) that points to the right in the picture: by the person's hips."""
+    """Return the horizontal direction (3,) that points to the right in the picture, from the person's hips."""
     place = dict(zip(joints.joints, joints.centre[k], strict=True))
     for left, right in (("l_hip", "r_hip"), ("l_shoulder", "r_shoulder")):
         across = (place.get(right, np.full(3, np.nan)) - place.get(left, np.full(3, np.nan))) * [1, 1, 0]
@@ -85,7 +85,7 @@ def _to_the_right(joints: JointMotion, k: int) -> Array:
             break
     else:
         across = np.array([0.0, -1.0, 0.0])
-    # who looks at the observer has the right side at the picture's left
+    # a person who faces the observer has the right side at the picture's left
     angle = np.arctan2(-across[1], -across[0]) - TURNED
     return np.array([np.cos(angle), np.sin(angle), 0.0])
 

@@ -13,12 +13,12 @@ STRIPS = (
     ("shoulders", "l_shoulder", "l_elbow", "l_wrist"),
     ("shoulders", "r_shoulder", "r_elbow", "r_wrist"),
 )
-"""Joints of ``mosca.data.joint_motion.JOINTS`` in a line; "shoulders" is midway between both, for lumbar joints and
-neck have no centre."""
+"""Joints of ``mosca.data.joint_motion.JOINTS`` in each line. "shoulders" is midway between both shoulders: lumbar
+joints and neck have no centre."""
 
 
 def strips(joints: Sequence[str], centre: Array) -> list[Array]:
-    """Return lines (k, 3) [m] through the known ones of ``centre`` (j, 3); an unknown joint ends a line."""
+    """Return lines (k, 3) [m] through the known joints of ``centre`` (j, 3); an unknown joint ends a line."""
     place = {name: centre[k] for k, name in enumerate(joints)}
     if "l_shoulder" in place and "r_shoulder" in place:
         place["shoulders"] = (place["l_shoulder"] + place["r_shoulder"]) / 2

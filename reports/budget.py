@@ -1,4 +1,4 @@
-"""An error budget: what each source of error adds to a mean square, with intervals; its file, its lines."""
+"""An error budget: the contribution of each source of error to a mean square, with intervals; its file, its lines."""
 
 import json
 import math
@@ -16,23 +16,23 @@ FILE_KIND = "mosca error budget"
 
 @dataclass(frozen=True)
 class Contribution:
-    """What a source adds to the mean square, in the metric's unit squared (position: mm^2)."""
+    """Contribution of a source to the mean square, in the metric's unit squared (position: mm^2)."""
 
     name: str
     told: str
-    """In words."""
+    """The source in words."""
     square: float
-    """Its Shapley value; below 0 where errors are smaller with it."""
+    """Shapley value of the source; below 0 where errors are smaller with the source."""
     ci95: tuple[float, float]
     alone: float | None
-    """What it adds when all others are off; None where that was not run."""
+    """Increase of the mean square by this source when all others are off; None where that was not run."""
     last: float | None
-    """What goes when it alone is switched off; likewise."""
+    """Decrease of the mean square when only this source is switched off; None where that was not run."""
 
 
 @dataclass(frozen=True)
 class PredictedSquare:
-    """A mean square as stated covariances predict it, beside what the budget measured."""
+    """A mean square predicted from stated covariances, and the measured one of the budget."""
 
     told: str
     predicted: float
@@ -52,11 +52,11 @@ class ErrorBudget:
     scenario: str
     metric: str
     unit: str
-    """Of the squares."""
+    """Unit of the squares."""
     by: str
     """"source" or "camera"."""
     content: str
-    """Digest of the scenario's settings that decide about figures, but for seed and length."""
+    """Digest of the scenario's settings that affect figures, without seed and length."""
     commit: str
     seeds: tuple[int, ...]
     duration_s: float
@@ -64,7 +64,7 @@ class ErrorBudget:
     total: float
     total_ci95: tuple[float, float]
     remainder: float
-    """Mean square with all sources off: the floor of what cannot be switched off."""
+    """Mean square with all sources off: the part that cannot be switched off."""
     remainder_ci95: tuple[float, float]
     contributions: tuple[Contribution, ...]
     """Largest first."""
@@ -85,7 +85,7 @@ def write_budget(budget: ErrorBudget, path: Path) -> None:
 
 
 def read_budget(path: Path) -> ErrorBudget:
-    """Read what ``write_budget`` wrote; InputError where it is missing or something else."""
+    """Return the budget in a file of ``write_budget``; InputError where it is missing or another kind of file."""
     try:
         document = parse_json(read_bytes(path))
         if document.pop("kind") != FILE_KIND:
@@ -127,7 +127,7 @@ def _square(budget: ErrorBudget, square: float, ci95: Sequence[float]) -> tuple[
 
 
 def budget_words(budget: ErrorBudget) -> list[str]:
-    """Return in lines what the table is of, and where covariances and measured squares part."""
+    """Return lines that describe the table, and name where covariances and measured squares disagree."""
     root = math.sqrt(max(budget.total, 0.0))
     unit = budget.unit.removesuffix("^2")
     lines = [

@@ -1,4 +1,4 @@
-"""Drawings in the cameras' images: residual vectors, and where the target was seen."""
+"""Drawings in the cameras' images: residual vectors, and coverage by the target."""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -11,12 +11,12 @@ from reports.plot_style import BLUE, GRID, HEAT, INK, ORANGE, VERMILION, WIDE, P
 from reports.units import figure as number
 
 MOST_ARROWS = 700
-"""Residual vectors a camera that are drawn."""
+"""Most residual vectors drawn for each camera."""
 MOST_CAMERAS = 12
-"""Cameras of which images are drawn; the rest is in the tables."""
+"""Most cameras with drawn images; the others are in the tables."""
 ACROSS = 3
 ARROW_SHARE = 0.06
-"""Of the image's width, that the 95 % residual is drawn."""
+"""Drawn length of the 95 % residual, as a share of the image's width."""
 
 
 def residuals_picture(calibration: Calibration) -> Picture:
@@ -32,7 +32,7 @@ def residuals_picture(calibration: Calibration) -> Picture:
         rows = np.flatnonzero(mine & calibration.used)
         rows = rows[strided(len(rows), MOST_ARROWS)]
         start, length = see.xy_px[rows], calibration.residuals_px[rows]
-        # an arrow is a line that grows thick where it was observed
+        # an arrow is a line that is thick at the observed point
         segments = np.stack([start, start + factor * length], axis=1)
         colours = HEAT(np.clip(1 - 0.85 * np.linalg.norm(length, axis=1) / largest, 0, 1))
         axes.add_collection(LineCollection(list(segments), colors=colours, linewidths=0.9))
@@ -58,7 +58,7 @@ def residuals_picture(calibration: Calibration) -> Picture:
 
 
 def coverage_picture(calibration: Calibration, evidence: CalibrationEvidence) -> Picture:
-    """Draw where in each image the target was seen, and which cells it left uncovered."""
+    """Draw where each image shows the target, and which cells are not covered by it."""
     see = calibration.sightings
     drawing, all_axes = _image_axes(calibration, 0.62)
     shares = []

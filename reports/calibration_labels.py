@@ -1,4 +1,4 @@
-"""Names beside points of a drawing, put where they cover neither each other nor the points."""
+"""Names beside points of a drawing, placed so that they cover neither each other nor the points."""
 
 from collections.abc import Sequence
 
@@ -9,12 +9,12 @@ from mosca.data.arrays import Array
 from reports.plot_style import INK, MUTED
 
 SIZE_PT, WIDTH_PT, HEIGHT_PT = 8.0, 5.4, 10.0
-"""Font size, and width per letter: wide enough for substitute fonts of the reader's machine."""
+"""Font size, and width and height of a letter: wide enough for substitute fonts of the reader's machine."""
 DOT_PT = 3.5
 RINGS_PT = (5.0, 14.0, 24.0, 36.0, 50.0, 66.0, 84.0)
 DIRECTIONS = ((1, 1), (1, -1), (-1, 1), (-1, -1), (1, 0), (-1, 0), (0, 1), (0, -1))
 LEADER_FROM_PT = 10.0
-"""A name farther from its point than this is joined to it by a line."""
+"""Distance of a name from its point above which a line joins them."""
 
 
 def label_points(axes: Axes, places: Array, names: Sequence[str]) -> None:
@@ -36,8 +36,8 @@ def label_points(axes: Axes, places: Array, names: Sequence[str]) -> None:
 def label_offsets(points_pt: Array, widths_pt: Sequence[float], low_pt: Array, high_pt: Array) -> Array:
     """Return the offsets (n, 2) of the middles of labels' left edges from their points (n, 2), in pt.
 
-    The nearest candidate inside the box from ``low_pt`` to ``high_pt`` that is free of points and earlier labels;
-    where there is none, the one that covers least.
+    The nearest candidate inside the box from ``low_pt`` to ``high_pt`` that is free of points and earlier labels is
+    taken; where there is none, the one that covers least.
     """
     dots = np.column_stack([points_pt - DOT_PT, points_pt + DOT_PT])
     taken: list[Array] = []

@@ -42,7 +42,7 @@ def write_calibration_page(path: Path, calibration: Calibration, evidence: Calib
 
 
 def verdict(findings: tuple[Finding, ...]) -> dict[str, str]:
-    """Return text, sign and tone of what the findings come to."""
+    """Return text, sign and tone of the verdict on the findings."""
     grave = [one.severity for one in findings]
     if "refuse" in grave:
         return {"text": "Do not use", "sign": "✗", "tone": "bad"}
@@ -52,7 +52,7 @@ def verdict(findings: tuple[Finding, ...]) -> dict[str, str]:
 
 
 def sentence(calibration: Calibration, evidence: CalibrationEvidence) -> str:
-    """Return the news in words."""
+    """Return the main result in words."""
     worst = next((one for one in calibration.findings if one.severity in ("refuse", "warn")), None)
     pixels = figure(_rms(calibration.sigma_px))
     text = f"Image points fit to {pixels} px (standard deviation of a coordinate)"
@@ -67,7 +67,7 @@ def sentence(calibration: Calibration, evidence: CalibrationEvidence) -> str:
 
 
 def with_sigma(value: float, sigma: float | None) -> str:
-    """Return ``value`` and its standard deviation as people read them: two digits of the latter.
+    """Return ``value`` and its standard deviation as text, with two digits of the latter.
 
     >>> with_sigma(1234.5678, 0.0123)
     '1234.568 ± 0.012'
@@ -148,7 +148,7 @@ def _finding(one: Finding) -> dict[str, str]:
 
 
 def _precision(calibration: Calibration) -> list[dict[str, Any]]:
-    """Return, a camera, the paper's Table 2: sigma_x and sigma_y in px and in mm on the target."""
+    """Return the paper's Table 2, a row for each camera: sigma_x and sigma_y in px and in mm on the target."""
     rows = []
     for k, camera in enumerate(calibration.rig.cameras):
         mine = calibration.sightings.camera == k
@@ -169,7 +169,7 @@ def _precision(calibration: Calibration) -> list[dict[str, Any]]:
 
 
 def _interior(calibration: Calibration) -> list[dict[str, Any]]:
-    """Return tables of a few cameras of one lens model each, with the parameters that any of the model's uses."""
+    """Return tables of a few cameras of one lens model each, with the parameters that any of them uses."""
     sigmas = calibration.standard_deviations
     tables = []
     for model in dict.fromkeys(camera.lens.model for camera in calibration.rig.cameras):
@@ -200,7 +200,7 @@ def _interior(calibration: Calibration) -> list[dict[str, Any]]:
 
 
 def _sigma(sigmas: dict[str, float], camera: Camera, name: str) -> float | None:
-    """Return the standard deviation of a lens parameter; of both focal lengths where they move together."""
+    """Return the standard deviation of a lens parameter; that of both focal lengths if they are estimated as one."""
     found = sigmas.get(f"{camera.name}.{name}")
     return sigmas.get(f"{camera.name}.f_px") if found is None and name in ("fx_px", "fy_px") else found
 

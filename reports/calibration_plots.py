@@ -55,7 +55,7 @@ def _pictures(calibration: Calibration, evidence: CalibrationEvidence) -> Iterat
 
 
 def rig_picture(calibration: Calibration, evidence: CalibrationEvidence) -> Picture:
-    """Draw cameras and target points in plan and from the side, and which cameras share how many points."""
+    """Draw cameras and target points in plan and from the side, and the number of points that cameras share."""
     rig = calibration.rig
     points = calibration.points_in_world()[calibration.used]
     points = points[strided(len(points), 4 * MOST_ARROWS)]

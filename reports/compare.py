@@ -1,32 +1,33 @@
 """Compares runs: regressions against baselines, and runs side by side.
 
-The rule (pure; no randomness, no IO). A metric is a *regression* when it is worse than its baseline
+The rule is a pure function, without randomness or IO. A metric is a *regression* when it is worse than its baseline
 
 - by more than 2 % (``SMALLEST_SHARE``), and
 - by more than the half-width of the 95 % interval *of that worsening*.
 
 Two runs of one scenario with one seed have the same frames and the same noise, so their errors are paired. The
-interval of either run alone is about another *session*; it is often +-10 % and would hide a 5 % change. The interval
-is that of the paired difference: each record keeps its metrics' sums by block (``Blocks``), and the delete-one-block
+interval of one run alone is for another *session*; it is often +-10 % and would hide a 5 % change. So the interval of
+the paired difference is used. Each record keeps its metrics' sums by block (``MetricBlocks``). The delete-one-block
 jackknife of the difference gives its standard error (Kuensch 1989, "The jackknife and the bootstrap for general
-stationary observations", Ann. Statist. 17(3), here with non-overlapping blocks), times Student's t. A uniform 5 % is
-then far above its interval; a repeated run has no difference; noise that is not shared (a noise source was added)
-widens the interval.
+stationary observations", Ann. Statist. 17(3), here with non-overlapping blocks), which is multiplied by Student's t.
+A uniform 5 % is then far above its interval, and a repeated run has no difference. Noise that is not shared (a noise
+source was added) widens the interval.
 
 Without blocks in both, with other seeds or other cuts, the runs are two independent samples: the half-width is
-sqrt(h_new^2 + h_baseline^2) of the facing halves of both ``ci95``. A metric with neither is deterministic (a count,
-for example) and only the 2 % apply.
+sqrt(h_new^2 + h_baseline^2) of the facing halves of both ``ci95``. A metric with neither blocks nor ``ci95`` is
+deterministic (a count, for example), and only the 2 % apply.
 
-Another processor changes last digits. The images from a seed stay the same but for single pixels at a rounding
-boundary (``tests/scenarios/test_processors.py``), so that the pairs hold; decisions of the pipeline near a threshold
-do not. A baseline therefore states each metric's ``spread``, the largest change among runs of the same product with
-other processor features (``.ci/processors``): what is worse by no more than ``SPREADS`` times that is no regression.
+Another processor changes last digits. The images from a seed stay the same except for single pixels at a rounding
+boundary (``tests/scenarios/test_processors.py``), so that the pairs remain valid; decisions of the pipeline near a
+threshold may change. A baseline therefore states each metric's ``spread``, the largest change among runs of the same
+product with other processor features (``.ci/processors``). A metric that is worse by at most ``SPREADS`` times its
+spread is no regression.
 
 Other versions of numerical libraries, or another processor where the baseline states no spread, make independent
-samples. A suite compares some hundreds of metrics, several of which exceed a 95 % interval by chance; there the
+samples. A suite compares some hundreds of metrics, several of which exceed a 95 % interval by chance. So there the
 half-width is widened to a joint 95 % interval of ``FAMILY`` metrics (Bonferroni), and a metric without interval is
-left to its limit. Speed (``latency_p99``, ``frame_rate``) also depends on the machine: it is judged only between
-records of one platform, and only with intervals.
+only compared with its limit. Speed (``latency_p99``, ``frame_rate``) also depends on the machine: it is judged only
+between records of one platform, and only with intervals.
 """
 
 from collections.abc import Sequence
@@ -43,19 +44,19 @@ from reports.record import Metric, RunRecord
 from reports.units import figure, shown
 
 SMALLEST_SHARE = 0.02
-"""Worsenings up to this share of the baseline are never regressions (the contract's 2 %)."""
+"""Share of the baseline up to which a metric that is worse is no regression (the contract's 2 %)."""
 FEWEST_BLOCKS = 8
-"""With fewer pairs of blocks the jackknife's standard error is unreliable."""
+"""Least number of pairs of blocks: with fewer, the jackknife's standard error is unreliable."""
 
 FAMILY = 1000
 """Comparisons of one suite, in round figures (the quick tier has 670 metrics)."""
 FAMILY_FACTOR = NormalDist().inv_cdf(1 - 0.025 / FAMILY) / NormalDist().inv_cdf(0.975)
-"""Half-width that all of a family keep with 95 %, over that of one 95 % interval: 2.07."""
+"""Half-width of a joint 95 % interval of a family over that of a single 95 % interval: 2.07."""
 SPREADS = 2.0
-"""Changes of so many times the spread are last digits. The spread is the largest of some few changes: the next of the
-same kind exceeds it once in a few times, and twice it rarely."""
+"""Changes up to this multiple of the spread count as last digits. The spread is the largest of a few changes: another
+change of the same kind exceeds it once in a few times, and exceeds twice the spread rarely."""
 NUMERICAL = ("python", "numpy", "scipy", "numba", "mujoco", "opencv-python-headless")
-"""Packages whose versions decide about last digits."""
+"""Packages whose versions affect last digits."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +69,7 @@ class Regression:
     value: float
     baseline: float
     worse_by: float
-    """In the metric's unit, as ``half_width``."""
+    """Worsening in the metric's unit, as ``half_width``."""
     half_width: float
     share: float
     """``worse_by`` over the baseline's size (infinite where that is 0)."""
@@ -86,7 +87,7 @@ class Regression:
 
 
 def reading(metric: Metric) -> MetricKind:
-    """Return how ``metric`` is read: as ``kind_of`` says, else by its own sense and what its name says."""
+    """Return the kind of ``metric``: that of ``kind_of``, else one by its own sense and its name."""
     kind = kind_of(metric.name)
     if kind is not None:
         return kind
@@ -95,10 +96,10 @@ def reading(metric: Metric) -> MetricKind:
 
 
 def regressions(record: RunRecord, baseline: RunRecord) -> tuple[Regression, ...]:
-    """Return the metrics of ``record`` that are worse than ``baseline``, by the rule in this module's head.
+    """Return the metrics of ``record`` that are worse than ``baseline``, by the rule in this module's docstring.
 
-    Metrics that only one of them has are not compared: see ``missing``. Raises ValueError for records of
-    two scenarios.
+    Metrics that only one of the records has are not compared: see ``missing``. Raises ValueError for records of two
+    scenarios.
     """
     if record.scenario != baseline.scenario:
         raise ValueError(f"regressions: {record.scenario} compared with {baseline.scenario}")
@@ -111,18 +112,18 @@ def regressions(record: RunRecord, baseline: RunRecord) -> tuple[Regression, ...
 
 
 def numerical_versions(record: RunRecord) -> tuple[object, ...]:
-    """Return the platform and the versions that decide about last digits."""
+    """Return the platform and the versions that affect last digits."""
     versions = record.provenance.get("versions", {})
     return record.provenance.get("platform"), *(versions.get(name) for name in NUMERICAL)
 
 
 def missing(record: RunRecord, baseline: RunRecord) -> tuple[str, ...]:
-    """Return the names of the baseline's metrics that ``record`` no longer has: a loss that no figure shows."""
+    """Return the names of the baseline's metrics that ``record`` lacks: a loss that no figure shows."""
     return tuple(m.name for m in baseline.metrics if record.metric(m.name) is None)
 
 
 def worsening(record: RunRecord, new: Metric, baseline: RunRecord, old: Metric) -> Regression | None:
-    """Return how much worse the metric ``new`` of ``record`` is than ``old``; None where that is no regression."""
+    """Return the regression of the metric ``new`` of ``record`` against ``old``; None where it is none."""
     how = reading(old)
     if how.speed and not _speed_comparable(record, new, baseline, old):
         return None
@@ -170,10 +171,10 @@ def _pairable(new: Metric, old: Metric) -> bool:
 def _paired_half_width(how: MetricKind, new: Metric, old: Metric) -> float:
     """Return the half-width of the worsening's 95 % interval from paired blocks, in the metric's unit.
 
-    Jackknife: theta_i is the worsening without block i; variance = (b - 1) / b sum (theta_i - mean)^2. For an
-    extreme the jackknife is not consistent (Miller 1974); a largest value scatters about as much as the
-    largest values of single blocks do (a Gumbel variable's maximum keeps its scale), hence their
-    differences' standard deviation.
+    Jackknife: theta_i is the worsening without block i; variance = (b - 1) / b sum (theta_i - mean)^2. For an extreme
+    the jackknife is not consistent (Miller 1974). A largest value scatters about as much as the largest values of
+    single blocks (the maximum of Gumbel variables has their scale), so the standard deviation of the blocks'
+    differences is used.
     """
     assert new.blocks is not None
     assert old.blocks is not None
@@ -222,7 +223,7 @@ MAIN_METRICS = ("position_rms", "relative_accuracy", "completeness", "ghosts_per
 
 
 def summary_table(records: Sequence[RunRecord]) -> Table:
-    """Return a terminal table: a row a run with its verdict, the main metrics beside limits, and seconds.
+    """Return a terminal table: a row for each run with its verdict, the main metrics beside limits, and seconds.
 
     A figure that breaks its limit is red. Only metrics that some record has get a column.
     """

@@ -1,4 +1,4 @@
-"""What a run was of: its settings as flat keys, and whether two runs are of the same scene and pipeline."""
+"""The input of a run: its settings as flat keys, and digests for equal scenes and pipelines."""
 
 import hashlib
 import json
@@ -14,7 +14,7 @@ CLAIM = ("expect", "caught_as", "told", "limits", "breaks", "loose_limit", "prem
 
 
 def settings(record: RunRecord) -> dict[str, Any]:
-    """Return all settings of a run as dotted key -> value: those that change figures, and those that judge them.
+    """Return all settings of a run as dotted key -> value: those that affect figures, and those that judge them.
 
     Texts are left out. Records of live runs and of other programs have none.
     """
@@ -23,7 +23,7 @@ def settings(record: RunRecord) -> dict[str, Any]:
 
 
 def content(record: RunRecord) -> dict[str, Any]:
-    """Return the settings that decide about figures: all but the claim and the texts; the seed is among them."""
+    """Return the settings that affect figures: all but the claim and the texts; the seed is included."""
     return {key: value for key, value in settings(record).items() if key.split(".")[0] not in CLAIM}
 
 
@@ -39,7 +39,7 @@ def content_digest(record: RunRecord) -> str:
 
 
 def budget_content(parameters: Mapping[str, Any]) -> str:
-    """Return a digest of the keys that decide an error budget: all but claim, texts, seed and length of the take."""
+    """Return a digest of the keys that affect an error budget: all but claim, texts, seed and length of the take."""
     values = {key: value for key, value in parameters.items() if key not in (*WORDS, *CLAIM, "seed")}
     values["capture"] = {key: value for key, value in values["capture"].items() if key != "duration_s"}
     return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()[:12]

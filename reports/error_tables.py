@@ -15,18 +15,18 @@ class Cell(NamedTuple):
 
     text: str
     key: float | str
-    """What rows are sorted by; missing values sort last."""
+    """Key by which rows are sorted; missing values sort last."""
 
 
 def number_cell(value: float | None, unit: str = "") -> Cell:
-    """Return the cell of a number, a dash where it is not known."""
+    """Return the cell of a number; a dash where it is unknown."""
     if value is None or not np.isfinite(value):
         return Cell("–", "")
     return Cell(f"{figure(float(value))} {unit}".rstrip(), float(f"{value:.9g}"))
 
 
 def marker_table(evidence: Evidence) -> list[dict[str, Any]]:
-    """Return a row of each true marker: errors rms, 95 % and largest, share found, samples, frames, gaps, longest."""
+    """Return a row per true marker: errors rms, 95 % and largest, share found, samples, frames, gaps, longest gap."""
     errors = evidence.errors
     if errors is None or evidence.truth_xyz is None or evidence.truth_time_ns is None:
         return []
@@ -60,7 +60,7 @@ def marker_table(evidence: Evidence) -> list[dict[str, Any]]:
 
 
 def _gaps(frames: Array, seconds: Array) -> tuple[int, float]:
-    """Return how many gaps lie between the frames (k,) that have a sample, and the longest [s]."""
+    """Return the number of gaps between the frames (k,) that have a sample, and the longest gap [s]."""
     steps = np.diff(frames)
     if not (steps > 1).any():
         return 0, 0.0
@@ -71,9 +71,9 @@ def _gaps(frames: Array, seconds: Array) -> tuple[int, float]:
 def camera_table(
     evidence: Evidence, marker: Array, frame: Array, used: Array | None
 ) -> dict[str, tuple[Cell, Cell, Cell, Cell]]:
-    """Return of each camera: errors rms of the points that it measured, points, views it had, share it measured.
+    """Return for each camera: rms error of the points that it measured, their number, its views, share measured.
 
-    ``marker``, ``frame`` (k,): of samples with an error, ``used`` (k, c): which cameras measured each.
+    ``marker``, ``frame`` (k,): those of samples with an error; ``used`` (k, c): which cameras measured each sample.
     """
     if used is None or evidence.errors is None:
         return {}

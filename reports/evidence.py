@@ -1,4 +1,4 @@
-"""Evidence: what a page shows of one run beside its figures. Plain data, made by the scorer."""
+"""Evidence: the data of one run that its page shows besides the figures. Plain data, made by the scorer."""
 
 from dataclasses import dataclass
 
@@ -18,7 +18,7 @@ from reports.virtual_evidence import VirtualEvidence
 
 @dataclass(frozen=True, eq=False)
 class ErrorTable:
-    """Errors of matched samples, one row a sample."""
+    """Errors of matched samples, one row for each sample."""
 
     frame: Array
     """(k,) pulse."""
@@ -29,7 +29,7 @@ class ErrorTable:
     error_xyz_m: Array
     """(k, 3) measured minus true position, world frame [m]."""
     sample: Array | None = None
-    """(k,) its row in the tracks."""
+    """(k,) row of the sample in the tracks."""
 
     def __post_init__(self) -> None:
         k = len(np.asarray(self.frame))
@@ -46,14 +46,14 @@ class ErrorTable:
 
 @dataclass(frozen=True, eq=False)
 class MarkerCounts:
-    """Visible, found and false points, one row a frame."""
+    """Visible, found and false points, one row for each frame."""
 
     time_s: Array
     """(t,) [s from session start]."""
     n_true_seen: Array
-    """(t,) markers that could be seen."""
+    """(t,) number of visible markers."""
     n_matched: Array
-    """(t,) of them found."""
+    """(t,) number of these that were found."""
     n_ghosts: Array
     """(t,) points that belong to no marker."""
 
@@ -67,7 +67,7 @@ class MarkerCounts:
 class CameraView:
     """One frame of one camera and what was detected in it.
 
-    ``image`` (H, W) uint8 or uint16; ``true_xy_px`` (n, 2) where targets really were, or None.
+    ``image`` (H, W) uint8 or uint16; ``true_xy_px`` (n, 2): true positions of the targets, or None.
     """
 
     camera: str
@@ -83,7 +83,7 @@ class CameraView:
 
 @dataclass(frozen=True, eq=False)
 class KeptImage:
-    """A small copy of one camera's image, and what was detected in the whole one."""
+    """A small copy of one camera's image, and the detections in the original."""
 
     camera: str
     webp: bytes
@@ -110,7 +110,7 @@ class KeptSet:
 
 @dataclass(frozen=True, eq=False)
 class MeasuredBy:
-    """Which cameras measured each point, at some of the pulses."""
+    """The cameras that measured each point, at some of the pulses."""
 
     frame: Array
     """(k,) pulse."""
@@ -144,7 +144,7 @@ class Evidence:
     truth_names: tuple[str, ...] = ()
     """(m)"""
     marker_seen: Array | None = None
-    """(m,) frames in which each marker could be seen."""
+    """(m,) number of frames in which each marker was visible."""
     errors: ErrorTable | None = None
     counts: MarkerCounts | None = None
     angles: JointAngles | None = None
@@ -156,7 +156,7 @@ class Evidence:
     vibration: VibrationEvidence | None = None
     """Spectra and modes of a panel."""
     self_orientation: SelfOrientationEvidence | None = None
-    """Errors of a camera's own poses and of a rig's."""
+    """Errors of a camera's own poses and of those by a rig."""
     flight: FlightEvidence | None = None
     """A flight in closed loop."""
     virtual: VirtualEvidence | None = None
@@ -165,7 +165,7 @@ class Evidence:
     """Images of all cameras at some pulses."""
     measured_by: MeasuredBy | None = None
     could_see: Array | None = None
-    """(t, m, c) bool: which cameras could see each marker, from the truth alone."""
+    """(t, m, c) bool: the cameras to which each marker was visible, from the truth alone."""
 
     def __post_init__(self) -> None:
         set_read_only(self, working_space_center=(3,), working_space_size=(3,))
@@ -190,7 +190,7 @@ class Evidence:
                 raise ValueError(f"evidence: errors of marker {markers.max()}, {len(self.truth_names)} named")
 
     def could_be_measured(self) -> Array:
-        """Return which markers two cameras could see (t, m); where that is not known, whose place is."""
+        """Return the markers visible to two cameras (t, m) bool; if that is unknown, those with a known position."""
         assert self.truth_xyz is not None
         if self.could_see is not None:
             return np.asarray(self.could_see.sum(axis=2) >= 2)

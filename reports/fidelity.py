@@ -19,7 +19,7 @@ from reports.units import figure
 
 @dataclass(frozen=True)
 class Row:
-    """One figure: ``value`` must be at most ``bar``; that of a ``control`` (a planted fault) must exceed it."""
+    """One figure: ``value`` must be at most ``bar``; for a ``control`` (a planted fault) it must exceed ``bar``."""
 
     name: str
     value: float
@@ -29,7 +29,7 @@ class Row:
 
     @property
     def met(self) -> bool:
-        """Whether it is as it must be; never for NaN."""
+        """Whether the figure meets its condition; never for NaN."""
         return bool(self.value > self.bar if self.control else self.value <= self.bar)
 
 
@@ -39,18 +39,18 @@ class Check:
 
     title: str
     compared: str
-    """The quantities of the twin that are compared, and with what."""
+    """The compared quantities of the twin, and the quantities of the reference."""
     witness: str
     """The reference."""
     own_error: str
     """The reference's own error."""
     rows: tuple[Row, ...]
     absent: str = ""
-    """Reason where the check was not run."""
+    """Reason why the check was not run; "" where it was."""
 
     @property
     def met(self) -> bool:
-        """Whether every row is as it must be."""
+        """Whether every row meets its condition."""
         return all(row.met for row in self.rows)
 
 
@@ -66,11 +66,11 @@ class Crop:
     """(H, W) uint8, all panels."""
     caption: str
     scenario: str
-    """Name of the one that shows the effect on a measurement."""
+    """Name of the scenario that shows the effect on a measurement."""
 
 
 def all_met(checks: Sequence[Check]) -> bool:
-    """Whether every bar is met and every planted fault caught."""
+    """Return whether every bar is met and every planted fault caught."""
     return all(check.met for check in checks)
 
 
@@ -104,7 +104,7 @@ def fidelity_table(checks: Sequence[Check]) -> Group:
 
 
 def cells(row: Row) -> tuple[str, str, str, str]:
-    """Return figure, unit, bar and outcome of a row for people."""
+    """Return figure, unit, bar and outcome of a row as texts."""
     sign = ">" if row.control else "≤"
     outcome = ("caught" if row.met else "MISSED") if row.control else ("met" if row.met else "BROKEN")
     return small(row.value), row.unit, f"{sign} {small(row.bar)}", outcome
@@ -116,7 +116,7 @@ def small(value: float) -> str:
 
 
 def write_fidelity_json(path: Path, checks: Sequence[Check], provenance: Mapping[str, Any]) -> None:
-    """Write everything that the checks found, whole or not at all."""
+    """Write all results of the checks, whole or not at all."""
     document = {
         "met": all_met(checks),
         "checks": [

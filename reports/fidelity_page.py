@@ -11,7 +11,7 @@ from reports.fidelity import Check, Crop, Row, all_met, cells, verdict
 from reports.page import write_rendered
 
 SCENARIOS = "../scenarios/library"
-"""Where the documentation's page finds scenario files."""
+"""Address of the scenario files from the documentation's page."""
 
 
 def png(crop: Crop) -> bytes:
@@ -65,7 +65,7 @@ def write_documentation(folder: Path, checks: Sequence[Check], crops: Sequence[C
 
 
 def _summary(check: Check) -> dict[str, Any]:
-    """Return a check for the templates: its rows as people read them, and the figure closest to its bar."""
+    """Return a check for the templates: its rows as texts, and the figure closest to its bar."""
     figures = [row for row in check.rows if not row.control]
     faults = [row for row in check.rows if row.control]
     nearest = max(figures, key=lambda row: row.value / row.bar) if figures else None

@@ -1,4 +1,4 @@
-"""What the picture of a flight in closed loop shows. Plain data, made by who scores."""
+"""Data of the picture of a flight in closed loop. Plain data, made by the scorer."""
 
 from dataclasses import dataclass
 
@@ -19,14 +19,14 @@ class FlightEvidence:
     estimated: Array
     """(n, 3) predicted for each instant [m]; NaN before the first pose."""
     pose_age_s: Array
-    """(n,) of the newest pose that was used; infinite before the first."""
+    """(n,) age of the newest pose that was used; infinite before the first pose."""
     scored_from_s: float
     crash: str
-    """In words; "" where there was none."""
+    """The crash in words; "" where there was none."""
     crashed_s: float
     believed_delay_s: float
     delay_words: str
-    """The delay as estimated from the flight's log, or why it was not."""
+    """The delay estimated from the flight's log, or the reason why there is no estimate."""
 
     def __post_init__(self) -> None:
         n = len(np.asarray(self.time_s))

@@ -10,7 +10,7 @@ from reports.plot_style import INK, MUTED, ORANGE, WIDE, Picture, canvas, house_
 
 @dataclass(frozen=True, eq=False)
 class FlightMap:
-    """What is drawn: latencies (l,) [s], dropouts (d,), and by both (l, d) crash share, rms [m] and age [s]."""
+    """Data of the map: latencies (l,) [s], dropouts (d,), and for both (l, d) crash share, rms [m] and age [s]."""
 
     latency_s: Array
     dropout: Array

@@ -1,4 +1,4 @@
-"""A flight in closed loop: where the drone should be, was, and was believed to be; the age of its poses."""
+"""A flight in closed loop: reference, true and estimated position of the drone; the age of its poses."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""Glossary: what each metric of a record means in a plain sentence, with its formula and where that comes from."""
+"""Glossary: the meaning of each metric of a record in a plain sentence, with its formula and the source of that."""
 
 from typing import NamedTuple
 
@@ -8,7 +8,7 @@ class Term(NamedTuple):
 
     sentence: str
     formula: str = ""
-    """How it is computed, and the source."""
+    """Formula of the metric, and its source."""
 
 
 _RMS = "square root of the mean of the squares"
@@ -287,7 +287,7 @@ BENCHMARK_COLUMNS = {
         "numbers of points and of visible markers, c = 10 mm (Schuhmacher, Vo and Vo 2008, order 2)",
     )
 }
-"""Of the leaderboard of a benchmark, besides metrics of runs."""
+"""Columns of a benchmark's leaderboard, besides metrics of runs -> entry."""
 
 SUITE_COLUMNS = {
     "Must": Term(

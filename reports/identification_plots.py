@@ -1,4 +1,4 @@
-"""Commands and velocities over time, measured and as an identified model answers (Mosca paper, figure 9)."""
+"""Commands and velocities over time, measured and from an identified model (Mosca paper, figure 9)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,15 +7,16 @@ from mosca.data.arrays import Array
 from reports.plot_style import BLUE, DASHED, INK, MUTED, ORANGE, WIDE, Picture, canvas, house_style, svg_text
 
 MOST_SHOWN_S = 20.0
-"""Of a take, its end: commands of a fraction of a second cannot be told apart on a page that shows more."""
+"""Longest part of a take that is drawn, its end: in a longer part, commands of a fraction of a second would merge."""
 _ROW_INCH = 1.5
 
 
 @dataclass(frozen=True, eq=False)
 class DrivenTake:
-    """What is drawn: ``time_s`` (n,), ``measured`` and ``modelled`` (n, o) with ``sigma`` (n, o) of the first.
+    """Data of the picture: ``time_s`` (n,), ``measured`` with its ``sigma``, and ``modelled``, (n, o) each.
 
-    ``command_s`` (m,) and ``commands`` (m, k), held; names and units of inputs and outputs; ``fits`` (o) [%].
+    ``command_s`` (m,) and ``commands`` (m, k), held until the next; names and units of inputs and outputs; ``fits``
+    (o) [%].
     """
 
     time_s: Array

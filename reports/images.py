@@ -1,4 +1,4 @@
-"""A camera's picture with what was detected in it, and one target so near that its pixels are seen."""
+"""A camera's picture with the detections in it, and one target enlarged so that its pixels are visible."""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -13,11 +13,11 @@ from reports.units import figure as number
 MOST_PIXELS = 900
 """Longest side of a picture on the page; larger images are shown thinned by block maxima."""
 GREYS = 48
-"""Grey levels of a picture on the page: enough to the eye, and half the bytes."""
+"""Grey levels of a picture on the page: enough for the eye, with half the bytes."""
 ON_IMAGE = "#ff9d2e"
-"""Orange that is seen on dark grey, whatever the page's colours."""
+"""Orange that is visible on dark grey, with any colours of the page."""
 CENTROID, TRUTH = "#d1410c", "#1667c9"
-"""Crosses that are seen on a bright target."""
+"""Colours of crosses that are visible on a bright target."""
 
 
 def camera_picture(view: CameraView, name: str) -> Picture:
@@ -59,9 +59,9 @@ def stretched(image: Array, low: float | None = None, high: float | None = None)
 
 
 def block_maxima(image: Array, factor: int) -> Array:
-    """Return ``image`` (H, W) thinned to the brightest of each ``factor`` x ``factor`` pixels: small targets stay.
+    """Return ``image`` (H, W) thinned to the brightest of each ``factor`` x ``factor`` pixels.
 
-    What is left over at the right and at the bottom is cut off.
+    This keeps small targets. Remaining pixels at the right and at the bottom are cut off.
     """
     height, width = (size // factor for size in image.shape)
     part = image[: height * factor, : width * factor]
@@ -69,7 +69,7 @@ def block_maxima(image: Array, factor: int) -> Array:
 
 
 def _show(axes: Axes, image: Array) -> None:
-    """Show the whole image, thinned by block maxima so that small targets stay."""
+    """Show the whole image, thinned by block maxima, which keep small targets."""
     height, width = image.shape
     factor = max(1, -(-max(height, width) // MOST_PIXELS))
     small = block_maxima(image, factor)
@@ -81,7 +81,7 @@ def _show(axes: Axes, image: Array) -> None:
 
 
 def _typical(view: CameraView) -> int | None:
-    """Return the detection of the most usual size that is clear of the border, or None."""
+    """Return the detection with the most usual size that is clear of the border, or None."""
     found = view.detections
     if len(found) == 0:
         return None
@@ -92,7 +92,7 @@ def _typical(view: CameraView) -> int | None:
 
 
 def _show_near(near: Axes, overview: Axes, view: CameraView, chosen: int) -> str:
-    """Show one target's pixels with its centroid; return what is seen in words."""
+    """Show one target's pixels with its centroid; return a description in words."""
     xy, diameter = view.detections.xy_px[chosen], float(view.detections.diameter_px[chosen])
     half = int(np.clip(np.ceil(1.1 * diameter) + 2, 6, 24))
     x0, y0 = (int(v) for v in np.round(xy) - half)

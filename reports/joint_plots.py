@@ -26,13 +26,13 @@ from reports.plot_style import (
 from reports.units import figure as number
 
 CYCLE_PERCENT = np.linspace(0.0, 100.0, 101)
-"""Where a gait cycle is drawn: whole percent, as gait laboratories do."""
+"""Points of a gait cycle that are drawn: whole percent, as in gait laboratories."""
 _ROW_INCH = 1.2
 
 
 @dataclass(frozen=True)
 class _Curve:
-    """What a panel shows [deg]: ``x``, ``mean`` and ``sigma`` (k,), and each of c cycles (c, k)."""
+    """Curve of a panel [deg]: ``x``, ``mean`` and ``sigma`` (k,), and each of c cycles (c, k)."""
 
     x: Array
     mean: Array
@@ -43,17 +43,17 @@ class _Curve:
 def angles_picture(
     angles: JointAngles, truth: JointAngles | None = None, strikes: Mapping[str, Array] | None = None
 ) -> Picture:
-    """Draw the known ones of ``angles``: a row a joint, its angles beside each other, left and right side by side.
+    """Draw the known ``angles``: one row for each joint, its angles side by side, each with left beside right.
 
     Parameters
     ----------
     angles
-        As ``mosca.skeleton.isb_angles`` names them: ``l_hip_flexion``, ``pelvis_tilt``.
+        Angles with the names of ``mosca.skeleton.isb_angles``: ``l_hip_flexion``, ``pelvis_tilt``.
     truth
         Drawn dashed where it has an angle of the same name.
     strikes
         Instants (k,) [ns] of the heel strikes of "l" and "r". Angles are then drawn over the gait cycle of their side
-        (in the middle of the body, of the right), each cycle thin and their mean on it.
+        (for the middle of the body, that of the right side): each cycle thin, with the mean above.
     """
     known = [name for k, name in enumerate(angles.names) if np.isfinite(angles.angles[:, k]).any()]
     rows = _rows(known or angles.names)
@@ -111,7 +111,7 @@ def _curve(angles: JointAngles, name: str, strikes: Mapping[str, Array] | None, 
     """Return one angle over time from ``start_ns``, or over the cycles of its side."""
     k = angles.names.index(name)
     values, sigma = np.rad2deg(angles.angles[:, k]), np.rad2deg(angles.sigma[:, k])
-    # float64 holds instants since 1970 to 256 ns only
+    # float64 resolves instants since 1970 to 256 ns only
     time = 1e-9 * (angles.time_ns - start_ns)
     if strikes is None:
         thin = strided(len(values), MOST_STEPS)

@@ -1,4 +1,4 @@
-"""How near a metric is to its limit, and what makes most of its error."""
+"""Nearness of metrics to their limits, and the largest contributions to their errors."""
 
 from collections.abc import Sequence
 
@@ -11,17 +11,17 @@ from reports.record import Metric, RunRecord
 from reports.units import figure
 
 NEAR = 0.85
-"""Share of what a limit allows from which a figure is named as near it; a choice for reading, no criterion."""
+"""Share of a limit from which a figure is named as near it: a choice for reading, not a criterion."""
 BUDGETED = 0.8
-"""Share of a limit from which, or from a broken limit, the page leads to an error budget."""
+"""Share of a limit from which the page leads to an error budget; a broken limit does so too."""
 SQUARES = ("position_rms", "relative_accuracy", "reprojection_rms")
-"""Metrics of which there are error budgets: root mean squares, whose squares add up."""
+"""Metrics that have error budgets: root mean squares, whose squares add up."""
 NAMED = 3
-"""Markers, cameras or seconds that are named."""
+"""Most markers, cameras or seconds that are named."""
 
 
 def share_of_limit(metric: Metric) -> float | None:
-    """Return how much of what its limit allows a metric uses up; None without a limit that can be used up."""
+    """Return the share of its limit that a metric uses up; None without a limit that can be used up."""
     limit = metric.limit
     if limit is None or metric.within is not None:
         return None
@@ -34,7 +34,7 @@ def share_of_limit(metric: Metric) -> float | None:
 
 
 def near_limits(record: RunRecord, evidence: Evidence) -> list[dict[str, str]]:
-    """Return the metrics that use up ``NEAR`` of their limit or more, with what contributes most to each."""
+    """Return the metrics that use up ``NEAR`` of their limit or more, with the largest contributions to each."""
     found = []
     for metric in record.metrics:
         share = share_of_limit(metric)
@@ -58,7 +58,7 @@ def budget_wanted(record: RunRecord) -> str | None:
 
 
 def _why(name: str, evidence: Evidence) -> str:
-    """Return in words which markers and which second make most of a metric's error; "" where that is not known."""
+    """Return in words the markers and the second that contribute most to a metric's error; "" where unknown."""
     errors = evidence.errors
     if errors is None or not len(errors.frame):
         return ""
@@ -89,10 +89,10 @@ def _shares(names: Sequence[str], values: Array) -> str:
 
 
 def share_used(metric: Metric) -> float | None:
-    """Return ``share_of_limit``; of a range, how far the value is from its middle towards the nearer end.
+    """Return ``share_of_limit``; for a range, the distance of the value from its middle over half the range.
 
-    1 at an end of the range, above 1 outside. None where a limit cannot be used up (0, or a share of 1) or there is
-    none.
+    This is 1 at an end of the range and above 1 outside. None where there is no limit, or one that cannot be used up
+    (0, or a share of 1).
     """
     if metric.within is None:
         return share_of_limit(metric)

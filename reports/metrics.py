@@ -1,4 +1,4 @@
-"""The metrics of a run, one table: unit, kind of quantity, whether more or less is better, how runs are compared."""
+"""Table of the metrics of a run: unit, kind of quantity, whether more or less is better, how runs are compared."""
 
 import math
 from typing import Literal, NamedTuple
@@ -8,34 +8,34 @@ Combination = Literal["mean", "root_mean", "extreme"]
 Quantity = Literal["length", "share", "count", "ratio", "ppm", "image", "angle", "time", "rate", "speed", "turning"]
 
 LONGEST_M = 1000.0
-"""As far as a rig file lets a camera stand from the origin: a larger one was given in millimetres."""
+"""Largest length: the largest distance of a camera from the origin in a rig file. A larger one was given in mm."""
 
 
 class MetricKind(NamedTuple):
-    """What a metric is."""
+    """Kind of a metric."""
 
     unit: str
-    """Of its value and of a limit that is a bare number."""
+    """Unit of its value, and of a limit that is a bare number."""
     sense: Sense
-    """Of a limit; less is better where it is an upper one."""
+    """Sense of a limit; less is better where it is an upper limit."""
     quantity: Quantity
     made_by: Combination = "mean"
-    """How its blocks give it. "mean": sum(sums) / sum(weights); "root_mean": its square root; "extreme": the largest
-    of sums / weights."""
+    """Computation from blocks. "mean": sum(sums) / sum(weights); "root_mean": the square root of that; "extreme": the
+    largest of sums / weights."""
     wanted: float | None = None
-    """The value that it should have, where neither less nor more is better: what is farther off is worse."""
+    """The ideal value where neither less nor more is better: values farther from it are worse."""
     speed: bool = False
-    """Whether it depends on the machine."""
+    """Whether the metric depends on the machine."""
     shown_in: str = ""
-    """Unit in which pages always show it; "": the one that reads best."""
+    """Unit in which pages always show the metric; "": the unit that reads best."""
 
     @property
     def highest(self) -> float:
-        """The largest limit that means anything, in ``unit``; the smallest is 0 (see ``allows``)."""
+        """The largest meaningful limit, in ``unit``; the smallest is 0 (see ``allows``)."""
         return {"length": LONGEST_M, "share": 1.0, "angle": math.pi}.get(self.quantity, math.inf)
 
     def allows(self, limit: float) -> bool:
-        """Return whether a limit [unit] means anything: a lower limit of 0 could never be broken."""
+        """Return whether a limit [unit] is meaningful: a lower limit of 0 could never be broken."""
         above = limit > 0 if self.sense == "at_least" else limit >= 0
         return math.isfinite(limit) and above and limit <= self.highest
 
@@ -130,17 +130,17 @@ METRICS = {
 
 position_rms (sum of squared 3D errors [m^2], samples); relative_accuracy (the same sums, samples times the
 working space squared [m^2]); other root mean squares (sum of squares, items); position_p95 (the block's own p95 times
-samples, samples); position_max (the block's largest, 1); completeness (matched, seen); rays_used (images of which
-points were made, cameras that saw their markers); ghosts_per_frame (ghosts, frames); identity_switches (switches, 1 /
-number of blocks); nees (sum of NEES, samples); coverage95 (samples inside, samples); hota and efficiency (the block's
-own figure times samples, samples); latency_p99 and frame_rate (the block's own figure times frames, frames).
-A block without samples has weight 0."""
+samples, samples); position_max (the block's largest, 1); completeness (matched, visible); rays_used (images from
+which points were made, cameras that saw their markers); ghosts_per_frame (ghosts, frames); identity_switches
+(switches, 1 / number of blocks); nees (sum of NEES, samples); coverage95 (samples inside, samples); hota and
+efficiency (the block's own figure times samples, samples); latency_p99 and frame_rate (the block's own figure times
+frames, frames). A block without samples has weight 0."""
 
 
 def kind_of(name: str) -> MetricKind | None:
-    """Return what a metric is: its own row, else that of the longest name that it starts with, else None.
+    """Return the kind of a metric: its own row, else that of the longest name that it starts with, else None.
 
-    So ``efficiency_match`` or ``efficiency.match`` of a stage is read as ``efficiency`` is.
+    So ``efficiency_match`` or ``efficiency.match`` of a stage has the kind of ``efficiency``.
     """
     names = [known for known in METRICS if name == known or name.startswith((known + "_", known + "."))]
     return METRICS[max(names, key=len)] if names else None

@@ -35,7 +35,7 @@ TILES = {
     "reprojection_rms": "Reprojection residual, rms",
     "frame_rate": "Speed",
 }
-"""The headline figures of a page, with names of their own."""
+"""The headline figures of a page and their names there."""
 OF_EVERY_RUN = ("sets_complete", "frames_complete")
 """Limits that every run has."""
 ERRORS = ("_rms", "relative_accuracy")
@@ -103,7 +103,7 @@ def write_page(path: Path, record: RunRecord, evidence: Evidence, squares: Error
 
 
 def _squares(record: RunRecord, made: ErrorBudget | None) -> dict[str, Any] | None:
-    """Return what the page shows of the scenario's error budget, or the command for it; None far from the limits."""
+    """Return the scenario's error budget for the page, or the command that makes it; None far from the limits."""
     metric = budget_wanted(record)
     if metric is None:
         return None
@@ -118,7 +118,7 @@ def _squares(record: RunRecord, made: ErrorBudget | None) -> dict[str, Any] | No
 
 
 def _camera_cells(one: Mapping[str, Any], expected: int | None) -> tuple[Cell, ...]:
-    """Return cells of a camera: residual, extra error, connected, frames of so many, clock offset."""
+    """Return cells of a camera: residual, extra error, connected, frames out of all, clock offset."""
     late, sigma = one.get("late_s"), one.get("late_sigma_s")
     clock = Cell("not known", "")
     if late is not None and sigma is not None:
@@ -177,7 +177,7 @@ def _orientation_rows(name: str, one: Mapping[str, Any]) -> list[tuple[str, ...]
 
 
 def _budget_row(name: str, one: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return a row of the error budget: name, shares, what it changes in the means of X, Y, Z."""
+    """Return a row of the error budget: name, shares, changes of the means of X, Y, Z."""
     shares = (f"{100 * one[key]:.1f} %" for key in ("position_share", "angle_share"))
     return (name, *shares, *(f"{1e3 * value:+.2f} mm" for value in one["mean"][:3]))
 
@@ -229,7 +229,7 @@ def badge(record: RunRecord) -> dict[str, str]:
 
 
 def sentence(record: RunRecord) -> str:
-    """Return what was claimed and what was found, in words."""
+    """Return the claim and the result in words."""
     found = []
     rms, relative = record.metric("position_rms"), record.metric("relative_accuracy")
     if rms is not None:
@@ -253,7 +253,7 @@ def sentence(record: RunRecord) -> str:
 
 
 def relative_address(target: Path, page: Path) -> str:
-    """Return the address of a file or folder as a link on ``page`` has it."""
+    """Return the address of a file or folder for a link on ``page``."""
     return quote(os.path.relpath(target, page.parent).replace(os.sep, "/"))
 
 
@@ -380,7 +380,7 @@ def _sign(metric: Metric) -> str:
 
 
 def bound(metric: Metric) -> str:
-    """Return the limit in the unit that the value is shown in: ≤ 0.3 mm; of one with two ends, 1.5 to 6."""
+    """Return the limit in the unit in which the value is shown: ≤ 0.3 mm; a limit with two ends: 1.5 to 6."""
     assert metric.limit is not None
     if metric.within is not None and metric.limit in metric.within:  # not a control's range, which is beyond it
         ends, unit = shown((metric.value, *metric.within), metric.unit, metric.name)
@@ -399,7 +399,7 @@ def _words(name: str) -> str:
 
 
 def _plain(value: Any) -> str:
-    """Return a count or a premise's value for people."""
+    """Return a count or a premise's value as text."""
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, int | float):

@@ -1,6 +1,6 @@
 """Shared plot style: palette, type, and conversion of figures to inline SVG.
 
-Colours are drawn as fixed hex values and leave as CSS variables, so that one picture serves light, dark
+Colours are drawn as fixed hex values and written as CSS variables, so that one picture serves light, dark
 and print. They are Okabe and Ito's (2008), distinct for colour-blind readers; the dark set is lighter.
 """
 
@@ -35,17 +35,17 @@ COLOUR_VARIABLES = {
     SKY: "--sky",
 }
 AXIS_COLOURS = (BLUE, ORANGE, GREEN)
-"""Of x, y and z, in every figure."""
+"""Colours of x, y and z in every figure."""
 
 WIDE, HALF = 9.4, 4.6
 """Widths of figures [inch]: across the page, and two beside each other."""
 
 DASHED: Any = (0, (4, 2))
 DOTTED: Any = (0, (1, 1.2))
-"""Of percentiles, and of limits."""
+"""Line style of percentiles, and of limits."""
 
 MOST_STEPS = 400
-"""Points of a curve over time; more are gathered in bins, or thinned."""
+"""Most points of a curve over time; more are collected in bins, or thinned."""
 
 HEAT = ListedColormap(matplotlib.colormaps["viridis"](np.linspace(0.12, 1.0, 256)), name="heat")
 """Small to large; perceptually even, readable in grey."""
@@ -97,7 +97,7 @@ class Picture:
     title: str
     caption: str
     alt: str
-    """Its main result in words."""
+    """Main result of the picture in words."""
     svg: str
     """Inline SVG."""
     wide: bool = True
@@ -105,9 +105,9 @@ class Picture:
 
 @contextmanager
 def house_style() -> Iterator[None]:
-    """Draw in the shared style inside; matplotlib's own settings come back on leaving."""
+    """Use the shared style in a ``with`` block; matplotlib's own settings are restored at its end."""
     with matplotlib.rc_context(_STYLE), warnings.catch_warnings():
-        # The browser's fonts draw the text: what matplotlib's own font lacks is not missing.
+        # The browser's fonts draw the text: glyphs that matplotlib's own font lacks are not missing.
         warnings.filterwarnings("ignore", message="Glyph .* missing from font")
         yield
 
@@ -122,7 +122,7 @@ def canvas(width: float, height: float) -> Figure:
 def svg_text(figure: Figure, name: str, alt: str) -> str:
     """Return ``figure`` as an inline <svg>: same bytes for the same figure, ids of its own, CSS colours.
 
-    ``name``: prefix of its ids, unique on the page. ``alt``: what it shows, read aloud.
+    ``name``: prefix of its ids, unique on the page. ``alt``: description for screen readers.
     """
     stream = io.StringIO()
     figure.savefig(stream, format="svg", metadata=dict.fromkeys(("Date", "Creator", "Format", "Type")))
@@ -136,7 +136,7 @@ def svg_text(figure: Figure, name: str, alt: str) -> str:
 
 
 def svg_file(picture: Picture) -> str:
-    """Return a picture as the text of an .svg file, which no page gives its colours: the light ones, on paper."""
+    """Return a picture as the text of an .svg file, with the light colours on paper, since no page gives them."""
     text = picture.svg.replace("<svg", '<svg xmlns="http://www.w3.org/2000/svg"', 1)
     for colour, variable in COLOUR_VARIABLES.items():
         text = text.replace(f"var({variable})", colour)
@@ -158,7 +158,7 @@ def _attribute(text: str) -> str:
 
 
 def legend_above(axes: Axes, columns: int = 6) -> None:
-    """Put the legend in one row above the axes, where it hides nothing."""
+    """Place the legend in one row above the axes, where it covers nothing."""
     axes.legend(
         loc="lower right",
         bbox_to_anchor=(1.0, 1.0),
@@ -184,12 +184,12 @@ def colour_bar(drawing: Figure, low: float, high: float, unit: str) -> None:
 
 
 def strided(n: int, most: int) -> slice:
-    """Return the slice that keeps at most about ``most`` of ``n`` items, evenly."""
+    """Return the slice that keeps at most about ``most`` of ``n`` items, evenly spaced."""
     return slice(None, None, max(1, -(-n // most)))
 
 
 def pieces_between_gaps(frames: Array) -> Array:
-    """Return the piece (k,) that each of ``frames`` (k,), ascending, is of: a missing frame begins a new one."""
+    """Return the piece number (k,) of each of ``frames`` (k,), ascending; a missing frame begins a new piece."""
     steps = np.diff(frames)
     usual = np.median(steps) if len(steps) else 1
     return np.concatenate([np.zeros(min(len(frames), 1), int), np.cumsum(steps > 1.5 * usual)])
@@ -202,7 +202,7 @@ def broken(time_s: Array, values: Array, pieces: Array) -> tuple[Array, Array]:
 
 
 def nice_step(span: float, parts: int = 5) -> float:
-    """Return the step 1, 2 or 5 x 10^k that cuts ``span`` into about ``parts``."""
+    """Return the step 1, 2 or 5 x 10^k that divides ``span`` into about ``parts``."""
     if not span > 0:
         return 1.0
     rough = span / parts

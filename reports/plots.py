@@ -1,4 +1,4 @@
-"""Plots of errors and of trajectories over time; ``pictures`` gathers everything a page shows."""
+"""Plots of errors and of trajectories over time; ``pictures`` collects all figures of a page."""
 
 from collections.abc import Iterator
 
@@ -45,11 +45,11 @@ from reports.vibration_plots import shapes_picture, spectra_picture
 from reports.virtual_plots import objects_picture
 
 MOST_VIEWS = 3
-"""Camera images on a page; each adds some hundred kilobytes."""
+"""Most camera images on a page; each adds some hundred kilobytes."""
 
 
 def pictures(record: RunRecord, evidence: Evidence) -> tuple[Picture, ...]:
-    """Return the figures of a page, in its order: those that ``evidence`` has the data for."""
+    """Return the figures of a page, in its order, for which ``evidence`` has the data."""
     with house_style():
         return tuple(_pictures(record, evidence))
 
@@ -90,7 +90,7 @@ def _pictures(record: RunRecord, evidence: Evidence) -> Iterator[Picture]:
 
 
 def histogram_picture(record: RunRecord, errors: ErrorTable) -> Picture:
-    """Draw how 3D errors are distributed, with median, rms, 95 % and the limit of position_rms."""
+    """Draw the distribution of 3D errors, with median, rms, 95 % and the limit of position_rms."""
     values = 1e3 * errors.distance_m()
     p50, p95, p99 = np.percentile(values, (50, 95, 99))
     rms = float(np.sqrt(np.mean(values**2)))
@@ -202,7 +202,7 @@ def over_time_picture(record: RunRecord, evidence: Evidence) -> Picture:
     axes.plot(middle, largest, color=MUTED, linewidth=0.8, label="largest")
     axes.plot(middle, rms, color=BLUE, linewidth=1.4, label="rms")
     alone = np.isfinite(rms) & ~np.isfinite(np.append(rms[1:], np.nan)) & ~np.isfinite(np.append(np.nan, rms[:-1]))
-    axes.plot(middle[alone], rms[alone], ".", color=BLUE, markersize=2.5)  # between two gaps no line is drawn
+    axes.plot(middle[alone], rms[alone], ".", color=BLUE, markersize=2.5)  # no line is drawn between two gaps
     limit = limit_mm(record, "position_rms")
     top = float(np.nanpercentile(largest, 99.5)) * 1.15
     if limit is not None and limit < 3 * top:
@@ -254,7 +254,7 @@ def _draw_counts(drawing: Figure, evidence: Evidence) -> tuple[int, int]:
 
 
 def completeness_picture(record: RunRecord, evidence: Evidence) -> Picture:
-    """Draw which share of the frames that could show a marker has it, marker by marker, worst first."""
+    """Draw the share of the frames that could show a marker in which it was found, for each marker, worst first."""
     assert evidence.errors is not None
     assert evidence.truth_xyz is not None
     matched = np.bincount(evidence.errors.marker, minlength=len(evidence.truth_names))
@@ -302,7 +302,7 @@ def completeness_picture(record: RunRecord, evidence: Evidence) -> Picture:
 
 
 def _instants(evidence: Evidence) -> Array:
-    """Return the instants [s] from the first error to the last, those without a sample among them."""
+    """Return the instants [s] from the first error to the last, with those that have no sample."""
     assert evidence.errors is not None
     assert evidence.truth_time_ns is not None
     frames = np.unique(evidence.errors.frame)
@@ -312,7 +312,7 @@ def _instants(evidence: Evidence) -> Array:
 
 
 def _bin_edges(instants: Array) -> Array:
-    """Return edges of bins of time: a bin an instant, or MOST_STEPS even ones where there are more."""
+    """Return edges of bins of time: one bin for each instant, or MOST_STEPS even bins where there are more."""
     if len(instants) == 1:
         return np.array([instants[0] - 0.5, instants[0] + 0.5])
     if len(instants) <= MOST_STEPS:

@@ -14,12 +14,12 @@ from mosca.errors import InputError
 
 @dataclass(frozen=True)
 class MetricBlocks:
-    """A metric's sums by blocks of consecutive frames: for paired comparison of runs.
+    """A metric's sums by blocks of consecutive frames, for paired comparison of runs.
 
-    ``sums`` (b,) what was added up in each block, ``weights`` (b,) how much of it there was, so that
-    sum(sums) / sum(weights) is the metric, or its square where the metric is a root mean square;
-    ``reports.compare`` states both for each name. Blocks are cut by frame number alone, so that two
-    runs of a scenario have the same cuts; 20 to 40 of them serve well.
+    ``sums`` (b,): sum over each block; ``weights`` (b,): weight of each block. sum(sums) / sum(weights) is the
+    metric, or its square where the metric is a root mean square; ``reports.metrics`` states both for each name.
+    Blocks are cut by frame number alone, so that two runs of a scenario have the same cuts; 20 to 40 blocks serve
+    well.
     """
 
     sums: tuple[float, ...]
@@ -36,38 +36,38 @@ class MetricBlocks:
 
 @dataclass(frozen=True)
 class Metric:
-    """One figure with everything that is needed to read it."""
+    """One figure with all that is needed to interpret it."""
 
     name: str
     value: float
     unit: str
-    """Of value, ci95 and limit ("1" for a ratio)."""
+    """Unit of value, ci95 and limit ("1" for a ratio)."""
     n: int
     """Number of independent items."""
     ci95: tuple[float, float] | None = None
     """95 % interval from a block bootstrap, or None."""
     aligned_by: str = "none"
-    """What was fitted before comparing ("none" for an unaligned comparison)."""
+    """Alignment fitted before the comparison ("none" for an unaligned comparison)."""
     limit: float | None = None
-    """The scenario's, in the direction of ``sense``."""
+    """Limit in the scenario, in the direction of ``sense``."""
     sense: Literal["at_most", "at_least"] = "at_most"
     passed: bool | None = None
-    """None where there is no limit."""
+    """Whether the limit is met; None where there is no limit."""
     blocks: MetricBlocks | None = None
-    """Its sums over time, or None."""
+    """Sums by blocks of time, or None."""
     spread: float | None = None
     """In a baseline: the largest change of the value among runs of the same product with other processor features
     (last digits), or None where that was not measured."""
     within: tuple[float, float] | None = None
-    """Range in which the value must lie: of a limit with two ends, or in a control beyond its limit."""
+    """Range in which the value must lie: that of a limit with two ends, or in a control one beyond its limit."""
 
     @property
     def as_it_must(self) -> bool | None:
-        """Whether the value lies in the range of a control, else within its limit; None without either."""
+        """Whether the value lies in ``within`` or, without that, within its limit; None without either."""
         return self.passed if self.within is None else self.allows(self.value)
 
     def allows(self, value: float) -> bool:
-        """Return whether ``value`` would lie in the range, else within the limit; any does without either."""
+        """Return whether ``value`` would lie in ``within`` or, without that, within the limit; True without both."""
         if self.within is not None:
             return self.within[0] <= value <= self.within[1]
         if self.limit is None:
@@ -86,7 +86,8 @@ class RunRecord:
     model_gap: str
     expect: str
     passed: bool
-    """Every limit met; for ``expect = "fail"``, that the fault shows where it must and all other limits are met."""
+    """Whether every limit is met; for ``expect = "fail"``, whether the fault shows where it must and all other limits
+    are met."""
     verdict: str
     metrics: tuple[Metric, ...]
     premises: Mapping[str, Any] = field(default_factory=dict)
@@ -94,31 +95,32 @@ class RunRecord:
     counts: Mapping[str, Any] = field(default_factory=dict)
     """Frames, sets, drops and the like."""
     source_account: Mapping[str, Any] = field(default_factory=dict)
-    """What devices and trigger report of the take, or a recording states of itself; else empty."""
+    """Reports of devices and trigger about the take, or statements of a recording about itself; else empty."""
     cameras: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     """Name -> residual, error besides detection noise, shares connected and missing, clock offset, counts of
-    frames; of a continuous run the counts alone."""
+    frames; for a continuous run only the counts."""
     joints: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     """Joint of a person -> rms error of its centre [m] and of its rotation's three components [rad], NEES, share of
     the errors in the 95 % ellipsoid, share of the frames in which it was found; empty where there is none."""
     modes: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-    """True mode of a panel -> true frequency [Hz] and damping, relative bounds, what was found, errors, MAC."""
+    """True mode of a panel -> true frequency [Hz] and damping, relative bounds, found values, errors, MAC."""
     self_orientation: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-    """Row of the table of a camera's own poses against a rig's -> ``mean`` and ``rms`` of X, Y, Z [m], omega, alpha,
-    kappa [rad], None where not known; number of ``frames``; ``nees_band``: 95 % band of the mean NEES."""
+    """Row of the table of a camera's own poses against those by a rig -> ``mean`` and ``rms`` of X, Y, Z [m], omega,
+    alpha, kappa [rad], None where unknown; number of ``frames``; ``nees_band``: 95 % band of the mean NEES."""
     error_budget: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-    """Source of error -> its share of the squared difference in position and angle, and what it changes: ``mean``
-    and ``rms``, in the units of ``self_orientation``."""
+    """Source of error -> its share of the squared difference in position and angle, and its changes of ``mean`` and
+    ``rms``, in the units of ``self_orientation``."""
     enough_alone: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-    """Source of error -> ``what`` of it, in ``unit``, makes the paper's 27 mm alone, in ``depth`` or ``height``."""
+    """Source of error -> the size of ``what``, in ``unit``, that alone gives the paper's 27 mm in ``depth`` or
+    ``height``."""
     timings: Mapping[str, float] = field(default_factory=dict)
     """Seconds, the only part that differs between two runs of the same seed and code."""
     provenance: Mapping[str, Any] = field(default_factory=dict)
     """Versions, platform, git, parameters."""
     rig: str = ""
-    """Where the calibration comes from: "true", or what it was estimated from; "" in older records."""
+    """Source of the calibration: "true", or what it was estimated from; "" in older records."""
     not_judged: tuple[str, ...] = ()
-    """Metrics that the scenario limits and this source cannot give: such a run has not passed."""
+    """Metrics with limits in the scenario that this source of frames cannot give: such a run has not passed."""
 
     def metric(self, name: str) -> Metric | None:
         """Return the metric called ``name``, or None."""
@@ -132,7 +134,7 @@ def write_record(record: RunRecord, path: Path) -> None:
 
 
 def read_record(path: Path) -> RunRecord:
-    """Read what ``write_record`` wrote; InputError where it is missing or something else."""
+    """Return the record in a file of ``write_record``; InputError where it is missing or another kind of file."""
     try:
         document = parse_json(read_bytes(path))
         unknown = tuple(document.pop("not_judged", ()))
@@ -164,6 +166,6 @@ def _pair(low: float, high: float) -> tuple[float, float]:
 
 
 def _numbers_on_one_line(text: str) -> str:
-    """Return JSON ``text`` with each list of bare numbers on one line: a baseline's diff stays readable."""
+    """Return JSON ``text`` with each list of bare numbers on one line, so that diffs of baselines are readable."""
     numbers = re.compile(r"\[\n\s*(-?\d[^\]\[{}\"]*?)\s*\]")
     return numbers.sub(lambda found: "[" + re.sub(r"\s*\n\s*", " ", found[1]) + "]", text)

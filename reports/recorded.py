@@ -68,10 +68,10 @@ def longest_tracks_picture(tracks: Tracks) -> Picture:
 
 
 def points_picture(tracks: Tracks) -> Picture:
-    """Draw how many points were measured in each frame."""
+    """Draw the number of measured points in each frame."""
     measured = tracks.status == "measured"
     there, first = np.unique(tracks.frame, return_index=True)
-    frames = np.arange(there[0], there[-1] + 1)  # those without any point count as 0
+    frames = np.arange(there[0], there[-1] + 1)  # frames without points count as 0
     count = np.bincount(tracks.frame[measured] - frames[0], minlength=len(frames))
     time_s = np.interp(frames, there, 1e-9 * tracks.time_ns[first])
     thin = strided(len(frames), 2 * MOST_STEPS)

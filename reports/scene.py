@@ -1,4 +1,4 @@
-"""Drawings of space: the rig around its working space, and where in the volume the error is."""
+"""Drawings of space: the rig around its working space, and the error over the volume."""
 
 import itertools
 
@@ -31,11 +31,11 @@ from reports.units import figure as number
 
 AZIMUTH_DEG, ELEVATION_DEG = -58.0, 27.0
 MOST_POINTS = 6000
-"""Points of all trajectories that a drawing keeps."""
+"""Most points of all trajectories in a drawing."""
 
 
 def scene_picture(evidence: Evidence) -> Picture:
-    """Draw cameras (pyramids of view), working space and trajectories, seen in parallel from above."""
+    """Draw cameras (pyramids of view), working space and trajectories in parallel projection from above."""
     drawing = canvas(HALF, 3.3)
     axes = drawing.add_axes((0.01, 0.01, 0.98, 0.98))
     axes.set_axis_off()
@@ -114,7 +114,7 @@ def volume_picture(evidence: Evidence) -> Picture | None:
 
 
 def _flat(points: Array) -> Array:
-    """Return points (n, 3) in the drawing plane (n, 2), seen along a fixed slanted direction."""
+    """Return points (n, 3) projected to the drawing plane (n, 2) along a fixed slanted direction."""
     a, e = np.radians(AZIMUTH_DEG), np.radians(ELEVATION_DEG)
     right = np.array([-np.sin(a), np.cos(a), 0.0])
     up = np.array([-np.sin(e) * np.cos(a), -np.sin(e) * np.sin(a), np.cos(e)])
@@ -201,7 +201,7 @@ def _unit(vector: Array) -> Array:
 
 
 def _corner_rays(camera: Camera) -> Array:
-    """Return rays (4, 3) to the image's corners at depth 1, camera frame; distortion left out, as in a sketch."""
+    """Return rays (4, 3) to the image's corners at depth 1, camera frame; distortion is left out in this sketch."""
     lens = camera.lens
     corners = np.array([[0, 0], [camera.width, 0], [camera.width, camera.height], [0, camera.height]]) - 0.5
     across = (corners - principal_point_px(lens)) / principal_distances_px(lens)
@@ -212,7 +212,7 @@ def _corner_rays(camera: Camera) -> Array:
 
 
 def _mean_in_cells(evidence: Evidence, places: Array, errors_mm: Array, h: int, v: int) -> Array:
-    """Return the mean error (nh, nv) of samples in square cells of one projection, NaN where none is [mm]."""
+    """Return the mean error (nh, nv) [mm] of samples in square cells of one projection; NaN in cells without any."""
     low, high = _box_sides(evidence)
     step = float((high - low).max()) / 28
     bins = [np.linspace(low[i], high[i], max(1, round((high[i] - low[i]) / step)) + 1) for i in (h, v)]
@@ -222,7 +222,7 @@ def _mean_in_cells(evidence: Evidence, places: Array, errors_mm: Array, h: int, 
 
 
 def _draw_cameras_flat(axes: Axes, evidence: Evidence, h: int, v: int) -> None:
-    """Draw cameras as triangles from one side, those far out at the edge of the drawing and open."""
+    """Draw cameras as triangles from one side; distant ones are open and at the edge of the drawing."""
     low, high = _box_sides(evidence)
     margin = 0.4 * float((high - low).max())
     for camera in evidence.rig.cameras:

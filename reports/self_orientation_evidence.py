@@ -1,4 +1,4 @@
-"""What the pictures of a self-orientation show. Plain data, made by who scores."""
+"""Data of the pictures of a self-orientation. Plain data, made by the scorer."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -10,14 +10,14 @@ from mosca.data.arrays import Array, set_read_only
 
 @dataclass(frozen=True, eq=False)
 class SelfOrientationEvidence:
-    """Errors of a camera's own poses, and of a rig's poses of it, against the truth, and the error budget."""
+    """Errors of a camera's own poses and of its poses by a rig, against the truth, and the error budget."""
 
     time_s: Array
     """(n,)"""
     own_errors: Array
     """(n, 6) measured minus true: X, Y, Z [m], omega, alpha, kappa [rad]."""
     own_sigma: Array
-    """(n, 6) as stated."""
+    """(n, 6) stated standard deviations."""
     rig_errors: Array
     """(n, 6)"""
     rig_sigma: Array

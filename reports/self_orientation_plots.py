@@ -1,4 +1,4 @@
-"""Errors over time of a camera's own poses and of a rig's, and the error budget of their difference."""
+"""Errors over time of a camera's own poses and of those by a rig, and the error budget of their difference."""
 
 import numpy as np
 

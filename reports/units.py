@@ -1,4 +1,4 @@
-"""Figures as people read them: millimetres, percents, three significant digits."""
+"""Figures as readable texts: millimetres, percents, three significant digits."""
 
 import math
 from collections.abc import Sequence
@@ -10,8 +10,7 @@ def shown(values: Sequence[float], unit: str, name: str = "") -> tuple[tuple[flo
     """Return ``values`` of one row in the unit that reads best, and that unit's name.
 
     m below 0.5 m become mm, s below 1 s ms, rad below 0.1 rad mrad (angles of joints degrees), shares percent; px and
-    others stay. All
-    values of a row share a unit, chosen by the first.
+    others stay. All values of a row share a unit, chosen by the first.
     """
     factor, text = _scale(abs(values[0]) if values else 0.0, unit, name)
     return tuple(value * factor for value in values), text
@@ -41,7 +40,7 @@ def figure(value: float) -> str:
     if value == int(value) and abs(value) < 1e6:
         return f"{int(value):,}".replace(",", " ").replace("-", "−")
     places = max(0, 2 - math.floor(math.log10(abs(value))))
-    for whole in (1.0, 100.0):  # what is missing to 1 or 100 % is the news: two digits of it
+    for whole in (1.0, 100.0):  # the difference to 1 or 100 % is of interest: two digits of it
         if 0.9 * whole <= value < whole:
             places = max(places, 1 - math.floor(math.log10(whole - value)))
     if places > 9:

@@ -1,4 +1,4 @@
-"""What the pictures of a vibration show. Plain data, made by who analyses."""
+"""Data of the pictures of a vibration. Plain data, made by the analysis."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ from mosca.data.arrays import Array, set_read_only
 
 @dataclass(frozen=True, eq=False)
 class VibrationEvidence:
-    """What the pictures of a vibration show."""
+    """Data of the pictures of a vibration."""
 
     frequency_hz: Array
     """(k,)"""
@@ -25,11 +25,11 @@ class VibrationEvidence:
     modes_hz: Array
     """(n,)"""
     lines: Sequence[bool]
-    """Whether each of them is a steady line."""
+    """Whether each of these modes is a steady line."""
     place: Array
     """(m, 3) targets [m]."""
     shapes: Array
-    """(n, m) deflection of each target in each mode, the largest of one size 1."""
+    """(n, m) deflection of each target in each mode; the largest of a mode has size 1."""
     rate_hz: float
 
     def __post_init__(self) -> None:

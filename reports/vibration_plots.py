@@ -22,7 +22,7 @@ _MOST_SHAPES = 6
 
 
 def spectra_picture(one: VibrationEvidence) -> Picture:
-    """Draw density, singular values, noise floor measured and expected, and where the modes are."""
+    """Draw density, singular values, measured and expected noise floor, and the frequencies of the modes."""
     with house_style():
         drawing = canvas(WIDE, 3.6)
         axes = drawing.add_axes((0.075, 0.13, 0.91, 0.78))
@@ -55,7 +55,7 @@ def spectra_picture(one: VibrationEvidence) -> Picture:
 
 
 def shapes_picture(one: VibrationEvidence) -> Picture:
-    """Draw the shapes of the lowest modes: each target where it is, its deflection as size and colour."""
+    """Draw the shapes of the lowest modes: targets at their positions, with deflection as size and colour."""
     count = min(len(one.modes_hz), _MOST_SHAPES)
     if not count:
         raise ValueError("shapes: no mode to draw")

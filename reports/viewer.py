@@ -1,6 +1,6 @@
 """A run for the Rerun viewer (.rrd): cameras, images, detections, tracks and truth on one timeline.
 
-The only importer of rerun, and only inside functions: everything else runs without it. Timelines:
+Only this module imports rerun, and only inside functions: everything else runs without it. Timelines:
 "session" (time from session start) and "frame" (pulse number). Entities:
 
     world/working_space              its edges
@@ -8,14 +8,14 @@ The only importer of rerun, and only inside functions: everything else runs with
     world/points                     reconstructed points with names, coloured by error or stated deviation
     world/trails                     the last half second of each
     plots/...                        errors [mm], counts: the same timelines
-    legend                           what the colours mean
-    world/truth                      where markers really were
+    legend                           meaning of the colours
+    world/truth                      true positions of the markers
     world/skeleton/joints, bones     a person's joint centres, and lines between them
-    world/true_skeleton/...          where they really were
+    world/true_skeleton/...          true positions of these
     world/objects/NAME               a body of a second scene: pose; .../partK: its shape; .../status
 
-Rerun knows pinholes only. Images and detections are shown as the camera gave them, distorted, so that 3D
-points seen through a camera are off by its distortion (exact in the 3D view).
+Rerun has pinhole cameras only. Images and detections are shown with their distortion, so that 3D points in a camera's
+view are off by its distortion (they are exact in the 3D view).
 """
 
 import uuid
@@ -46,13 +46,13 @@ from reports.viewer_colours import (
 
 APPLICATION = "mosca"
 JPEG_QUALITY = 75
-"""Frames are for viewing here, not measuring: a sixth of the bytes of PNG."""
+"""Frames are for viewing here, not for measuring: JPEG takes a sixth of the bytes of PNG."""
 CAMERA_SHARE = 0.12
 """Length of a camera's cone as a share of the scene's diagonal."""
 MOST_BESIDE = 9
-"""Cameras that are shown beside each other; more behind each other."""
+"""Most cameras that are shown side by side; more are shown one behind the other."""
 PERSON_M = 2.0
-"""Size of a scene of which neither cameras nor working space are known: somebody who stands in it."""
+"""Size of a scene without known cameras and working space: that of a person who stands in it."""
 
 
 class RerunLog:
@@ -67,7 +67,7 @@ class RerunLog:
             raise InputError(f"{path}: no folder {path.parent} to write it in; make it first")
         self._rr = _rerun()
         self._rig = rig
-        # An id of its own: the viewer lays files of one id over each other.
+        # An id of its own: the viewer merges files with the same id.
         self._stream = self._rr.RecordingStream(APPLICATION, recording_id=uuid.uuid4(), send_properties=False)
         self._stream.set_log_time_enabled(False)
         self._stream.save(path, default_blueprint=_blueprint(rig))
@@ -98,8 +98,8 @@ class RerunLog:
     ) -> None:
         """Log one pulse. ``points_xyz`` (n, 3) world [m], ``track_ids`` (n,) their identities.
 
-        ``sigma_m`` (n,): their stated standard deviations in 3D, by which they are coloured; else one colour a track.
-        What is None or absent stays as it was shown last; empty arrays clear it.
+        ``sigma_m`` (n,): their stated standard deviations in 3D, by which they are coloured; else each track has its
+        colour. Values that are None or absent leave the last view unchanged; empty arrays clear it.
         """
         self.set_time(frame, time_ns)
         for name, image in (images or {}).items():
@@ -132,13 +132,13 @@ class RerunLog:
         self._stream.log("world/trails", lines)
 
     def log_plots(self, values: Mapping[str, float]) -> None:
-        """Log figures at the instant that was set last: path below ``plots``, names escaped here -> value."""
+        """Log figures at the instant set last: path below ``plots`` (names are escaped here) -> value."""
         for path, value in values.items():
             kind, _, name = path.partition("/")
             self._stream.log(f"plots/{kind}/{self._rr.escape_entity_path_part(name)}", self._rr.Scalars(value))
 
     def log_scale(self, what: str, top_mm: float, truth: bool) -> None:
-        """Log what colours mean: from 0 to ``top_mm`` of ``what``; ``truth``: true points and ghosts are shown."""
+        """Log the scale of colours, 0 to ``top_mm`` of ``what``; ``truth``: true points and ghosts are shown."""
         text = f"**Colour of a point:** {what}, from 0 (dark violet) over {top_mm / 2:g} mm (green) to {top_mm:g} mm "
         text += "and more (yellow)." + ("" if truth else " No truth is known here.")
         if truth:
@@ -150,7 +150,7 @@ class RerunLog:
         self._log_still("legend", self._rr.TextDocument(text, media_type="text/markdown"))
 
     def log_truth(self, frame: int, time_ns: int, xyz: Array) -> None:
-        """Log where markers really were (m, 3) at one pulse; rows of NaN are left out."""
+        """Log the true positions of markers (m, 3) at one pulse; rows of NaN are left out."""
         self.set_time(frame, time_ns)
         there = np.asarray(xyz)[np.isfinite(xyz).all(axis=1)]
         points = self._rr.Points3D(there, radii=TRUE_SHARE * self._diagonal, colors=[TRUE_POINT])
@@ -159,7 +159,7 @@ class RerunLog:
     def log_skeleton(self, frame: int, time_ns: int, joints: JointMotion | None, true: bool = False) -> None:
         """Log a person's joint centres and bones at one pulse, the first instant of ``joints``; None clears them.
 
-        ``true``: where they really were, in grey.
+        ``true``: whether these are the true ones, drawn in grey.
         """
         self.set_time(frame, time_ns)
         entity, colour = ("true_skeleton", (120, 130, 140)) if true else ("skeleton", (0, 158, 115))
@@ -182,9 +182,9 @@ class RerunLog:
         self._log_still(f"{_object_entity(name)}/part{number}", mesh)
 
     def log_objects(self, time_ns: int, placed: Mapping[str, tuple[Array, Array]], status: Mapping[str, str]) -> None:
-        """Log where virtual objects are at one display: rotation (3, 3) and position (3,) [m] in the world.
+        """Log the poses of virtual objects at one display: rotation (3, 3) and position (3,) [m] in the world.
 
-        ``status``: in words, of those that follow a body.
+        ``status``: status in words of the objects that follow a body.
         """
         self._stream.reset_time()
         self._stream.set_time("session", duration=np.timedelta64(int(time_ns), "ns"))
@@ -194,7 +194,7 @@ class RerunLog:
             self._stream.log(f"{_object_entity(name)}/status", self._rr.TextLog(words))
 
     def close(self) -> None:
-        """Write what is left and finish the file; may be called twice."""
+        """Write remaining data and finish the file; may be called twice."""
         if not self._closed:
             self._closed = True
             self._stream.disconnect()
@@ -208,7 +208,7 @@ class RerunLog:
         self.close()
 
     def set_time(self, frame: int, time_ns: int) -> None:
-        """Set the instant of what is logged next: the pulse, and its time from session start [ns]."""
+        """Set the instant of the next logged data: the pulse, and its time from session start [ns]."""
         self._stream.set_time("session", duration=np.timedelta64(int(time_ns), "ns"))
         self._stream.set_time("frame", sequence=int(frame))
 
@@ -220,7 +220,7 @@ class RerunLog:
         transform = self._rr.Transform3D(translation=pose.translation, mat3x3=pose.rotation)
         self._log_still(_entity(camera), transform)
         (fx, fy), (cx, cy) = principal_distances_px(camera.lens), principal_point_px(camera.lens)
-        # Rerun puts pixel centres at +0.5, this project at 0.
+        # Rerun has pixel centres at +0.5, this project at 0.
         pinhole = self._rr.Pinhole(
             focal_length=[fx, fy],
             principal_point=[cx + 0.5, cy + 0.5],
@@ -231,7 +231,7 @@ class RerunLog:
         self._log_still(f"{_entity(camera)}/image", pinhole)
 
     def _colours(self, ids: Array, sigma_m: Array | None) -> Array:
-        """Return colours (n, 3) by deviation, on the scale of the first points that have one; else by track."""
+        """Return colours (n, 3) by deviation, on the scale of the first points with deviations; else by track."""
         if sigma_m is None:
             return _track_colours(ids)
         if self._sigma_top_mm is None and len(sigma_m):
@@ -244,7 +244,7 @@ class RerunLog:
 
 
 def check_rrd(path: Path | None) -> None:
-    """Raise InputError where ``path`` is no .rrd file that can be written, or rerun is missing; None is none."""
+    """Raise InputError where ``path`` is no .rrd file that can be written, or rerun is missing; None is allowed."""
     if path is None:
         return
     if path.suffix.lower() != ".rrd":
@@ -285,7 +285,7 @@ def _blueprint(rig: Rig) -> Any:
 
 
 def _diagonal(rig: Rig, working_space: tuple[Array, Array] | None) -> float:
-    """Return the size of the scene [m]: the working space's diagonal, else half of that of the cameras' positions."""
+    """Return the size of the scene [m]: diagonal of the working space, else half that of the cameras' positions."""
     if working_space is not None:
         return float(np.linalg.norm(working_space[1]))
     at = np.array([camera.world_from_camera.translation for camera in rig.cameras]).reshape(-1, 3)
@@ -316,7 +316,7 @@ def _vertex_normals(vertices: Array, triangles: Array) -> Array:
 
 
 def _eight_bits(image: Array) -> Array:
-    """Return ``image`` (H, W) as uint8; 16-bit ones by the power of two that their largest value needs."""
+    """Return ``image`` (H, W) as uint8; 16-bit images are divided by the power of two that their maximum requires."""
     if image.dtype == np.uint8:
         return image
     return (image >> max(0, int(image.max()).bit_length() - 8)).astype(np.uint8)

@@ -14,21 +14,21 @@ from reports.viewer import RerunLog
 from reports.viewer_program import viewer_program
 
 SHOWN_HZ = 10.0
-"""So often something live is shown."""
+"""Rate at which live data are shown."""
 LOOKED_AT_S = 0.1
-"""So often it is looked whether the viewer is still there."""
+"""Interval of the checks whether the viewer still runs."""
 VIEWER_STARTS_S = 0.3
-"""A viewer without a display has ended by then."""
+"""Time after which a viewer without a display has ended."""
 
 
 class ViewerClosedError(Exception):
-    """The viewer has ended, closed by a person or for want of a window."""
+    """The viewer has ended: a person closed it, or it had no window."""
 
 
 class ViewerLog(RerunLog):
-    """A log that the process ``viewer`` reads from the pipe ``path``, of which ``reading`` is the reading end.
+    """A log that the process ``viewer`` reads from the pipe ``path``; ``reading``: the pipe's reading end.
 
-    Once the viewer has ended, the pipe is read here: rerun waits for ever for what it could not write.
+    Once the viewer has ended, the pipe is read here: otherwise rerun would wait for ever to write its data.
     """
 
     def __init__(self, path: Path, rig: Rig, viewer: int, reading: int) -> None:
@@ -44,13 +44,13 @@ class ViewerLog(RerunLog):
         return self._ended.is_set()
 
     def log_step(self, *step: Any, **more: Any) -> None:
-        """Log one pulse as ``RerunLog`` does; ViewerClosedError where nobody would see it."""
+        """Log one pulse as ``RerunLog`` does; ViewerClosedError where the viewer has ended."""
         if self.ended:
             raise ViewerClosedError("the viewer was closed, or could not open its window")
         super().log_step(*step, **more)
 
     def close(self) -> None:
-        """Write what is left; the viewer stays open. May be called twice."""
+        """Write remaining data; the viewer stays open. May be called twice."""
         super().close()
         self._over.set()
         self._watching.join()
@@ -69,7 +69,7 @@ class ViewerLog(RerunLog):
 def log_in_viewer(rig: Rig, arguments: Sequence[str] = ("--port", "auto", "--bind", "127.0.0.1")) -> ViewerLog:
     """Start the Rerun viewer and return a log that it reads from a pipe; the viewer stays open afterwards.
 
-    ``arguments``: for the viewer; tests have it save what it gets. InputError where there is no viewer, or no pipes.
+    ``arguments``: for the viewer; in tests it saves its data. InputError where there is no viewer, or no pipes.
     """
     program = viewer_program("--view")
     if not hasattr(os, "mkfifo"):
@@ -77,7 +77,7 @@ def log_in_viewer(rig: Rig, arguments: Sequence[str] = ("--port", "auto", "--bin
     with tempfile.TemporaryDirectory(prefix="mosca-view-") as folder:
         pipe = Path(folder) / "view.rrd"
         os.mkfifo(pipe)
-        # held open at both ends until the log is: the viewer must not see its end, nor the log wait for a reader
+        # both ends are held open until the log is open: the viewer must not see the end of the pipe, nor the log wait
         both = os.open(pipe, os.O_RDWR)
         reading = os.open(pipe, os.O_RDONLY)
         try:
@@ -94,12 +94,12 @@ def log_in_viewer(rig: Rig, arguments: Sequence[str] = ("--port", "auto", "--bin
 
 
 def _has_ended(process: int) -> bool:
-    """Return whether a child process has ended; to be asked no more after that."""
+    """Return whether a child process has ended; must not be called again after that."""
     return os.waitpid(process, os.WNOHANG)[0] != 0
 
 
 def _started(command: Sequence[str], reading: int) -> int:
-    """Start a program that reads from ``reading``, outlives this one and is not stopped with it; return its id."""
+    """Start a program that reads from ``reading`` and outlives this one; return its process id."""
     quiet = [(os.POSIX_SPAWN_OPEN, out, os.devnull, os.O_WRONLY, 0) for out in (1, 2)]
     actions = [(os.POSIX_SPAWN_DUP2, reading, 0), *quiet]
     return os.posix_spawn(command[0], list(command), os.environ, file_actions=actions, setpgroup=0)

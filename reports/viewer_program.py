@@ -1,4 +1,4 @@
-"""The Rerun viewer as a program of its own: found, and shown a file."""
+"""The Rerun viewer as a program of its own: its location, and opening a file in it."""
 
 import os
 import shutil
@@ -10,7 +10,7 @@ from mosca.errors import InputError
 
 
 def viewer_program(wanted_by: str) -> str:
-    """Return where the viewer is; InputError, that begins with ``wanted_by``, where it is not installed."""
+    """Return the path of the viewer; an InputError that begins with ``wanted_by`` where it is not installed."""
     beside = Path(sys.executable).parent / "rerun"
     program = str(beside) if beside.is_file() else shutil.which("rerun")
     if program is None:
@@ -19,16 +19,16 @@ def viewer_program(wanted_by: str) -> str:
 
 
 def check_window(wanted_by: str, otherwise: str) -> None:
-    """Raise InputError, that begins with ``wanted_by``, where there is no display; ``otherwise``: what to do then."""
+    """Raise an InputError that begins with ``wanted_by`` where there is no display; ``otherwise``: the remedy."""
     if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise InputError(f"{wanted_by}: there is no display for a window; {otherwise}")
 
 
 def show(run: Path, web: bool = False) -> None:
-    """Show a run's Rerun recording until the viewer is closed; ``web``: in a browser, served on this machine alone.
+    """Show a run's Rerun recording until the viewer is closed; ``web``: in a browser, served on this machine only.
 
-    ``run``: a run folder with ``run.rrd``, or such a file. Raises InputError where there is none, and where the
-    viewer cannot open its window.
+    ``run``: a run folder with ``run.rrd``, or such a file. Raises InputError where there is no such file, and where
+    the viewer cannot open its window.
     """
     path = run / "run.rrd" if run.is_dir() else run
     if not path.is_file():

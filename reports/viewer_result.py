@@ -9,9 +9,10 @@ from reports.viewer_colours import coloured, scale_top
 
 
 def log_result(log: RerunLog | None, evidence: Evidence, limit_mm: float | None = None) -> None:
-    """Log the points of each pulse, and plots of errors [mm]; ``limit_mm``: of the rms position error.
+    """Log the points of each pulse, and plots of errors [mm]; ``limit_mm``: limit of the rms position error.
 
-    Colours: the 3D error against the truth; without a truth the stated standard deviation. Without a log do nothing.
+    Colours show the 3D error against the truth; without a truth, the stated standard deviation. Without a log,
+    nothing is done.
     """
     if log is None:
         return
@@ -44,7 +45,7 @@ def log_result(log: RerunLog | None, evidence: Evidence, limit_mm: float | None 
 
 
 def _log_gone(log: RerunLog, evidence: Evidence, frames: Array) -> None:
-    """Clear the points at pulses in which nothing was measured: what is not logged stays as it was."""
+    """Clear the points at pulses in which nothing was measured: without that, the last points would stay."""
     if evidence.truth_time_ns is None:
         return
     for frame in np.setdiff1d(np.arange(len(evidence.truth_time_ns)), frames).tolist():
@@ -53,7 +54,7 @@ def _log_gone(log: RerunLog, evidence: Evidence, frames: Array) -> None:
 
 
 def _errors(evidence: Evidence) -> tuple[Array, Array]:
-    """Return of each sample its error (n,) [mm], NaN of a point without a marker, and its marker (n,), else -1."""
+    """Return the error (n,) [mm] and the marker (n,) of each sample; NaN and -1 for a point without a marker."""
     n, errors = len(evidence.tracks), evidence.errors
     error_mm, marker = np.full(n, np.nan), np.full(n, -1)
     if errors is not None and errors.sample is not None:

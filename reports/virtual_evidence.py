@@ -1,4 +1,4 @@
-"""What the picture of virtual objects shows. Plain data, made by who scores."""
+"""Data of the picture of virtual objects. Plain data, made by the scorer."""
 
 from dataclasses import dataclass
 
@@ -9,20 +9,20 @@ from mosca.data.arrays import Array, set_read_only
 
 @dataclass(frozen=True, eq=False)
 class VirtualEvidence:
-    """Objects as they were shown, one row an object and display (n)."""
+    """Objects as they were shown, one row (n) for each object and display."""
 
     time_s: Array
-    """(n,) of the display [s from session start]."""
+    """(n,) time of the display [s from session start]."""
     age_s: Array
-    """(n,) from the newest exposure to the display [s]."""
+    """(n,) time from the newest exposure to the display [s]."""
     error_m: Array
-    """(n,) distance of the object from where its body really was; NaN where that is not known."""
+    """(n,) distance of the object from the true position of its body; NaN where that is unknown."""
     unpredicted_m: Array
-    """(n,) the same for the newest pose as it was measured."""
+    """(n,) the same distance for the newest measured pose."""
     stated_m: Array
     """(n,) root of the trace of the stated covariance."""
     unknown: Array
-    """(n,) whether its motion up to the display was not known: starting or stale."""
+    """(n,) whether the motion up to the display was unknown: starting or stale."""
 
     def __post_init__(self) -> None:
         n = len(np.asarray(self.time_s))

@@ -1,4 +1,4 @@
-"""Errors of virtual objects over time, with and without prediction, and how old what they rest on is."""
+"""Errors of virtual objects over time, with and without prediction, and the age of their measurements."""
 
 import numpy as np
 

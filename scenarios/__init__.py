@@ -12,7 +12,7 @@ __all__ = ["run_scenario"]
 
 
 def __getattr__(name: str) -> Any:
-    """Import what runs scenarios when it is first used."""
+    """Import the modules that run scenarios at their first use."""
     if name == "run_scenario":
         import scenarios.run.library as library
 

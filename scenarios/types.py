@@ -34,16 +34,16 @@ if TYPE_CHECKING:
     from twin.scenes.scene import Scene
 
 Progress = Callable[[int, int], None]
-"""Called with the number of steps done and of all steps."""
+"""Function that is called with the number of steps done and the number of all steps."""
 
 
 RRD_IMAGES = 100
-"""Frame sets whose images a Rerun log holds where nothing else is asked for: some ten megabytes with four cameras."""
+"""Default number of frame sets whose images are in a Rerun log: some ten megabytes with four cameras."""
 
 
 @dataclass(frozen=True)
 class RunOptions:
-    """How a scenario is run."""
+    """Options of a scenario's run."""
 
     source: str = "twin"
     """``twin``, ``recording:DIR`` or ``hardware:RIG.toml``."""
@@ -52,16 +52,16 @@ class RunOptions:
     rrd: Path | None = None
     """A Rerun log to write while running."""
     rrd_images: int = RRD_IMAGES
-    """Frame sets whose images go into it, evenly over the run."""
+    """Number of frame sets whose images are logged, evenly over the run."""
     record_to: Path | None = None
-    """A folder to record the frames into."""
+    """A folder into which to record the frames."""
     truth: Path | None = None
     """Truth for frames that are not the twin's; default: ``truth.npz`` beside a recording."""
     progress: Progress | None = None
     stage: Callable[[str], None] | None = None
-    """Told the name of each stage that begins."""
+    """Called with the name of each stage that begins."""
     page: bool = True
-    """Keep the images that the run's page shows; they take longer than a short run's measurements."""
+    """Whether to keep the images for the run's page, which take longer than a short run's measurements."""
 
 
 class TruthSource(FrameSource, Protocol):
@@ -72,7 +72,7 @@ class TruthSource(FrameSource, Protocol):
 
     @property
     def truth_xyz(self) -> Sequence[Array]:
-        """True marker positions (m, 3) [m] of each pulse that was exposed so far."""
+        """True marker positions (m, 3) [m] for each pulse exposed so far."""
         ...
 
     def truth(self) -> Truth:
@@ -89,15 +89,15 @@ class CameraFrames:
     """Frames of one camera of a continuous run."""
 
     expected: int
-    """By the scenario's duration and the camera's rate, or by the take itself where it is longer."""
+    """Expected number, by the scenario's duration and the camera's rate, or by the take itself if it is longer."""
     arrived: int
-    """With a usable image."""
+    """Number of frames with a usable image."""
     unusable: int
-    """Without one."""
+    """Number of frames without a usable image."""
     span_s: float
-    """From the first usable frame to the last, by the camera's own clock [s]."""
+    """Time from the first usable frame to the last, by the camera's own clock [s]."""
     least: float
-    """Share that must arrive: limit, or what the losses that the scenario states leave."""
+    """Share that must arrive: the limit, or the share after the losses that the scenario states."""
 
     @property
     def share(self) -> float:
@@ -107,7 +107,7 @@ class CameraFrames:
 
 @dataclass(frozen=True, eq=False)
 class Collected:
-    """What is kept of a run of the pipeline."""
+    """Data kept from a run of the pipeline."""
 
     tracks: Tracks
     views: tuple[CameraView, ...]
@@ -121,11 +121,11 @@ class Collected:
     """Pulse -> camera -> detections, of the pulses for which the Cramer-Rao bound is computed."""
     cameras: tuple[CameraHealth, ...] = ()
     sensors: tuple[LearnedSensor, ...] = ()
-    """What the images tell of the cameras' sensors."""
+    """The cameras' sensors as estimated from the images."""
     stated: Mapping[str, StatedSensor] = field(default_factory=dict)
-    """Camera -> what the scenario states of its sensor."""
+    """Camera -> its sensor as stated in the scenario."""
     account: Mapping[str, Any] = field(default_factory=dict)
-    """The source's own account of what it received."""
+    """The source's own account of the frames that it received."""
     frames: Mapping[str, CameraFrames] = field(default_factory=dict)
     """Camera -> its frames, of a continuous run; empty for frame sets."""
     kept_sets: tuple[KeptSet, ...] = ()
@@ -138,22 +138,22 @@ class TruthPairs:
     """Measured samples paired with true markers, over all frames (t) and markers (m)."""
 
     row: Array
-    """Of each pair (k,): index of its sample in the tracks."""
+    """(k,) for each pair: index of its sample in the tracks."""
     frame: Array
-    """Of each pair (k,): index of its instant in the truth."""
+    """(k,) for each pair: index of its instant in the truth."""
     marker: Array
-    """Of each pair (k,): index of the true marker."""
+    """(k,) for each pair: index of the true marker."""
     track: Array
-    """Of each pair (k,): number of the track."""
+    """(k,) for each pair: number of the track."""
     error_m: Array
-    """Of each pair (k, 3): measured minus true position [m]."""
+    """(k, 3) for each pair: measured minus true position [m]."""
     nees: Array
-    """Of each pair (k,): normalised estimation error squared."""
+    """(k,) for each pair: normalised estimation error squared."""
     residual_px: Array
     n_cameras: Array
-    """Of each pair (k,): number of cameras that the sample was made of."""
+    """(k,) for each pair: number of cameras from which the sample was made."""
     views: Array
-    """Of each pair (k,): number of cameras that saw the marker, from the truth alone."""
+    """(k,) for each pair: number of cameras that saw the marker, from the truth alone."""
     seen: Array
     """Number of seen markers of each frame (t,)."""
     missed: Array
@@ -177,7 +177,7 @@ class Score:
     """Value of a metric.
 
     ``sums`` and ``weights`` are per block of frames, so that two runs can be compared block by block;
-    ``reports.compare`` lists what they hold for each metric.
+    ``reports.metrics`` lists their meaning for each metric.
     """
 
     value: float
@@ -191,7 +191,7 @@ class Score:
 
 @dataclass(frozen=True, eq=False)
 class MeasuredTracks:
-    """What is scored: the tracks, the rig with which they were reconstructed, and what else was found."""
+    """Input of scoring: the tracks, the rig with which they were reconstructed, and other results."""
 
     collected: Collected
     rig: Rig
@@ -206,15 +206,15 @@ class MeasuredTracks:
     calibration_m2: Callable[[Array], Array] | None = None
     """Covariance (n, 3, 3) [m^2] that the error of the run's own calibration adds to points (n, 3) [m]."""
     joints: JointMotion | None = None
-    """Of the scene's person."""
+    """Joints of the scene's person."""
     labelled: Tracks | None = None
-    """Its tracks, where their labels were found and not the truth's."""
+    """Tracks of the person, where their labels were found and are not those of the truth."""
     vibration: Vibration | None = None
-    """Of the scene's panel."""
+    """Vibration of the scene's panel."""
     shown: ShownPoses | None = None
     """Virtual objects as they were shown."""
     nominal: Rig | None = None
-    """The standing cameras with the pipeline's lens model fitted to the true lenses, where these are known."""
+    """The fixed cameras with the pipeline's lens model fitted to the true lenses, where these are known."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,21 +224,21 @@ class Scored:
     scores: Mapping[str, Score]
     premises: Mapping[str, Any]
     collected: Collected
-    """As it was scored: in the body's frame where cameras are worn."""
+    """The collected data as scored: in the body's frame where cameras are worn."""
     truth: Truth | None
-    """In the same frame; None without a truth."""
+    """The truth in the same frame; None without a truth."""
     pairs: TruthPairs | None
     joints: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     """Joint -> its own figures (``scenarios.score.people.joint_table``)."""
     modes: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     """True mode -> its own figures (``scenarios.score.vibration``)."""
     not_judged: tuple[str, ...] = ()
-    """Limited metrics that need more than there is."""
+    """Metrics with limits for which data are missing."""
     self_orientation: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     """Rows of the table (``scenarios.score.self_orientation``)."""
     error_budget: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     """Source of error -> its own figures."""
     enough_alone: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-    """Source of error -> how large it must be to make the paper's difference alone."""
+    """Source of error -> its size that alone gives the paper's difference."""
     objects: ObjectErrors | None = None
-    """Of the virtual objects."""
+    """Errors of the virtual objects."""

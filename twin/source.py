@@ -26,12 +26,12 @@ from twin.scenes.scene import Scene, SceneSampler
 from twin.truth_log import PulseLog, truth_of
 
 LOOK_AHEAD = 4
-"""Default: pulses queued for each worker: enough to keep it busy, few enough to stop early without waste."""
+"""Default number of pulses queued for each worker: enough to keep it busy, few enough to stop without waste."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Period:
-    """What the cameras took from one pulse until the next, in the order of the exposures."""
+    """The frames that the cameras took from one pulse until the next, in the order of the exposures."""
 
     taken: tuple[Taken, ...]
     log: PulseLog
@@ -52,7 +52,7 @@ class _Reading:
             return None if self.closed else self._pool.submit(work, pulse)
 
     def close(self) -> None:
-        """Drop what has not begun and wait for the rest; may be called from any thread, and again."""
+        """Drop work that has not begun and wait for the rest; may be called from any thread, and repeatedly."""
         with self._lock:
             self.closed = True
         self._pool.shutdown(cancel_futures=True)
@@ -61,23 +61,23 @@ class _Reading:
 class TwinSource:
     """Exposes a scene through virtual cameras at the pulses of a trigger.
 
-    Same seed, same bytes: over runs, processes and numbers of ``workers`` (threads), because each frame draws
-    from streams of its own. Each iteration starts anew with workers of its own; ``close`` ends those under way.
-    ``truth()`` returns the true state at the pulses that the iteration started last has read. Raises InputError for
-    impossible cameras.
+    The same seed gives the same bytes in all runs and processes and for any number of ``workers`` (threads), because
+    each frame draws from streams of its own. Each iteration starts anew with workers of its own; ``close`` ends
+    iterations in progress. ``truth()`` returns the true state at the pulses that the last started iteration has read.
+    Raises InputError for impossible cameras.
 
     Parameters
     ----------
     scene
-        What is filmed.
+        The scene that is filmed.
     cameras
-        The cameras. A triggered one takes a frame a pulse, a free-running one as many as fall between two pulses.
+        The cameras. A triggered one takes one frame per pulse, a free-running one all that fall between two pulses.
     frame_rate_hz, pulses
         Rate of the trigger and number of its pulses, from pulse 0.
     exposure_s
-        Length of every exposure, but for cameras with one of their own.
+        Length of every exposure, except for cameras with an exposure of their own.
     seed
-        Of all random numbers.
+        Seed of all random numbers.
     workers
         Threads that render.
     deliveries
@@ -85,7 +85,7 @@ class TwinSource:
     surroundings
         Stray light; None: none.
     look_ahead
-        Pulses queued for each worker; 0 where what is filmed depends on what was made of the frames before.
+        Pulses queued for each worker; 0 where the scene depends on results from earlier frames.
     """
 
     def __init__(
@@ -149,7 +149,7 @@ class TwinSource:
             self._readings.discard(reading)
 
     def close(self) -> None:
-        """Stop the workers; iterations under way end after the frame last yielded."""
+        """Stop the workers; iterations in progress end after the frame yielded last."""
         for reading in tuple(self._readings):
             reading.close()
 
@@ -169,9 +169,9 @@ class TwinSource:
         return truth_of(list(self._latest), self._sessions, self.scene)
 
     def expected(self, pulse: int) -> tuple[Expected, ...]:
-        """Return what each camera's frame at ``pulse`` holds on average, and how it changes when its image moves.
+        """Return the mean of each camera's frame at ``pulse``, and its change when the image moves.
 
-        The camera shakes and opens as it does in that frame; sensor noise alone is averaged out. Stray light
+        Shake and opening of the camera are those of that frame; only sensor noise is averaged out. Stray light
         counts as background. A camera without a frame at that pulse is left out.
         """
         samples = SceneSamples(self._sampler(), self._subject.geoms, self._subject.bodies)
@@ -196,7 +196,7 @@ class TwinSource:
         return tuple(found)
 
     def _taken(self, reading: _Reading) -> Iterator[Taken]:
-        """Yield what the cameras take, in order, while the workers are ahead; ends when the reading is closed."""
+        """Yield the cameras' frames in order, while the workers are ahead; ends when the reading is closed."""
         waiting: deque[Future[_Period]] = deque()
         ahead = self.workers * self._look_ahead
         for pulse in range(self.pulses + ahead):
@@ -214,7 +214,7 @@ class TwinSource:
                 yield from period.taken
 
     def _expose_pulse(self, pulse: int) -> _Period:
-        """Let every camera take what it takes from a pulse until the next."""
+        """Return the frames that all cameras take from a pulse until the next."""
         samples = SceneSamples(self._sampler(), self._subject.geoms, self._subject.bodies)
         exposed_scenes = [[s.prepare(e, samples) for e in s.exposures(pulse)] for s in self._sessions]
         taken: list[Taken] = []
@@ -231,7 +231,7 @@ class TwinSource:
                 frame = session.read_out(exposed.exposure, light, ambient)
                 taken.append(Taken(frame, exposed.exposure.start_s, exposed.exposure.nominal_s))
             true_exposures.append(tuple(own))
-        taken.sort(key=lambda one: one.due_s)  # stable: the rig's order for those of one trigger
+        taken.sort(key=lambda one: one.due_s)  # stable: frames of one trigger keep the rig's order
         middle = pulse_time_s(pulse, self.frame_rate_hz) + self.exposure_s / 2
         xyz = samples.at(np.array([middle])).geom_xyz[0, self._subject.marker_at]
         return _Period(tuple(taken), PulseLog(middle, xyz, tuple(true_exposures)))

@@ -1,7 +1,7 @@
-"""One seed a run, split into named random streams.
+"""Named random streams from the one seed of a run.
 
-A stream is named by what it feeds ("camera/left/body"), so a new noise source does not move the others, and
-by the pulse that it belongs to, so the order of work and the number of workers change nothing.
+A stream is named by its use ("camera/left/body"), so that a new noise source does not change the others, and by the
+pulse to which it belongs, so that the order of work and the number of workers change nothing.
 """
 
 import hashlib

@@ -1,4 +1,4 @@
-"""The log of true states, pulse by pulse, and the Truth made of it."""
+"""The log of true states, pulse by pulse, and the Truth made from it."""
 
 from dataclasses import dataclass
 
@@ -17,9 +17,9 @@ class PulseLog:
     time_s: float
     """The pulse's nominal mid-exposure."""
     xyz: Array
-    """(m, 3): the markers then, world frame [m]."""
+    """(m, 3): the markers at that time, world frame [m]."""
     exposures: tuple[tuple[TrueExposure, ...], ...]
-    """For each camera of the rig the frames that it took."""
+    """The frames taken by each camera of the rig."""
 
     def frame_of(self, camera: int) -> TrueExposure | None:
         """Return the frame of a camera that lies nearest to the pulse, if it took any."""
@@ -71,7 +71,7 @@ def joints_at(scene: Scene, time_s: Array) -> JointTruth | None:
 
 
 def _frames(logs: list[PulseLog], sessions: tuple[CameraSession, ...], m: int) -> FramesTruth | None:
-    """Return the frames of the cameras that run free, in the order of pulse periods; None where there are none."""
+    """Return the frames of the free-running cameras, in the order of pulse periods; None where there are none."""
     free = [camera for camera, session in enumerate(sessions) if session.free]
     if not free:
         return None

@@ -1,5 +1,5 @@
-"""What an image must be, worked out without any of the project's code: outlines, pixels, rays, noise.
+"""Reference images, computed without any of the project's code: outlines, pixels, rays, noise.
 
-Imports numpy, scipy, OpenCV and MuJoCo, and nothing of the project. Tests and ``mosca twin fidelity`` hold the
-virtual cameras against it.
+The package imports numpy, scipy, OpenCV and MuJoCo, and nothing of the project. Tests and ``mosca twin fidelity``
+compare the virtual cameras with it.
 """

@@ -1,9 +1,9 @@
-"""EMVA Standard 1288, Release 4.0 Linear, as far as a virtual sensor has what it measures; numpy only.
+"""EMVA Standard 1288, Release 4.0 Linear, for the properties that a virtual sensor has; numpy only.
 
-Photon transfer (sections 2 and 6): pairs of even images at rising exposure give mean and temporal variance; the
+Photon transfer (sections 2 and 6): pairs of even images at rising exposure give mean and temporal variance. The
 slope of variance over mean is the system gain K, the slope of mean over photons the responsivity R = K eta. Spatial
-nonuniformity (sections 4 and 8): stacks of images in the dark and at half of saturation. Nothing here knows how the
-images were made. All in counts [DN] unless a name states otherwise.
+nonuniformity (sections 4 and 8) is measured on stacks of images in the dark and at half of saturation. Nothing here
+depends on how the images were made. All is in counts [DN] unless a name states otherwise.
 """
 
 from dataclasses import dataclass
@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 
 Array = NDArray[Any]
 QUANTISATION = 1 / 12
-"""Variance of a converter's rounding [DN^2]."""
+"""Variance of rounding in an analogue-to-digital converter [DN^2]."""
 LEAST_DARK_VARIANCE = 0.24
-"""Below this the rounding rules and the temporal dark noise cannot be measured [DN^2] (section 6.6)."""
+"""Dark variance below which rounding dominates and temporal dark noise cannot be measured [DN^2] (section 6.6)."""
 
 
 def temporal(a: Array, b: Array) -> tuple[float, float]:
-    """Return mean and temporal variance of two images of one light; fixed-pattern noise cancels."""
+    """Return mean and temporal variance of two images of the same light; fixed-pattern noise cancels."""
     a, b = a.astype(float), b.astype(float)
     return float((a.mean() + b.mean()) / 2), float(np.mean((a - b) ** 2) / 2 - (a.mean() - b.mean()) ** 2 / 2)
 
@@ -35,7 +35,7 @@ class PhotonTransfer:
 
     @property
     def saturated(self) -> int:
-        """The step of saturation: where the temporal variance is largest."""
+        """The step of saturation, at which the temporal variance is largest."""
         return int(np.argmax(self.variance))
 
     def _range(self, low: float, high: float) -> slice | Array:
@@ -48,7 +48,7 @@ class PhotonTransfer:
 
     @property
     def gain(self) -> float:
-        """K [DN/e-]: slope through zero of variance over mean, less those in the dark, up to 70 % of saturation."""
+        """K [DN/e-]: slope through zero of variance over mean, both less the dark, up to 70 % of saturation."""
         part = self._range(0.0, 0.7)
         return _slope((self.mean - self.mean[0])[part], (self.variance - self.variance[0])[part])
 
@@ -65,7 +65,7 @@ class PhotonTransfer:
 
     @property
     def dark_noise_measurable(self) -> bool:
-        """Whether the dark variance is more than the rounding's."""
+        """Whether the dark variance is larger than that of rounding."""
         return bool(self.variance[0] >= LEAST_DARK_VARIANCE)
 
     @property
@@ -80,7 +80,7 @@ class PhotonTransfer:
 
     @property
     def linearity_error(self) -> float:
-        """LE: mean size of the relative deviation from the line that fits relative deviations best, 5 to 95 %."""
+        """LE: mean absolute relative deviation from the line that fits relative deviations best, 5 to 95 %."""
         part = self._range(0.05, 0.95)
         return linearity_error(self.photons[part], (self.mean - self.mean[0])[part])
 
@@ -98,7 +98,7 @@ def _slope(x: Array, y: Array) -> float:
 
 @dataclass(frozen=True)
 class Spatial:
-    """Mean and spatial variances of a stack: all of it, and its split into rows, columns and single pixels."""
+    """Mean and spatial variances of a stack: the whole, and its split into rows, columns and single pixels."""
 
     mean: float
     total: float
@@ -110,8 +110,8 @@ class Spatial:
 def spatial(stack: Array) -> Spatial:
     """Return the spatial variances of images (L, M, N) of one light, less the temporal noise left in the mean.
 
-    Variance of the mean image: row + column + pixel + temporal / L; of the row means: row + pixel / N + ...;
-    of the column means: column + pixel / M + ...: three equations in three unknowns.
+    The variance of the mean image is row + column + pixel + temporal / L, that of the row means row + pixel / N +
+    ..., that of the column means column + pixel / M + ...: three equations in three unknowns.
     """
     images, rows, columns = stack.shape
     stack = stack.astype(float)

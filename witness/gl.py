@@ -1,9 +1,9 @@
-"""The same little scene through OpenGL: MuJoCo's own renderer and pyrender, at their best supersampling.
+"""One small scene through OpenGL: MuJoCo's own renderer and pyrender, at their best supersampling.
 
-Run as a program, because the GL platform must be chosen before anything is imported:
-``python witness/gl.py mujoco|pyrender OUT.npy``. White balls and discs, black obstacles, on black; the camera frame
-is the world (x right, y down, z forward). GL counts pixels from their edges: the middle of the image lies at
-(W / 2, H / 2), which is (W - 1) / 2, (H - 1) / 2 here.
+It runs as a program, because the GL platform must be chosen before anything is imported:
+``python witness/gl.py mujoco|pyrender OUT.npy``. The scene has white balls and discs and black obstacles on black.
+The camera frame is the world (x right, y down, z forward). GL counts pixels from their edges: the middle of the image
+lies at (W / 2, H / 2), which is (W - 1) / 2, (H - 1) / 2 here.
 """
 
 import sys
@@ -26,7 +26,7 @@ CAPSULE = ((-0.175, 0.125, 0.9), 0.012, 0.06)
 
 
 def main() -> None:
-    """Render and save the shares of the pixels that are white, FINE times as fine as a pixel."""
+    """Render and save the white share of each fine pixel; there are FINE fine pixels along a pixel's edge."""
     fine = by_mujoco() if sys.argv[1] == "mujoco" else by_pyrender()
     np.save(sys.argv[2], fine)
 
@@ -109,7 +109,7 @@ def by_pyrender() -> Array:
 
 
 def to_pixels(fine: Array, sigma_px: float) -> Array:
-    """Return the pixels (H, W) of a fine image behind a Gaussian blur; the image's border lies far from any light."""
+    """Return the pixels (H, W) of a fine image after a Gaussian blur; the image's border lies far from any light."""
     rows, columns = fine.shape[0] // FINE, fine.shape[1] // FINE
     blurred = gaussian_filter1d(fine, sigma_px * FINE, axis=0, mode="constant", truncate=6.0)
     binned = blurred.reshape(rows, FINE, -1).mean(axis=1)

@@ -1,7 +1,7 @@
-"""From light in the image plane to pixel values, worked out without any code of the project.
+"""Pixel values from light in the image plane, computed without any code of the project.
 
 A pixel integrates over its unit square; the blur is a Gaussian. Both are separable, so that a pixel's response to a
-point of light at (x, y) is ``spread(x - column) * spread(y - row)`` with ``spread`` the difference of two normal
+point of light at (x, y) is ``spread(x - column) * spread(y - row)``, where ``spread`` is the difference of two normal
 distribution functions. There are three methods, each a check of the others:
 ``contour_image`` (Green's theorem along a polygon), ``lines_image`` (parallel scan lines, each from x0 to x1)
 and ``points_image`` (points of light with weights); ``witness.render.pixels_by_brute_force`` is a fourth.
@@ -21,7 +21,7 @@ Array = NDArray[Any]
 
 
 def spread(offset: Array, sigma_px: float) -> Array:
-    """Return a pixel's response, one axis, to light ``offset`` px from its centre: square convolved with Gaussian."""
+    """Return a pixel's response (one axis) to light ``offset`` px from its centre: square convolved with Gaussian."""
     result: Array = ndtr((offset + 0.5) / sigma_px) - ndtr((offset - 0.5) / sigma_px)
     return result
 
@@ -40,7 +40,7 @@ def gathered(offset: Array, sigma_px: float) -> Array:
 
 
 def near(xy: Array, sigma_px: float, width: int, height: int) -> tuple[slice, slice]:
-    """Return the rows and columns of pixels that light from points (n, 2) reaches: to less than 1e-15."""
+    """Return the rows and columns of pixels that light from points (n, 2) reaches; less than 1e-15 is left out."""
     reach = 0.5 + 8 * sigma_px
     low = np.clip(np.floor(xy.min(axis=0) - reach), 0, (width, height)).astype(int)
     high = np.clip(np.ceil(xy.max(axis=0) + reach) + 1, low, (width, height)).astype(int)
@@ -48,14 +48,14 @@ def near(xy: Array, sigma_px: float, width: int, height: int) -> tuple[slice, sl
 
 
 def offsets(values: Array, pixels: slice) -> Array:
-    """Return how far coordinates (n,) lie from each pixel of a slice, (pixels, n)."""
+    """Return the offsets (pixels, n) of coordinates (n,) from each pixel of a slice."""
     return values - np.arange(pixels.start, pixels.stop)[:, None]
 
 
 def summed(down: Array, across: Array) -> Array:
     """Return the sum over points of the products of (rows, n) and (columns, n).
 
-    Not by BLAS: its threads wait for each other on busy cores.
+    BLAS is not used: its threads wait for each other on busy cores.
     """
     return np.asarray(np.einsum("rp,cp->rc", down, across))
 
@@ -63,8 +63,8 @@ def summed(down: Array, across: Array) -> Array:
 def contour_image(polygon: Array, sigma_px: float, width: int, height: int) -> Array:
     """Return the share of each pixel (H, W) that a closed polygon (n, 2) [px] of any shape fills.
 
-    Green's theorem: the integral of spread(x) spread(y) over the inside is that of gathered(x) spread(y) dy
-    along the edge, Gauss-Legendre with 3 points on each side. Sides must be short beside ``sigma_px``.
+    By Green's theorem, the integral of spread(x) spread(y) over the inside is that of gathered(x) spread(y) dy along
+    the edge: Gauss-Legendre with 3 points on each side. Sides must be short compared with ``sigma_px``.
     """
     nodes, weights = np.polynomial.legendre.leggauss(3)
     following = np.roll(polygon, -1, axis=0)
@@ -129,15 +129,15 @@ def scan(
     coarse_per_px: int = 8,
     halvings: int = 10,
 ) -> tuple[Array, float]:
-    """Return the scan lines (n, 3) of what is lit between two corners [px], and their distance.
+    """Return the scan lines (n, 3) of the lit region between two corners [px], and their distance.
 
-    ``lit``: points (n, 2) -> bool (n,). Each line is sampled every 1 / ``coarse_per_px``; where the value
-    changes, the edge is found by bisection. What is thinner than the coarse step may be missed.
+    ``lit``: points (n, 2) -> bool (n,). Each line is sampled every 1 / ``coarse_per_px``; where the value changes,
+    the edge is found by bisection. Regions thinner than the coarse step may be missed.
     """
     y = np.arange(low[1] + 0.5 / lines_per_px, high[1], 1 / lines_per_px)
     x = np.linspace(low[0], high[0], int(np.ceil((high[0] - low[0]) * coarse_per_px)) + 1)
     answers = lit(np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)).reshape(len(y), len(x))
-    answers[:, 0] = answers[:, -1] = False  # the frame must lie outside; lines then end where they must
+    answers[:, 0] = answers[:, -1] = False  # the frame must lie outside, so that the edges of a line come in pairs
     row, column = np.nonzero(answers[:, 1:] != answers[:, :-1])
     before, after, was = x[column], x[column + 1], answers[row, column]
     for _ in range(halvings):
@@ -145,15 +145,15 @@ def scan(
         same = lit(np.column_stack([middle, y[row]])) == was if len(row) else np.zeros(0, bool)
         before, after = np.where(same, middle, before), np.where(same, after, middle)
     turn = (before + after) / 2
-    # row-major order: a line's edges come in pairs, lit from the even to the odd one
+    # row-major order: the edges of a line come in pairs, and it is lit from the even to the odd one
     return np.column_stack([y[row[::2]], turn[::2], turn[1::2]]), 1 / lines_per_px
 
 
 def exposed(image_at: Callable[[float], Array], opens: Array, closes: Array, instants: int = 129) -> Array:
     """Return the time integral (H, W) [s] of instantaneous images, each row over its own window.
 
-    ``opens``, ``closes`` (H,) [s]: when each row starts and ends to gather light (nothing where they cross).
-    The images at equal instants over all windows become a cubic spline in time, which is integrated exactly.
+    ``opens``, ``closes`` (H,) [s]: when each row begins and ends to collect light (none where they cross). A cubic
+    spline in time through the images at equally spaced instants over all windows is integrated exactly.
     """
     some = closes > opens
     if not some.any():
@@ -173,7 +173,7 @@ def row_windows(
     light_s: tuple[float, float] = (-np.inf, np.inf),
     lit_s: tuple[float, float] = (-np.inf, np.inf),
 ) -> tuple[Array, Array]:
-    """Return when each row (H,) gathers light: from row * row_time for length_s, while lamp and target shine."""
+    """Return when each row (H,) collects light: from row * row_time for length_s, while lamp and target shine."""
     start = np.arange(height) * row_time_s
     opens = np.maximum(start, max(light_s[0], lit_s[0]))
     return opens, np.maximum(np.minimum(start + length_s, min(light_s[1], lit_s[1])), opens)

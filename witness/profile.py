@@ -1,7 +1,7 @@
 """Light of targets that are not evenly bright or not convex: limb darkening, shading, printed figures.
 
-Targets are given by their definitions (brightness as a function of the position on the target), never by the
-contours that the twin draws; those are checked against them.
+Targets are given by their definitions (brightness as a function of the position on the target), never by the contours
+that the twin draws. The twin's contours are checked against these definitions.
 """
 
 from collections.abc import Callable
@@ -22,9 +22,9 @@ class Spots:
     area: Array
     """(n,) [px^2]"""
     q: Array
-    """(n,) share of the radius."""
+    """(n,) distance from the middle, as a share of the radius."""
     offset: Array
-    """(n, 3) from the middle, over the radius, camera frame."""
+    """(n, 3) offset from the middle over the radius, camera frame."""
 
 
 def spots(
@@ -32,8 +32,8 @@ def spots(
 ) -> Spots:
     """Return the image of a ball's (``normal`` None) or a disc's face in Gauss-Legendre rings.
 
-    The rings lie at q = sin t, in which sqrt(1 - q^2) is smooth. On a ball the ray that meets the sphere at an
-    angle of incidence i passes the centre at the sine of ``q radius / distance``, q = sin i.
+    The rings lie at q = sin t, since sqrt(1 - q^2) is smooth in t. On a ball, q = sin i for the ray that meets the
+    sphere at an angle of incidence i; the sine of its angle to the centre is ``q radius / distance``.
     """
     nodes, weights = np.polynomial.legendre.leggauss(radial)
     t = (nodes + 1) * np.pi / 4
@@ -91,7 +91,7 @@ def pattern_image(
 ) -> tuple[Array, float, Array]:
     """Return image (H, W), light [px^2] and centroid (2,) [px] of patterns on a plate, each with its brightness.
 
-    Scan lines evaluate the patterns' definition: supersampling with exact ends of lines.
+    Scan lines evaluate the patterns' definitions: this is supersampling with exact ends of lines.
     """
     t = 2 * np.pi * np.arange(100)[:, None] / 100
     rim = lens.project(centre + 1.02 * radius * (np.cos(t) * turn[:, 0] + np.sin(t) * turn[:, 1]))
@@ -118,7 +118,7 @@ def outline_image(
     sigma_px: float,
     size: tuple[int, int],
 ) -> tuple[Array, float, Array]:
-    """Return image, light and centroid of outlines, each with its gain, by Green and shoelace.
+    """Return image, light and centroid of outlines, each with its gain, by Green's theorem and the shoelace formula.
 
     Outlines (n, 2) are closed, dense and on the plate [m].
     """

@@ -1,4 +1,4 @@
-"""What defocus and coma do to an image, from geometrical optics: every point of the pupil displaces it.
+"""Effects of defocus and coma on an image by geometrical optics: light through each pupil point is displaced.
 
 A thin lens of focal length f and f-number N, focused at d0, images a point at distance d as a blur circle of
 diameter ``f^2 / N * |d - d0| / (d (d0 - f))`` (similar triangles behind the lens). Light through the pupil point
@@ -33,7 +33,7 @@ def pupil(radial: int = 16, around: int = 40) -> tuple[Array, Array]:
 
 
 def displacements(points: Array, circle_px: float, coma_px: float, outwards: Array) -> Array:
-    """Return where light through pupil ``points`` (n, 2) lands beside the mean [px].
+    """Return the displacements (n, 2) from their mean of light through pupil ``points`` (n, 2) [px].
 
     ``circle_px``: signed blur circle; ``coma_px``: signed length of the coma; ``outwards`` (2,): unit vector
     away from the image's centre. Pupil points and displacements: x along columns, y along rows.
@@ -44,7 +44,7 @@ def displacements(points: Array, circle_px: float, coma_px: float, outwards: Arr
     along = coma_px / 3 * (2 * (a * a + b * b) + a * a - b * b)
     across = coma_px / 3 * 2 * a * b
     comatic = along[:, None] * outwards + across[:, None] * sideways
-    # by hand: the mean of rho^2 over the disc is 1/2, of rho^2 cos 2t and rho^2 sin 2t 0
+    # by hand: the mean over the disc of rho^2 is 1/2, those of rho^2 cos 2t and rho^2 sin 2t are 0
     result: Array = circle_px / 2 * points + comatic - coma_px / 3 * outwards
     return result
 

@@ -1,4 +1,4 @@
-"""Occlusion of a marker, by MuJoCo's ray caster line by line, at one instant or many.
+"""Occlusion of a marker by MuJoCo's ray caster, line by line, at one instant or many.
 
 A small world is built in camera coordinates: marker and obstacles are mocap bodies, so that each can be moved
 to its pose at an instant. Scan lines of rays go through the lens; edges along a line are found by bisection
@@ -20,7 +20,7 @@ MARKER_GROUP, UNSEEN_GROUP = 4, 5
 Path = Callable[[float], Array]
 """Time -> centre (3,) or rotation (3, 3), camera frame."""
 
-# world_from_camera: optical axis near the world's +y, a little down and askew
+# world_from_camera: optical axis near the world's +y, tilted a little down and sideways
 ROTATION = np.array([[1.0, 0, 0], [0, 0, 1.0], [0, -1.0, 0]]) @ Rotation.from_rotvec([-0.2, 0.1, 0.15]).as_matrix()
 POSITION = np.array([0.1, -2.0, 0.3])
 
@@ -75,16 +75,16 @@ class World:
 
 @dataclass(frozen=True, eq=False)
 class SeenOverTime:
-    """The visible part of a marker, means over the instants of an exposure."""
+    """The visible part of a marker: means over the instants of an exposure."""
 
     share: float
-    """Visible share of the marker's light, to 3e-4: relative to scan lines of the whole marker."""
+    """Visible share of the marker's light, relative to scan lines of the whole marker, to 3e-4."""
     centroid: Array
-    """(2,) of that light [px]."""
+    """(2,) centroid of the visible light [px]."""
     image: Array
-    """(H, W) of that light."""
+    """(H, W) image of the visible light."""
     area: float
-    """Of the whole marker's image [px^2]."""
+    """Area of the whole marker's image [px^2]."""
 
 
 def seen_over_time(
@@ -96,7 +96,7 @@ def seen_over_time(
     length_s: float = 1.0,
     lines_per_px: int = 24,
 ) -> SeenOverTime:
-    """Return what rays see of the marker (geom 0) over an exposure: the mean of instants in cells' middles."""
+    """Return the visible part of the marker (geom 0) by rays: means over instants in the middles of cells."""
     model, data = world.compile()
     marker = model.geom("g0").id
     total, light, moment = 0.0, 0.0, np.zeros(2)
@@ -121,7 +121,7 @@ def seen_over_time(
 
 
 def meets(model: mujoco.MjModel, data: mujoco.MjData, lens: WitnessLens, xy: Array, marker: int) -> Array:
-    """Whether the rays of pixels (n, 2) meet the marker before all else that can be seen (n,)."""
+    """Return whether the rays of pixels (n, 2) meet the marker before any other visible geom (n,)."""
     directions = lens.unproject(xy) @ ROTATION.T
     directions = np.ascontiguousarray(directions / np.linalg.norm(directions, axis=1, keepdims=True))
     n = len(directions)

@@ -1,10 +1,9 @@
-"""What a marker's image must be, worked out without any code of the project.
+"""Reference image of a marker, computed without any code of the project.
 
-A marker's outline is sampled at thousands of points: the tangent cone of a ball, the rim of a flat target.
-The points go through the lens by OpenCV (pinhole and fisheye) or by fixed-point inversion of the
-paper's correction; the shoelace formula gives area and centroid of the polygon. The pixel kernel (square
-times Gaussian) is symmetric, so that the noise-free image sums to electrons times area and its centroid is
-the polygon's.
+A marker's outline is sampled at thousands of points: the tangent cone of a ball, the rim of a flat target. The points
+are projected by OpenCV (pinhole and fisheye) or by fixed-point inversion of the paper's correction. The shoelace
+formula gives area and centroid of the polygon. The pixel kernel (square times Gaussian) is symmetric, so that the
+noise-free image sums to electrons times area, and its centroid is that of the polygon.
 
 Camera frame: x right, y down, z forward [m]; pixel (0, 0) is the centre of the top-left pixel.
 """
@@ -20,7 +19,7 @@ from scipy.ndimage import gaussian_filter1d
 
 Array = NDArray[Any]
 POINTS = 2000
-"""Outline points: an inscribed polygon of n corners lacks (2 pi / n)^2 / 6 of the area, here 1.6e-6."""
+"""Points of an outline: the area of an inscribed polygon of n corners is (2 pi / n)^2 / 6 too small, here 1.6e-6."""
 
 Project = Callable[[Array], Array]
 """Directions (n, 3), camera frame -> pixel (n, 2)."""
@@ -30,7 +29,7 @@ Unproject = Callable[[Array], Array]
 
 @dataclass(frozen=True)
 class WitnessLens:
-    """A lens as the witness sees it: ``project`` and its inverse ``unproject``."""
+    """A lens of the witness: ``project`` and its inverse ``unproject``."""
 
     project: Project
     unproject: Unproject
@@ -104,8 +103,8 @@ def paper_lens(
 def with_gap(lens: WitnessLens, gap_px: float, width: int, height: int, order: int = 9) -> WitnessLens:
     """The lens followed by a radial displacement gap_px * T(s), s = distance from the centre / half diagonal.
 
-    T(s) = cos(order arccos s), the Chebyshev polynomial by its trigonometric definition; s <= 1 inside the
-    image. The order is the first that the lens's own radial powers do not reach: 9, and 11 for a fisheye.
+    T(s) = cos(order arccos s) is the Chebyshev polynomial by its trigonometric definition; s <= 1 inside the image.
+    The order is the first that the lens's own radial powers do not reach: 9, and 11 for a fisheye.
     """
     if gap_px == 0.0:
         return lens
@@ -166,9 +165,9 @@ def area_and_centroid(polygon: Array) -> tuple[float, Array]:
 def pixels_by_brute_force(polygon: Array, sigma_px: float, width: int, height: int, fine: int = 32) -> Array:
     """Return the share of each pixel (H, W) that a convex polygon of light covers behind a Gaussian blur.
 
-    ``fine`` x ``fine`` cells a pixel, each cut into 16 lines along x that are covered exactly between the
-    polygon's left and right side (fewer lines miss the tips: 6e-4 of a pixel at one line a cell). scipy
-    blurs the cells and each pixel takes the mean of its own. A margin of 6 px takes the light from outside.
+    A pixel has ``fine`` x ``fine`` cells, each cut into 16 lines along x that are covered exactly between the
+    polygon's left and right side (fewer lines miss the tips: 6e-4 of a pixel at one line a cell). scipy blurs the
+    cells, and each pixel gets the mean of its cells. A margin of 6 px includes the light from outside.
     """
     margin, lines = 6, 16
     rows, columns = height + 2 * margin, width + 2 * margin

@@ -9,8 +9,8 @@ from witness.render import WitnessLens, ball_outline, opencv_lens
 def real_lens(plain: WitnessLens, matrix: Array, tilt_deg: tuple[float, float], shift_m: float) -> WitnessLens:
     """Return a lens whose entrance pupil shifts along the axis with the field and whose sensor is tilted.
 
-    A chief ray of field angle theta crosses the axis at ``shift_m`` * 2 sin^2 theta: found step by step. The tilt
-    is OpenCV's, of a camera that has the principal distances and point of ``matrix`` and nothing else.
+    A chief ray of field angle theta crosses the axis at ``shift_m`` * 2 sin^2 theta, found by iteration. The tilt is
+    OpenCV's, for a camera with only the principal distances and point of ``matrix``.
     """
     tilted = opencv_lens(matrix, np.array([0.0] * 12 + list(np.deg2rad(tilt_deg))))
     inverse = np.linalg.inv(matrix)
@@ -57,7 +57,7 @@ def place(
 
 
 def tilted_normal(tilt_deg: float, sight: Array, one: Array, other: Array) -> Array:
-    """Return the normal (3,) of a disc that faces the camera but for ``tilt_deg``; the rest as ``place`` has it."""
+    """Return the normal (3,) of a disc that faces the camera except for ``tilt_deg``; vectors as from ``place``."""
     tilt = np.deg2rad(tilt_deg)
     return np.asarray(-np.cos(tilt) * sight + np.sin(tilt) * (0.6 * one + 0.8 * other))
 

@@ -1,4 +1,4 @@
-"""Picture of an acceptance test: each length's error with its expanded uncertainty, and what is permitted."""
+"""Picture of an acceptance test: each length's error with its expanded uncertainty, and the permitted error."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -33,7 +33,7 @@ def _errors(measured: list[Mapping[str, Any]], limits: Mapping[str, float]) -> P
     for kind, colour in (("conforming", BLUE), ("other", VERMILION)):
         mine = [one for one in measured if (one["decided"]["decision"] == "conforming") == (kind == "conforming")]
         if mine:
-            # lines beside each other, or all bars of one length lie on each other
+            # measuring lines are shifted, or all bars of one length would overlap
             at = [one["calibrated_m"] + step * (lines.index(one["line"]) - len(lines) / 2) for one in mine]
             axes.errorbar(
                 at, [1e3 * one["error_m"] for one in mine], [2e3 * one["sigma_m"] for one in mine],

@@ -21,11 +21,11 @@ class FigureRow(NamedTuple):
     probability: str
     decision: str
     key: float
-    """Share of the limit, for sorting; 0 where there is none."""
+    """Share of the limit, for sorting; 0 where there is no limit."""
 
 
 def figure_rows(document: Mapping[str, Any], worst_only: bool = False) -> list[FigureRow]:
-    """Return all limited figures of a result; ``worst_only``: of each measuring line the worst length alone."""
+    """Return all figures with limits of a result; ``worst_only``: only the worst length of each measuring line."""
     lengths = [] if document["lengths"] is None else list(document["lengths"]["errors"])
     if worst_only:
         lines = dict.fromkeys(one["line"] for one in lengths)
@@ -67,7 +67,7 @@ def cluster_row(one: Mapping[str, Any]) -> FigureRow:
 
 
 def note_lines(document: Mapping[str, Any]) -> list[str]:
-    """Return premises that are not met and notes, a line each."""
+    """Return the premises that are not met and the notes, one line each."""
     premises = [
         one for part in ("lengths", "clusters") if document[part] is not None for one in document[part]["premises"]
     ]

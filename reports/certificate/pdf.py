@@ -12,7 +12,7 @@ from mosca.errors import InputError
 from reports.certificate.words import HEADINGS, KINDS, RULE, conclusion, hash_rows, rows_of, version_lines
 
 FONTS = {"": "DejaVuSans.ttf", "B": "DejaVuSans-Bold.ttf"}
-"""Come with matplotlib, and have all signs that figures need."""
+"""Fonts that come with matplotlib and have all signs of the figures."""
 MARGIN_MM, TEXT_PT, SMALL_PT, TITLE_PT = 18, 9, 7, 16
 NO_DAY = datetime(2000, 1, 1, tzinfo=UTC)
 

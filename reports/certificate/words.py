@@ -1,4 +1,4 @@
-"""What a certificate says, in words that its page and its PDF share."""
+"""The words of a certificate, for its page and its PDF."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -26,7 +26,7 @@ def conclusion(document: Mapping[str, Any]) -> str:
 
 
 def hash_rows(document: Mapping[str, Any]) -> list[tuple[str, str, str]]:
-    """Return what, file and SHA-256 of all files that went in."""
+    """Return role, name and SHA-256 of all input files."""
     rows = []
     for one in document["results"]:
         rows.append((KINDS[one["kind"]], one["file"], one["sha256"]))
@@ -43,7 +43,7 @@ def rows_of(one: Mapping[str, Any]) -> list[tuple[str, str, str, str, str]]:
 
 
 def version_lines(document: Mapping[str, Any]) -> list[str]:
-    """Return the commit and the versions of each result, a line each."""
+    """Return the commit and the versions of each result, one line each."""
     lines = []
     for one in document["results"]:
         versions = ", ".join(f"{name} {number}" for name, number in one["versions"].get("versions", {}).items())

@@ -86,7 +86,7 @@ def _worst(document: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 
 def _conditions(document: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Return the rows of what was held and what was varied."""
+    """Return the rows of fixed and varied settings."""
     given = document["conditions"]
     rows = [
         ("scenario", given["scenario"]),

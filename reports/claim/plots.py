@@ -1,4 +1,4 @@
-"""Pictures of a claim: the estimate over the looks, and the runs' values."""
+"""Pictures of a claim: the estimate over the interim looks, and the values of the runs."""
 
 from collections.abc import Mapping
 from typing import Any

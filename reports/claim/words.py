@@ -1,4 +1,4 @@
-"""A claim and what was found of it, in words and in the unit that reads best."""
+"""A claim and its result in words, in the unit that reads best."""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -9,7 +9,7 @@ STATISTICS = {"mean": "mean of {metric}", "rms": "rms of {metric}"}
 
 
 class ClaimWords(NamedTuple):
-    """Of one claim."""
+    """The words of one claim."""
 
     claimed: str
     found: str

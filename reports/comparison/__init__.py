@@ -1,1 +1,1 @@
-"""The page that compares runs: what differs first, then figures where they are comparable, plots on one scale."""
+"""The page that compares runs: first the differences, then figures where they are comparable, plots on one scale."""

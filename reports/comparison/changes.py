@@ -1,4 +1,4 @@
-"""Whether a run's figures can be compared with another's, and where they can: better, worse or the same."""
+"""Comparability of two runs' figures, and whether comparable figures are better, worse or the same."""
 
 from dataclasses import dataclass, replace
 from typing import Any, Literal
@@ -10,7 +10,7 @@ from reports.content import claim, content, settings
 from reports.record import RunRecord
 
 NAMED = 3
-"""Differing settings that a sentence names."""
+"""Most differing settings that a sentence names."""
 Verdict = Literal["better", "worse", "same", "not comparable"]
 
 
@@ -20,16 +20,16 @@ class MetricChange:
 
     verdict: Verdict
     why: str = ""
-    """Of what is not comparable."""
+    """Reason why the metric is not comparable."""
     share: float | None = None
-    """(value - other value) / size of the other; None where that is 0."""
+    """(value - other value) / size of the other value; None where that size is 0."""
 
 
 def not_comparable(record: RunRecord, first: RunRecord) -> str:
-    """Return in words why no figure of ``record`` is better or worse than one of ``first``; "" where they compare.
+    """Return in words why figures of ``record`` and ``first`` cannot be compared; "" where they can.
 
-    Comparable are runs of one scenario with the same settings and source of frames, both expected to pass. Another
-    seed is another sample of the same: it compares, with wider intervals.
+    Runs are comparable if they are of one scenario with the same settings and source of frames, and both are expected
+    to pass. Another seed is another sample of the same: it is comparable, with wider intervals.
     """
     if record.scenario != first.scenario:
         return f"another scenario ({first.scenario})"
@@ -50,10 +50,10 @@ def not_comparable(record: RunRecord, first: RunRecord) -> str:
 
 
 def change(record: RunRecord, first: RunRecord, name: str) -> MetricChange | None:
-    """Return how metric ``name`` changed from ``first`` to ``record``, which compare; None where one lacks it.
+    """Return the change of metric ``name`` from ``first`` to ``record`` (comparable runs); None where one lacks it.
 
-    Better and worse by the rule of ``reports.compare``, both ways: by more than 2 %, by more than the interval of the
-    difference, and by more than twice the spread that either states. Else the same.
+    Better and worse are by the rule of ``reports.compare`` in both directions: by more than 2 %, by more than the
+    interval of the difference, and by more than twice the spread that either states. Else it is the same.
     """
     new, old = record.metric(name), first.metric(name)
     if new is None or old is None:
@@ -82,7 +82,7 @@ def change(record: RunRecord, first: RunRecord, name: str) -> MetricChange | Non
 
 
 def differences(records: tuple[RunRecord, ...]) -> list[dict[str, Any]]:
-    """Return what differs among runs: rows of group, key and one text a run, what decides most first."""
+    """Return the differences among runs, most important first: rows of group, key and one text for each run."""
     columns = [
         {
             ("Run", "scenario"): one.scenario, ("Run", "expected to"): one.expect, ("Run", "source"): one.source,

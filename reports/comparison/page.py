@@ -26,10 +26,11 @@ def write_comparison_page(
     pages: Sequence[Path | None] = (),
     first: Picture | None = None,
 ) -> None:
-    """Write ``records`` side by side to ``path``: what differs, figures by runs, plots with the same axes.
+    """Write ``records`` side by side to ``path``: differences, figures by runs, plots with the same axes.
 
-    A run is held against the first run of its scenario. ``labels``: names of the runs (folder names, for example),
-    one each; else their numbers. ``pages``: the runs' own, one each, or none. ``first``: a picture above all else.
+    A run is compared with the first run of its scenario. ``labels``: names of the runs (folder names, for example),
+    one each; else their numbers. ``pages``: the runs' own pages, one each, or none. ``first``: a picture above all
+    else.
     """
     names = list(labels) or [f"run {i + 1}" for i in range(len(records))]
     firsts = [next(k for k, r in enumerate(records) if r.scenario == record.scenario) for record in records]
@@ -81,7 +82,7 @@ def write_comparison_page(
 
 
 def _sentence(records: Sequence[RunRecord], runs: list[dict[str, Any]], changes: list[dict[str, Any]]) -> str:
-    """Return in words how many runs are as claimed and compare, and how many figures are worse and better."""
+    """Return in words how many runs are as claimed and comparable, and how many figures are worse and better."""
     found = [one.verdict for of in changes for one in of.values() if one is not None]
     worse, better = found.count("worse"), found.count("better")
     text = f"{_passed(records)} are as claimed. "
@@ -106,7 +107,7 @@ def _address(page: Path | None, path: Path) -> str:
 
 
 def _cell(metric: Metric | None, found: MetricChange | None, run: dict[str, Any]) -> dict[str, Any]:
-    """Return one figure of one run: value, interval, limit, and how it compares."""
+    """Return one figure of one run: value, interval, limit, and change."""
     if metric is None:
         return {"value": "", "key": "", "verdict": "", "why": ""}
     ends = metric.ci95 or ()

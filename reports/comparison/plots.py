@@ -1,4 +1,4 @@
-"""Plots of several runs, a panel each, all panels of a plot with the same axes."""
+"""Plots of several runs, with one panel for each run and the same axes in all panels of a plot."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -14,14 +14,14 @@ from reports.plot_style import BLUE, DOTTED, INK, VERMILION, WIDE, Picture, canv
 from reports.record import Metric, RunRecord
 
 MOST_PANELS = 6
-"""Runs that are drawn; the first."""
+"""Most runs that are drawn: the first ones."""
 COLUMNS = 3
 MOST_USED = 1.5
-"""Share of a limit up to which the axis reaches; what is above stands at its end."""
+"""Share of a limit up to which the axis reaches; larger shares are drawn at its end."""
 
 
 def comparison_pictures(records: Sequence[RunRecord], labels: Sequence[str]) -> tuple[Picture, ...]:
-    """Return the plots of a comparison: those that a run has the data for."""
+    """Return the plots of a comparison for which a run has the data."""
     with house_style():
         return tuple(_pictures(records[:MOST_PANELS], labels[:MOST_PANELS]))
 
@@ -36,7 +36,7 @@ def _pictures(records: Sequence[RunRecord], labels: Sequence[str]) -> Iterator[P
 
 
 def errors_over_time(records: Sequence[RunRecord], labels: Sequence[str]) -> Picture:
-    """Draw the rms position error of each block of time, a panel a run."""
+    """Draw the rms position error of each block of time, one panel for each run."""
     found = [_error_mm(record) for record in records]
     drawing, panels = side_by_side(len(records), 2.1)
     for axes, record, label, one in zip(panels, records, labels, found, strict=True):
@@ -65,7 +65,7 @@ def errors_over_time(records: Sequence[RunRecord], labels: Sequence[str]) -> Pic
 
 
 def limits_used(records: Sequence[RunRecord], labels: Sequence[str]) -> Picture:
-    """Draw how much of each limit is used, with the 95 % interval, a panel a run."""
+    """Draw the used share of each limit, with the 95 % interval, one panel for each run."""
     names = list(dict.fromkeys(m.name for r in records for m in r.metrics if share_used(m) is not None))
     drawing, panels = side_by_side(len(records), 0.9 + 0.2 * len(names), left=0.16)
     for axes, record, label in zip(panels, records, labels, strict=True):
@@ -91,7 +91,7 @@ def limits_used(records: Sequence[RunRecord], labels: Sequence[str]) -> Picture:
 
 
 def camera_residuals(records: Sequence[RunRecord], labels: Sequence[str]) -> Picture:
-    """Draw the reprojection residual of each camera, a panel a run."""
+    """Draw the reprojection residual of each camera, one panel for each run."""
     names = list(dict.fromkeys(name for r in records for name, one in r.cameras.items() if "residual_px" in one))
     drawing, panels = side_by_side(len(records), 1.9)
     top = 0.0
@@ -129,7 +129,7 @@ def _at_end(metric: Metric, value: float) -> float:
 
 
 def side_by_side(n: int, height: float, left: float = 0.07) -> tuple[Figure, list[Axes]]:
-    """Return a figure of ``n`` panels of ``height`` [inch] beside each other, ``COLUMNS`` in a row."""
+    """Return a figure of ``n`` panels of ``height`` [inch] side by side, ``COLUMNS`` in a row."""
     columns = min(n, COLUMNS)
     rows = -(-n // columns)
     drawing = canvas(WIDE, height * rows + 0.35 * (rows - 1))

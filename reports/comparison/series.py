@@ -1,4 +1,4 @@
-"""Figures over the values of one key: a panel a metric, with 95 % intervals and limits."""
+"""Figures over the values of one key: one panel for each metric, with 95 % intervals and limits."""
 
 from collections.abc import Sequence
 
@@ -11,12 +11,12 @@ from reports.record import Metric, RunRecord
 from reports.units import figure, shown
 
 ALWAYS = ("position_rms", "calibration_volume_rms", "completeness")
-"""Metrics that are drawn where they are known, whether a limit names them or not."""
+"""Metrics that are drawn wherever they are known, with or without a limit."""
 MOST_METRICS, MOST_TICKS = 9, 8
 
 
 def series_metrics(records: Sequence[RunRecord]) -> list[str]:
-    """Return the names of the metrics to draw: ``ALWAYS`` and those with limits, where two runs know them."""
+    """Return the names of the metrics to draw: ``ALWAYS`` and those with limits, if two runs have them."""
     limited = [m.name for record in records for m in record.metrics if m.limit is not None or m.within is not None]
     names = dict.fromkeys([*ALWAYS, *limited])
     return [name for name in names if len(_known(name, records)) >= 2][:MOST_METRICS]
@@ -25,7 +25,7 @@ def series_metrics(records: Sequence[RunRecord]) -> list[str]:
 def figures_over(key: str, values: Sequence[str], records: Sequence[RunRecord]) -> Picture | None:
     """Draw the metrics of ``records`` over ``values`` of ``key``, one each; None where no two runs share a metric.
 
-    Values that are numbers stand at their places on the axis, others beside each other.
+    Numbers are drawn at their positions on the axis, other values side by side.
     """
     names = series_metrics(records)
     if not names:
@@ -50,13 +50,13 @@ def figures_over(key: str, values: Sequence[str], records: Sequence[RunRecord]) 
 
 
 def _known(name: str, records: Sequence[RunRecord]) -> list[tuple[int, Metric]]:
-    """Return the runs that know a metric, by number, with it."""
+    """Return (number, metric) of the runs that have a metric."""
     found = ((k, record.metric(name)) for k, record in enumerate(records))
     return [(k, metric) for k, metric in found if metric is not None and np.isfinite(metric.value)]
 
 
 def _draw(axes: Axes, name: str, at: Sequence[float], known: Sequence[tuple[int, Metric]]) -> str:
-    """Draw one metric and return in words from where to where it goes."""
+    """Draw one metric, and return its first and last value in words."""
     largest = max((metric for _, metric in known), key=lambda metric: abs(metric.value))
     (scaled,), unit = shown((largest.value or 1.0,), largest.unit, name)
     factor = scaled / (largest.value or 1.0)
@@ -74,7 +74,7 @@ def _draw(axes: Axes, name: str, at: Sequence[float], known: Sequence[tuple[int,
 
 
 def _places(values: Sequence[str]) -> tuple[list[float], bool]:
-    """Return where the values stand on the axis, and whether that is by their numbers."""
+    """Return the positions of the values on the axis, and whether these are the values' own numbers."""
     try:
         return [float(value) for value in values], True
     except ValueError:

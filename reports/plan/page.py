@@ -44,7 +44,7 @@ def write_plan_page(path: Path, document: Mapping[str, Any]) -> None:
 
 
 def plan_sentence(document: Mapping[str, Any]) -> str:
-    """Return what a plan comes to."""
+    """Return the result of a plan in words."""
     found, even = document["predicted"], document["evenly_spaced"]
     share, count = 100 * document["quantile"], len(document["cameras"])
     if found["sigma_quantile_m"] is None:
@@ -66,7 +66,7 @@ def curve_cells(one: Mapping[str, Any]) -> list[str]:
 
 
 def verified_rows(document: Mapping[str, Any]) -> list[tuple[str, str, str]]:
-    """Return rows of what is predicted beside what was simulated; none where nothing was."""
+    """Return rows of predicted and simulated values; none where nothing was simulated."""
     found = document.get("verified")
     if found is None:
         return []

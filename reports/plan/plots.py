@@ -75,7 +75,7 @@ def _map(document: Mapping[str, Any]) -> Picture:
     colours = HEAT((np.clip(values, low, high) - low) / (high - low))
     unseen = np.isnan(values) & np.array(there["inside"])
     for j, k in zip(*np.nonzero(np.isfinite(values) | unseen), strict=True):
-        # cells are few: rectangles keep the picture's text small and sharp
+        # there are few cells, so rectangles give a small and sharp picture
         colour: Any = VERMILION if unseen[j, k] else colours[j, k]
         axes.add_patch(Rectangle((x[k] - steps[0], y[j] - steps[1]), 2 * steps[0], 2 * steps[1], color=colour, lw=0))
     center, size = document["volume"]["center_m"], document["volume"]["size_m"]

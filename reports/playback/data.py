@@ -1,7 +1,7 @@
 """The numbers of the player, packed for the page: instants, positions, errors, cameras, images.
 
-Positions are 16-bit steps of the box that holds them all (0.1 mm in a space of 6 m: finer than a screen shows);
-errors are 16-bit steps of the largest one. 65535 and -32768 stand for "no sample".
+Positions are in 16-bit steps of the box that encloses them all (0.1 mm in a space of 6 m: finer than a screen shows).
+Errors are in 16-bit steps of the largest error. 65535 and -32768 stand for "no sample".
 """
 
 import base64
@@ -17,17 +17,17 @@ from reports.playback.keeper import frame_stride
 from reports.scene import camera_corners
 
 MOST_ITEMS = 200
-"""Markers, or tracks without a truth, in the player: the longest ones."""
+"""Most markers (without a truth: tracks) in the player: the longest ones."""
 IMAGE_BYTES = 1_400_000
-"""Of all images of a page; where they take more, every second, third ... frame set's are left in."""
+"""Most bytes of all images of a page; if they need more, only those of every second, third ... frame set remain."""
 NONE_U2, NONE_I2 = 65535, -32768
 HIDDEN, MISSED, FOUND = 0, 1, 2
-"""State of a marker in a frame: seen by fewer than two cameras; seen and not measured; measured."""
+"""State of a marker in a frame: visible to fewer than two cameras; visible to two and not measured; measured."""
 
 
 @dataclass(frozen=True, eq=False)
 class Played:
-    """What the player shows: F instants, M markers (or tracks), C cameras."""
+    """Data of the player: F instants, M markers (or tracks), C cameras."""
 
     time_s: Array
     """(F,)"""
@@ -46,11 +46,11 @@ class Played:
     used: Array | None
     """(F, M, C) bool: the camera contributed to the sample."""
     ghosts: tuple[Array, ...]
-    """Of each instant: points (g, 3) that belong to no marker [m]."""
+    """Points (g, 3) of each instant that belong to no marker [m]."""
 
 
 def played(evidence: Evidence) -> Played | None:
-    """Return what the player shows; None where nothing was measured and no truth is known."""
+    """Return the data of the player; None where nothing was measured and no truth is known."""
     if evidence.errors is not None and evidence.truth_xyz is not None and len(evidence.truth_names):
         return _with_truth(evidence)
     return _of_tracks(evidence) if len(evidence.tracks) else None
@@ -113,7 +113,7 @@ def _of_tracks(evidence: Evidence) -> Played:
 
 
 def _cameras_of(evidence: Evidence, samples: Array) -> Array:
-    """Return which cameras (k, C) measured each of ``samples`` (k,): those of the point at the same place."""
+    """Return the cameras (k, C) bool that measured each of ``samples`` (k,): those of the point at its position."""
     table, tracks = evidence.measured_by, evidence.tracks
     assert table is not None
     result = np.zeros((len(samples), table.cameras.shape[1]), bool)
@@ -124,13 +124,13 @@ def _cameras_of(evidence: Evidence, samples: Array) -> Array:
         candidates = order[start:end]
         if len(candidates):
             gap = np.linalg.norm(table.xyz[candidates] - tracks.xyz[sample], axis=1)
-            if gap.min() < 1e-6:  # the tracker hands positions on unchanged
+            if gap.min() < 1e-6:  # the tracker does not change positions
                 result[i] = table.cameras[candidates[np.argmin(gap)]]
     return result
 
 
 def _ghosts(evidence: Evidence, frames: Array, stride: int) -> tuple[Array, ...]:
-    """Return the measured points that belong to no marker, of each instant."""
+    """Return the measured points of each instant that belong to no marker."""
     tracks, errors = evidence.tracks, evidence.errors
     if errors is None or errors.sample is None or evidence.truth_time_ns is None:
         return tuple(np.empty((0, 3)) for _ in frames)
@@ -207,7 +207,7 @@ def _errors(shown: Played) -> dict[str, Any]:
 
 
 def _images(evidence: Evidence, shown: Played) -> dict[str, Any]:
-    """Return the kept frame sets, each at its instant of the page, with detections in 1/16 px."""
+    """Return the kept frame sets at their instants of the page, with detections in 1/16 px."""
     kept, left_out = images_that_fit(evidence.kept_sets)
     first = int(shown.frame[0])
     stride = int(shown.frame[1] - first) if len(shown.frame) > 1 else 1
@@ -231,7 +231,7 @@ def _images(evidence: Evidence, shown: Played) -> dict[str, Any]:
 
 
 def images_that_fit(sets: tuple[KeptSet, ...]) -> tuple[tuple[KeptSet, ...], int]:
-    """Return every n-th of ``sets``, n as small as ``IMAGE_BYTES`` allows, and how many that leaves out."""
+    """Return every n-th of ``sets``, with n as small as ``IMAGE_BYTES`` allows, and the number of sets left out."""
     for n in range(1, len(sets) + 1):
         kept = sets[::n]
         if sum(len(image.webp) for one in kept for image in one.images) <= IMAGE_BYTES:
@@ -250,6 +250,6 @@ def _array(values: Array, dtype: str) -> str:
 
 
 def _short(values: Array) -> list[Any]:
-    """Return coordinates [m] to a tenth of a millimetre."""
+    """Return coordinates [m] rounded to a tenth of a millimetre."""
     result: list[Any] = np.round(np.asarray(values, float), 4).tolist()
     return result

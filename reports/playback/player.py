@@ -1,4 +1,4 @@
-"""What the template of a page's player needs, and the library that draws it."""
+"""Values for the template of a page's player, and the library that draws it."""
 
 import base64
 from typing import Any
@@ -13,14 +13,14 @@ from reports.playback.keeper import VIEW_AT, frame_stride
 from reports.units import figure
 
 LIBRARY = "plotly.js (gl3d bundle) 4.1.1"
-"""Draws space and plots; MIT licence. Its file and its licence are in ``vendor``, unchanged from npm's
-plotly.js-gl3d-dist-min."""
+"""The library that draws space and plots; MIT licence. Its file and its licence are in ``vendor``, unchanged from
+npm's plotly.js-gl3d-dist-min."""
 SCRIPTS = {"library": "playback/vendor/plotly-gl3d.min.js", "player": "playback/player.js", "sort": "sort.js"}
 """Key in the template -> file of this package."""
 
 
 def player(evidence: Evidence, shown: Played, limit_mm: float | None) -> dict[str, Any]:
-    """Return what ``player.html.j2`` shows. ``limit_mm``: of the rms error."""
+    """Return the values for ``player.html.j2``. ``limit_mm``: limit of the rms error."""
     has_truth, frames = shown.true is not None, len(shown.time_s)
     kept, left_out = images_that_fit(evidence.kept_sets)
     ghosts, rays = any(len(one) for one in shown.ghosts), shown.used is not None
@@ -49,7 +49,7 @@ def player(evidence: Evidence, shown: Played, limit_mm: float | None) -> dict[st
 
 
 def camera_cells(evidence: Evidence, shown: Played) -> dict[str, tuple[Cell, ...]]:
-    """Return the cells of ``camera_table`` of each camera, over the instants of the page."""
+    """Return the cells of ``camera_table`` for each camera, over the instants of the page."""
     frame, marker = np.nonzero(shown.state == FOUND)
     used = None if shown.used is None else shown.used[frame, marker]
     return {**camera_table(evidence, marker, shown.frame[frame], used)}
@@ -84,7 +84,7 @@ def _images_note(kept: int, left_out: int) -> str:
 
 
 def _views(kept: tuple[Any, ...]) -> list[dict[str, Any]]:
-    """Return the picture of each camera that stands in the page itself: of the set at VIEW_AT of the run."""
+    """Return the picture of each camera in the page itself: that of the frame set at VIEW_AT of the run."""
     if not kept:
         return []
     names = list(dict.fromkeys(image.camera for one in kept for image in one.images))

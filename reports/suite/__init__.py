@@ -1,1 +1,1 @@
-"""The page of a suite: one row a scenario, with its verdict, its nearest limit and its history."""
+"""The page of a suite: one row for each scenario, with its verdict, its nearest limit and its history."""

@@ -1,4 +1,4 @@
-"""Results of suites over commits: a file of JSON lines that suites append to, one line a scenario and run."""
+"""Results of suites over commits: a file to which suites append one JSON line for each scenario and run."""
 
 import json
 import math
@@ -13,7 +13,7 @@ from reports.content import content_digest
 from reports.record import RunRecord
 
 MOST_DRAWN = 60
-"""Results of one scenario that a page draws: the latest."""
+"""Most results of one scenario that a page draws: the latest ones."""
 
 
 @dataclass(frozen=True)
@@ -21,16 +21,16 @@ class PastResult:
     """One scenario's result in one run of a suite."""
 
     time: str
-    """When the suite ended, UTC, as ISO 8601."""
+    """Time when the suite ended, UTC, as ISO 8601."""
     commit: str
-    """Of the program; with "+" where files differed from it, "unknown" outside a checkout."""
+    """Commit of the program; with "+" where files differed from it, "unknown" outside a checkout."""
     scenario: str
     content: str
-    """Digest of the settings that decide about figures: results of other settings are not of one history."""
+    """Digest of the settings that affect figures: results with other settings belong to another history."""
     as_it_must: bool
     seconds: float
     values: Mapping[str, float]
-    """Metric -> value, in the record's unit: those that are finite."""
+    """Metric -> value, in the record's unit; finite values only."""
 
 
 def past_result(record: RunRecord, as_it_must: bool, seconds: float, time: str) -> PastResult:
@@ -41,9 +41,9 @@ def past_result(record: RunRecord, as_it_must: bool, seconds: float, time: str) 
 
 
 def read_history(path: Path) -> list[PastResult]:
-    """Return the results in a history, as they were appended; none where there is no such file.
+    """Return the results in a history, in the order in which they were appended; none where there is no such file.
 
-    InputError names the line that is none.
+    InputError names a line that is not a result.
     """
     if not path.exists():
         return []
@@ -60,7 +60,7 @@ def read_history(path: Path) -> list[PastResult]:
 
 
 def append_history(path: Path, results: Iterable[PastResult]) -> None:
-    """Append results to a history, a line each, in one write; the file is made where there is none."""
+    """Append results to a history, one line each, in one write; a missing file is made."""
     text = "".join(json.dumps(asdict(one), allow_nan=False) + "\n" for one in results)
     if text:
         path.parent.mkdir(parents=True, exist_ok=True)

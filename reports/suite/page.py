@@ -1,4 +1,4 @@
-"""The page of a suite: one self-contained HTML file that opens offline, one row a scenario."""
+"""The page of a suite: one self-contained HTML file that opens offline, with one row for each scenario."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,9 +14,9 @@ STATES = {"bad": "not as it must", "near": "as it must, nearly missed", "good": 
 
 
 def write_suite_page(path: Path, results: Sequence[SuiteResult], past: Sequence[PastResult], out: Path) -> None:
-    """Write the page of a suite to ``path``, whole or not at all. ``past``: the history, these results among it.
+    """Write the page of a suite to ``path``, whole or not at all. ``past``: the history, with these results.
 
-    ``out``: folder of the run folders, whose pages are linked where they are.
+    ``out``: folder of the run folders, whose pages are linked where they exist.
     """
     rows = [row(result, past, out, path) for result in results]
     bad = sum(one["state"] == "bad" for one in rows)

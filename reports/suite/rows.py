@@ -1,4 +1,4 @@
-"""Rows of a suite's page: expectation and verdict apart, the figure nearest to its limit, the history."""
+"""Rows of a suite's page: expectation and verdict separately, the figure nearest to its limit, the history."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -20,35 +20,35 @@ from reports.units import duration, figure, shown
 MUST = {"pass": "must pass", "fail": "must fail", "caught": "must be caught", "diagnosed": "must be diagnosed"}
 AS_IT_MUST = {"pass": "passed", "fail": "failed", "caught": "caught", "diagnosed": "diagnosed"}
 HEADLINES = ("position_rms", "relative_accuracy")
-"""Metrics whose history is drawn, the first of these that has a limit; else the first limit of the scenario's own."""
+"""Metrics whose history is drawn: the first of these that has a limit, else the scenario's own first limit."""
 
 
 @dataclass(frozen=True)
 class SuiteResult:
-    """What a suite's page needs of one scenario."""
+    """Data of one scenario for a suite's page."""
 
     name: str
     title: str
     tier: str
     expect: str
     record: RunRecord | None
-    """None where it did not run to its end."""
+    """None where the scenario did not run to its end."""
     error: str = ""
-    """Why not."""
+    """Reason why it did not."""
     complaints: tuple[str, ...] = ()
-    """Regressions against the baselines, and metrics that are gone."""
+    """Regressions against the baselines, and missing metrics."""
     seconds: float = 0.0
     picture: str = ""
     """Inline SVG."""
 
     @property
     def as_it_must(self) -> bool:
-        """Whether it ran, and its verdict is the expected one, without a regression."""
+        """Whether the scenario ran, its verdict is the expected one, and there is no regression."""
         return self.record is not None and self.record.passed and not self.error and not self.complaints
 
 
 def verdict(result: SuiteResult) -> tuple[str, str]:
-    """Return what the scenario did, in capitals where that is not what it must do, and why."""
+    """Return the outcome of the scenario, in capitals where it is not the required one, and the reason."""
     record = result.record
     if record is None or result.error:
         return "DID NOT RUN" if record is None else "NOT WRITTEN", result.error
@@ -80,13 +80,13 @@ def broken_words(metric: Metric) -> str:
 
 
 def nearest(record: RunRecord) -> tuple[Metric, float] | None:
-    """Return the metric that uses most of what its limit or range allows, and that share; None without any."""
+    """Return the metric that uses the largest share of its limit or range, and that share; None without any."""
     used = [(metric, share) for metric in record.metrics if (share := share_used(metric)) is not None]
     return max(used, key=lambda pair: pair[1]) if used else None
 
 
 def headline(record: RunRecord) -> Metric | None:
-    """Return the metric whose history is drawn: of a control, the one that its fault must break."""
+    """Return the metric whose history is drawn; for a control, the one whose limit its fault must break."""
     faulty = [m for m in record.metrics if m.within is not None] if record.expect == "fail" else []
     limited = [metric for metric in record.metrics if metric.limit is not None]
     main = [metric for name in HEADLINES for metric in limited if metric.name == name]
@@ -95,7 +95,7 @@ def headline(record: RunRecord) -> Metric | None:
 
 
 def row(result: SuiteResult, past: Sequence[PastResult], out: Path, page: Path) -> dict[str, Any]:
-    """Return the template's row. ``past``: the whole history; ``out``: run folders; ``page``: to be written."""
+    """Return the template's row. ``past``: the whole history; ``out``: run folders; ``page``: file to be written."""
     record, folder = result.record, out / result.name
     did, why = verdict(result)
     state = "good" if result.as_it_must else "bad"
@@ -136,7 +136,7 @@ def _near(close: tuple[Metric, float] | None) -> dict[str, Any]:
 
 
 def _bar(metric: Metric) -> dict[str, Any]:
-    """Return one limit of a scenario: value, limit or range, and how much of it is used."""
+    """Return one limit of a scenario: value, limit or range, and the used share of it."""
     bounds = metric.within or (metric.limit or 0.0,)
     numbers, unit = shown((metric.value, *bounds), metric.unit, metric.name)
     sign = "≤" if metric.sense == "at_most" else "≥"
@@ -154,7 +154,7 @@ def _bar(metric: Metric) -> dict[str, Any]:
 
 
 def _history(record: RunRecord, past: Sequence[PastResult]) -> dict[str, Any]:
-    """Return drawings of the headline's history, small and large, and in words what is in it."""
+    """Return drawings of the headline's history, small and large, and a description in words."""
     metric = headline(record)
     if metric is None:
         return {}

@@ -12,9 +12,10 @@ SMALL, LARGE = (124.0, 34.0), (560.0, 150.0)
 
 
 def sparkline(metric: Metric, past: Sequence[PastResult], large: bool = False) -> str:
-    """Return the values of ``metric`` in ``past``, oldest first, one step each; "" of none.
+    """Return a drawing of the values of ``metric`` in ``past``, oldest first, one step each; "" without values.
 
-    Dashed: the limit, or both ends of a range. Red: outside. A point names its commit, day and value.
+    Dashed lines are the limit, or both ends of a range; values outside are red. A point names its commit, day and
+    value.
     """
     past = [one for one in past if metric.name in one.values]
     if not past:

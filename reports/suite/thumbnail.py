@@ -1,4 +1,4 @@
-"""A small drawing of a run's scene: working space, cameras and paths, seen from above the side."""
+"""A small drawing of a run's scene: working space, cameras and paths, seen from the side and above."""
 
 import numpy as np
 
@@ -8,16 +8,16 @@ from reports.evidence import Evidence
 WIDTH, HEIGHT, MARGIN = 132.0, 92.0, 5.0
 AZIMUTH_DEG, ELEVATION_DEG = -58.0, 24.0
 MOST_PATHS, MOST_STEPS = 30, 10
-"""Paths of a drawing, and points of each: it stands on a page beside a hundred others."""
+"""Most paths of a drawing, and most points of each: a page has a hundred such drawings."""
 
 
 def thumbnail(evidence: Evidence) -> str:
-    """Return the drawing as inline SVG, a few kilobytes; cameras that stand far outside shrink the rest."""
+    """Return the drawing as inline SVG, a few kilobytes; cameras far outside make the rest smaller."""
     center, half = evidence.working_space_center, evidence.working_space_size / 2
     corners = center + half * np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
     poses = [camera.world_from_camera for camera in evidence.rig.cameras]
     eyes = np.array([pose.translation for pose in poses]).reshape(-1, 3)
-    # towards where they look, a tenth of the scene long
+    # in their viewing direction, a tenth of the scene long
     reach = 0.12 * max(np.ptp(np.concatenate([corners, eyes]), axis=0).max(), 1e-9)
     ahead = eyes + reach * np.array([pose.rotation[:, 2] for pose in poses]).reshape(-1, 3)
     paths = _paths(evidence)

@@ -1,1 +1,1 @@
-"""Scenario tables to scenes, cameras and rigs."""
+"""Scenes, cameras and rigs from scenario tables."""

@@ -1,4 +1,4 @@
-"""What is wrong with the calibration that the pipeline gets: the faults of scenarios."""
+"""Faults of scenarios in the calibration that the pipeline gets."""
 
 from dataclasses import replace
 
@@ -22,7 +22,7 @@ from twin.cameras.optics.lens import TwinLens
 
 
 def with_fault(rig: Rig, fault: Table | None) -> Rig:
-    """Return the rig that the pipeline believes in, with the scenario's fault."""
+    """Return the rig that the pipeline gets, with the scenario's fault."""
     if isinstance(fault, SwapFault):
         one, two = (rig.camera(name) for name in fault.cameras)
         swapped = {one.name: two, two.name: one}
@@ -49,7 +49,7 @@ def with_fault(rig: Rig, fault: Table | None) -> Rig:
 
 
 def _mirrored(camera: Camera, fault: MirroredFault) -> Camera:
-    """Return the camera as it sees the plane mirrored across its line of sight: two reflections, one rotation."""
+    """Return the camera for which the plane is mirrored across its line of sight: two reflections, one rotation."""
     pose, middle = camera.world_from_camera, np.array(fault.middle_m)
     sight = middle - pose.translation
     sight = sight / np.linalg.norm(sight)
@@ -63,7 +63,7 @@ def _resized(camera: Camera, fault: ResolutionFault) -> Camera:
     lens, factor = camera.lens, fault.factor
     if not isinstance(lens, MoscaLens):
         return replace(camera, lens=replace(lens, fx_px=factor * lens.fx_px, fy_px=factor * lens.fy_px))
-    # in millimetres the image is the same; what a pixel measures is not
+    # the image in millimetres is the same; the size of a pixel is not
     lens = replace(lens, mx_mm_per_px=lens.mx_mm_per_px / factor, my_mm_per_px=lens.my_mm_per_px / factor)
     if not fault.told:
         return replace(camera, lens=lens)
@@ -82,7 +82,7 @@ def _farther(camera: Camera, fault: LittleDepthFault) -> Camera:
 
 
 def _undistorted(camera: Camera) -> Camera:
-    """Return the camera with its lens's distortion forgotten (principal distance and point kept)."""
+    """Return the camera without its lens's distortion (principal distance and point are kept)."""
     lens = camera.lens
     if isinstance(lens, MoscaLens):
         plain = MoscaLens(lens.c_mm, lens.xp_px, lens.yp_px, lens.mx_mm_per_px, lens.my_mm_per_px)

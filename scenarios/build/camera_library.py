@@ -1,4 +1,4 @@
-"""Cameras by name: keys that a camera takes from the library's sensor and lens, and whether they fit together."""
+"""Cameras by name: keys that a camera takes from the library's sensor and lens, and checks that these fit."""
 
 import math
 
@@ -10,9 +10,9 @@ from twin.cameras import library
 from twin.cameras.library import LensSpec, SensorEntry
 
 CHIP_KEYS = ("full_well_e", "read_noise_e", "bits", "quantum_efficiency")
-"""Keys of light and noise that a library sensor gives where the scenario does not."""
+"""Keys of light and noise that are taken from a library sensor where the scenario does not set them."""
 ROUNDING = 1.02
-"""Slack of image circles and frame rates, which makers round."""
+"""Tolerance on image circles and frame rates, which makers round."""
 
 
 def named_sensor(name: str | None) -> SensorEntry | None:
@@ -26,7 +26,7 @@ def named_lens(name: str | None) -> LensSpec | None:
 
 
 def with_chip(spec: Scenario) -> Cameras:
-    """Return the ring with size and pitch of the named sensor and the named lens's focal length, where not given."""
+    """Return the ring; missing size and pitch are of the named sensor, a missing focal length of the named lens."""
     given, changes = spec.cameras.model_fields_set, {}
     chip, lens = named_sensor(spec.sensor.name), named_lens(spec.optics.lens)
     if chip is not None:
@@ -39,7 +39,7 @@ def with_chip(spec: Scenario) -> Cameras:
 def pitch_and_focal_mm(camera: Camera, chip: SensorEntry | None, pitch_mm: float) -> tuple[float, float]:
     """Return a camera's pixel pitch and principal distance [mm].
 
-    A Mosca lens has both; the others are in pixels: then the pitch is the sensor's, or ``pitch_mm``.
+    A Mosca lens has both. The other lenses are in pixels: for them the pitch is that of the sensor, or ``pitch_mm``.
     """
     lens = camera.lens
     if isinstance(lens, MoscaLens):
@@ -51,9 +51,9 @@ def pitch_and_focal_mm(camera: Camera, chip: SensorEntry | None, pitch_mm: float
 def check_fits(
     camera: Camera, chip: SensorEntry | None, lens: LensSpec | None, pitch_mm: float, f_number: float, rate_hz: float
 ) -> None:
-    """Raise InputError where a named sensor or lens cannot be that camera's.
+    """Raise InputError where a named sensor or lens does not fit the camera.
 
-    A window of a sensor is read out faster in proportion to its rows.
+    The readout time of a sensor's window is in proportion to its rows.
     """
     size, who = (camera.width, camera.height), f"camera '{camera.name}'"
     if chip is not None:

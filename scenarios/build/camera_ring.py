@@ -26,7 +26,7 @@ def ring(spec: Cameras, space: WorkingSpace) -> Rig:
         turn = np.deg2rad(azimuth[k])
         place = centre + spec.radius_m * np.array([np.cos(turn), np.sin(turn), 0.0])
         place[2] = height[k]
-        # no two lenses are alike: principal point and distortion differ a little from camera to camera
+        # no two lenses are equal: principal point and distortion differ a little from camera to camera
         lens = MoscaLens(
             spec.c_mm * (1 + 0.004 * k),
             (width - 1) / 2 + 3.0 - 2.0 * k,
@@ -72,7 +72,7 @@ def check_rig(rig: Rig, space: WorkingSpace) -> None:
 
 
 def windowed(camera: Camera, window_px: tuple[int, int, int, int]) -> Camera:
-    """Return the camera that reads only a window (left, top, width, height) of its image."""
+    """Return the camera that reads out only a window (left, top, width, height) of its image."""
     left, top, width, height = window_px
     if left < 0 or top < 0 or min(width, height) < 1 or left + width > camera.width or top + height > camera.height:
         raise InputError(
@@ -88,7 +88,7 @@ def windowed(camera: Camera, window_px: tuple[int, int, int, int]) -> Camera:
 
 
 def sees(camera: Camera, points: Array) -> Array:
-    """Return which points (n, 3) of the world land in a camera's image (n,)."""
+    """Return whether points (n, 3) of the world are in a camera's image (n,) bool."""
     xy = project(camera, points)
     inside = np.asarray(np.isfinite(xy).all(axis=1))
     xy = np.where(inside[:, None], xy, -1.0)

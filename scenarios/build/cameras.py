@@ -46,7 +46,7 @@ from twin.source import LOOK_AHEAD, TwinSource
 
 @dataclass(frozen=True, eq=False)
 class Calibrated:
-    """The rig that the pipeline believes in, and what its lens model cannot follow: rms over the cameras [px]."""
+    """The rig that the pipeline gets, and the misfit of its lens model: rms over the cameras [px]."""
 
     rig: Rig
     gap_rms_px: float
@@ -92,7 +92,7 @@ def virtual_cameras(spec: Scenario, rig: Rig) -> tuple[VirtualCamera, ...]:
 
 
 def twin_source(spec: Scenario, scene: Scene, cameras: tuple[VirtualCamera, ...], workers: int) -> TwinSource:
-    """Return the scenario's twin of the cameras that film ``scene``."""
+    """Return the scenario's twin source with the cameras that film ``scene``."""
     return TwinSource(
         scene,
         cameras,
@@ -108,12 +108,12 @@ def twin_source(spec: Scenario, scene: Scene, cameras: tuple[VirtualCamera, ...]
 
 
 def deliveries(spec: Scenario, names: Iterable[str]) -> dict[str, Delivery]:
-    """Return what goes wrong on the way of each camera's frames."""
+    """Return the faults in the delivery of each camera's frames."""
     return {name: Delivery(**_merged(spec.delivery, _own(spec, name).delivery)) for name in names}
 
 
 def surroundings(spec: Scenario) -> Surroundings:
-    """Return what surrounds rig and subject."""
+    """Return the surroundings of rig and subject."""
     given = spec.surroundings
     context = None
     if given.context is not None:
@@ -185,7 +185,7 @@ def _virtual(camera: Camera, own: CameraSpec, spec: Scenario, late_s: float) -> 
 
 
 def _rider(own: CameraSpec, spec: Scenario) -> Camera:
-    """Return a camera that rides on a body: its pose is ``body_from_camera``."""
+    """Return a camera on a body; its pose is ``body_from_camera``."""
     pose = rider_pose(own)
     assert own.size_px is not None
     width, height = own.size_px
@@ -205,8 +205,8 @@ def _rider(own: CameraSpec, spec: Scenario) -> Camera:
 def calibrated(spec: Scenario, cameras: tuple[VirtualCamera, ...]) -> Calibrated:
     """Return the true calibration: true poses, and the pipeline's lens model fitted to the true lenses' rays.
 
-    The rays are those to the distance of the working space's centre. Cameras that ride on bodies have no pose to
-    believe in and are left out.
+    The rays are those to the distance of the working space's centre. Cameras on bodies have no constant pose in the
+    world and are left out.
     """
     standing = tuple(v for v in cameras if v.mount.body is None)
     return fitted_cameras(spec, standing, None)
@@ -223,7 +223,7 @@ def fitted_cameras(spec: Scenario, cameras: tuple[VirtualCamera, ...], away_m: f
         center = np.array(spec.working_space.center_m)
         away = np.linalg.norm(camera.world_from_camera.translation - center) if away_m is None else away_m
         fit = _fitted(virtual, spec.pipeline.lens_model, float(away))
-        # an axis: the misfit is a distance in the image
+        # on each axis: the misfit is a distance in the image
         made.append(replace(camera, lens=fit.lens, residual_px=fit.rms_px / np.sqrt(2)))
         fits.append(fit)
     rms = float(np.sqrt(np.mean([f.rms_px**2 for f in fits])))
@@ -231,7 +231,7 @@ def fitted_cameras(spec: Scenario, cameras: tuple[VirtualCamera, ...], away_m: f
 
 
 def overlap_of(camera: Camera, other: Camera) -> float:
-    """Return the share of a camera's image whose rays another camera sees somewhere in front of both."""
+    """Return the share of a camera's image whose rays are visible to another camera somewhere in front of both."""
     grid = image_grid(camera.width, camera.height, 40.0)
     v = lens_directions(camera.lens, grid) @ camera.world_from_camera.rotation.T
     base = np.linalg.norm(camera.world_from_camera.translation - other.world_from_camera.translation)

@@ -1,4 +1,4 @@
-"""Where a run's frames come from besides the twin: recordings, and sources that pass frames on."""
+"""Sources of a run's frames besides the twin: recordings, devices, and sources that pass frames on."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
@@ -13,13 +13,13 @@ from mosca.recording.open import check_recording
 from mosca.synchronisation import AssemblySettings
 
 PATIENCE_BYTES = 1 << 28
-"""Frames that may wait in open frame sets."""
+"""Most bytes of frames that wait in open frame sets."""
 
 
 def opened(source: str, rig: Rig, rate_hz: float, pulses: int) -> FrameSource:
-    """Return what ``--source recording:DIR`` or ``hardware:RIG.toml`` names; InputError for another source.
+    """Return the source that ``--source recording:DIR`` or ``hardware:RIG.toml`` names; InputError for others.
 
-    ``rate_hz``, ``pulses``: the scenario's; devices must run at this rate and are read for so many pulses.
+    ``rate_hz``, ``pulses``: those of the scenario; devices must run at this rate and are read for this many pulses.
     """
     kind, place = _named(source)
     if kind == "recording":
@@ -42,7 +42,7 @@ def opened(source: str, rig: Rig, rate_hz: float, pulses: int) -> FrameSource:
 
 
 def check_source(source: str) -> None:
-    """Raise InputError where ``--source`` names nothing that is there; asked before any work."""
+    """Raise InputError where ``--source`` names nothing that exists; called before any work."""
     if source == "twin":
         return
     kind, place = _named(source)
@@ -55,7 +55,7 @@ def check_source(source: str) -> None:
 
 
 def _named(source: str) -> tuple[str, str]:
-    """Return the kind of a source other than the twin, and its place; InputError for another one."""
+    """Return the kind of a source other than the twin, and its path; InputError for another kind."""
     kind, _, place = source.partition(":")
     if kind not in ("recording", "hardware") or not place:
         raise InputError(f"--source {source}: allowed are twin, recording:DIR and hardware:RIG.toml")
@@ -63,13 +63,13 @@ def _named(source: str) -> tuple[str, str]:
 
 
 def account(source: FrameSource) -> Mapping[str, Any]:
-    """Return the source's own account of what it received, for the record; empty where it keeps none."""
+    """Return the source's own account of the frames that it received, for the record; empty where it keeps none."""
     report = getattr(source, "account", None)
     return report() if callable(report) else {}
 
 
 def device_notes(source: FrameSource) -> dict[str, str]:
-    """Return what happened to the devices of ``source``, for the record; nothing where it has none."""
+    """Return notes on the devices of ``source``, for the record; empty where it has none."""
     from hardware.source import HardwareSource
 
     if not isinstance(source, HardwareSource):
@@ -88,7 +88,7 @@ def device_notes(source: FrameSource) -> dict[str, str]:
 
 
 def patient(settings: AssemblySettings, source: FrameSource) -> AssemblySettings:
-    """Return settings that wait for late frames of devices up to a second, as memory allows: a run is not live."""
+    """Return settings that wait for late frames of devices up to a second, within memory, since a run is not live."""
     wanted = max(info.frame_rate_hz for info in source.cameras)
     size = sum(info.image_bytes for info in source.cameras)
     return replace(settings, open_pulses=max(settings.open_pulses, min(round(wanted), PATIENCE_BYTES // size)))
@@ -108,7 +108,7 @@ class Recorded(WrappedSource):
 
 
 class SelectedCameras(WrappedSource):
-    """A source without the frames of cameras that the rig does not have: those that ride on the subject."""
+    """A source without the frames of cameras that are not in the rig, such as those on the subject."""
 
     def __init__(self, source: FrameSource, names: tuple[str, ...]) -> None:
         super().__init__(source)

@@ -1,4 +1,4 @@
-"""Faults that are planted in the frames and labels of a take, where the cameras have no key for them."""
+"""Faults that are planted in the frames and labels of a take because the cameras have no key for them."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -32,7 +32,7 @@ class PlantedSource(WrappedSource):
 
 
 def dropped(frame: Frame, spec: DropSpec, rate_hz: float) -> Frame | None:
-    """Return the frame under the number and stamp that it has if nobody counts lost ones; None where it is lost."""
+    """Return the frame with the number and stamp of a count that ignores lost frames; None where it is lost."""
     first = round(spec.at_s * rate_hz)
     if frame.index < first:
         return frame
@@ -43,7 +43,7 @@ def dropped(frame: Frame, spec: DropSpec, rate_hz: float) -> Frame | None:
 
 
 def blurred(frame: Frame, spec: BlurSpec) -> Frame:
-    """Return the frame blurred by a Gaussian that grows with its stamp from the session's start."""
+    """Return the frame blurred by a Gaussian that grows with time from the session's start."""
     if frame.image is None:
         return frame
     sigma = spec.px_per_s * 1e-9 * frame.time_ns
@@ -52,7 +52,7 @@ def blurred(frame: Frame, spec: BlurSpec) -> Frame:
 
 
 def swapped(tracks: Tracks, spec: SwappedSpec, rate_hz: float) -> Tracks:
-    """Return the tracks labelled m1, m2 ..., or d1:m1 ... d2:m3, whose first two labels or bodies change places."""
+    """Return tracks labelled m1, m2 ..., or d1:m1 ... d2:m3, with their first two labels or bodies exchanged."""
     names, counts = np.unique(tracks.track, return_counts=True)
     longest = sorted(names[np.argsort(-counts, kind="stable")][:6].tolist())
     fewest = 6 if spec.what == "bodies" else 2

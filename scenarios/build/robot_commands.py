@@ -1,7 +1,7 @@
 """Commands that drive a subject, as timed lines of text: from a program file, or from a recording.
 
-The same program (``hardware.onboard.commands``) is sent to a robot by ``mosca capture --program`` and drives the
-twin's; what a recording kept of it drives the twin again as it was really sent.
+``mosca capture --program`` sends a program (``hardware.onboard.commands``) to a robot; the same program drives the
+robot of the twin. The commands kept in a recording drive the twin as they were really sent.
 """
 
 import json
@@ -35,14 +35,14 @@ def command_lines(path: Path, target: str) -> Lines:
 
 
 def line_of(command: str | dict[str, Any]) -> str:
-    """Return the line that goes out for a command: a text as it is, a table as JSON."""
+    """Return the line that is sent for a command: a text unchanged, a table as JSON."""
     return command if isinstance(command, str) else json.dumps(command)
 
 
 def write_commands(writer: RecordingWriter, commands: Any, target: str = "robot") -> None:
     """Write the commands of a twin's subject (``twin.scenes.scene.Commands``, pwm_left and pwm_right) as a channel.
 
-    The messages are those that a capture writes of the program it sends; commands of others become an object of their
+    The messages are those that a capture writes for the program it sends. Other commands become an object of their
     values by name.
     """
     for time_ns, values in zip(commands.time_ns, commands.values, strict=True):

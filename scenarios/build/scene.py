@@ -43,7 +43,7 @@ from twin.scenes.scene import Scene
 from twin.streams import rng
 
 MARGIN = 1.15
-"""Points are searched in the working space enlarged by this factor, so that none at its edge is cut."""
+"""Factor on the working space in which points are searched, so that points at its edge are not lost."""
 WORST_SIGMA_M = 0.005
 TargetScene = FieldScene | BoardScene | WandScene | ScaleBarScene | LFrameScene | LightScene
 T = TypeVar("T")
@@ -51,7 +51,7 @@ Volume = tuple[tuple[float, float, float], tuple[float, float, float]]
 
 
 def build_scene(spec: Scenario, folder: Path, pilot: Steering | None = None) -> Scene:
-    """Return the scene; the scenario's file names are relative to ``folder``. ``pilot``: what steers a drone."""
+    """Return the scene; the scenario's file names are relative to ``folder``. ``pilot``: pilot of a drone."""
     made = _subject(spec, folder, pilot)
     glow_keys = {} if spec.glow is None else spec.glow.model_dump(exclude_unset=True)
     if glow_keys:
@@ -151,7 +151,7 @@ def _panel(scene: PanelScene, where: dict[str, Any]) -> Scene:
 
 
 def _target(scene: TargetScene, where: dict[str, Any], folder: Path) -> Scene:
-    """Return the scene of something to calibrate with."""
+    """Return the scene of a calibration target."""
     if isinstance(scene, LightScene):
         from twin.scenes.target_lamps import build_light_marker
 
@@ -192,7 +192,7 @@ def _target(scene: TargetScene, where: dict[str, Any], folder: Path) -> Scene:
 
 
 def _described(file: Path | None, kind: type[T]) -> T | None:
-    """Return what a target file describes; InputError where it is something else."""
+    """Return the target in a file; InputError where it is of another kind."""
     if file is None:
         return None
     target = read_target_file(file)
@@ -202,10 +202,10 @@ def _described(file: Path | None, kind: type[T]) -> T | None:
 
 
 def pipeline_settings(spec: Scenario) -> PipelineSettings:
-    """Return the pipeline's settings: its defaults, the scenario's differences, and where points can be."""
+    """Return the pipeline's settings: its defaults, the scenario's differences, and the volume of possible points."""
     centre, size = np.array(spec.working_space.center_m), np.array(spec.working_space.size_m)
     low, high = centre - MARGIN * size / 2, centre + MARGIN * size / 2
-    # a zone is tracked by itself: its targets move as in a space of its size, not of the whole hall's
+    # each zone is tracked separately: its targets move as in a space of the zone's size, not of the whole hall
     edge_m = max((max(zone.size_m) for zone in spec.zone), default=None)
     box = ((low[0], low[1], low[2]), (high[0], high[1], high[2]))
     settings = stage_settings(spec.pipeline, box, edge_m)
@@ -221,9 +221,9 @@ def pipeline_settings(spec: Scenario) -> PipelineSettings:
 def stage_settings(stages: StageTables, volume: Volume | None, edge_m: float | None = None) -> PipelineSettings:
     """Return the pipeline's defaults overridden by the tables detection, match and track of ``stages``.
 
-    The tracker's lengths and speeds are those of the volume's longest edge, without a volume those that the pipeline
-    learns. Points with a larger uncertainty than 0.2 % of it are withheld. ``edge_m``: that edge, where it is not the
-    volume's.
+    The tracker's lengths and speeds follow from the volume's longest edge; without a volume the pipeline estimates
+    them. Points with an uncertainty above 0.2 % of that edge are withheld. ``edge_m``: that edge, where it is not the
+    one of the volume.
     """
     track, match = TrackSettings(), MatchSettings()
     if volume is not None:

@@ -1,4 +1,4 @@
-"""The survey flight of a scenario with ``[self_orientation]``: field, lamp and flight, and what is told of them."""
+"""The survey flight of a scenario with ``[self_orientation]``: field, lamp and flight, and stated values of these."""
 
 from dataclasses import replace
 
@@ -18,7 +18,7 @@ from twin.streams import rng
 
 
 def survey_flight(spec: Scenario) -> Flight:
-    """Return the drone's flight, as ``build_scene`` has it."""
+    """Return the drone's flight, as in ``build_scene``."""
     assert isinstance(spec.scene, DroneScene)
     space = spec.working_space
     return build_drone(
@@ -31,7 +31,7 @@ def survey_flight(spec: Scenario) -> Flight:
 
 
 def survey_field(spec: Scenario) -> SurveyField:
-    """Return the field and the lamp as they truly are."""
+    """Return the true field and lamp."""
     given = spec.self_orientation
     assert given is not None
     draw = rng(spec.seed, "scene/field")
@@ -41,7 +41,7 @@ def survey_field(spec: Scenario) -> SurveyField:
 
 
 def told_field(spec: Scenario, there: SurveyField) -> TestField:
-    """Return the field as its file describes it: wrong by its standard deviation."""
+    """Return the field as in its file: in error by its standard deviation."""
     assert spec.self_orientation is not None
     sigma, draw = spec.self_orientation.sigma_m, rng(spec.seed, "self_orientation/field")
     told = tuple(replace(one, position=one.position + sigma * draw.standard_normal(3)) for one in there.field.targets)
@@ -49,21 +49,21 @@ def told_field(spec: Scenario, there: SurveyField) -> TestField:
 
 
 def survey_scene(spec: Scenario) -> Scene:
-    """Return what the rig sees: the drone's markers and the lamp."""
+    """Return the scene for the rig: the drone's markers and the lamp."""
     assert isinstance(spec.scene, DroneScene)
     flight = survey_flight(spec)
     return seen_by_rig(flight, survey_field(spec), flight.scene.marker_names, spec.scene.marker_diameter_m)
 
 
 def told_lever_arm(spec: Scenario, true: Pose) -> LeverArm:
-    """Return body_from_camera as it was measured on the drone: wrong by its standard deviations."""
+    """Return body_from_camera as measured on the drone: in error by its standard deviations."""
     given = spec.self_orientation
     assert given is not None
     draw = rng(spec.seed, "self_orientation/lever")
     sigma = np.repeat([given.lever_sigma_m, np.deg2rad(given.lever_sigma_deg)], 3)
     off = sigma * draw.standard_normal(6)
     turned = rotation_from_vector(off[3:]) @ true.rotation
-    # never singular: a millionth of a millimetre and of a milliradian stand for exactly
+    # never singular: a millionth of a millimetre and of a milliradian stand for an exact value
     return LeverArm(Pose(turned, true.translation + off[:3]), np.diag(np.maximum(sigma, 1e-9) ** 2))
 
 
@@ -75,7 +75,7 @@ def own_camera(spec: Scenario, cameras: tuple[VirtualCamera, ...]) -> VirtualCam
 
 
 def without_own_camera(spec: Scenario, cameras: tuple[VirtualCamera, ...]) -> tuple[VirtualCamera, ...]:
-    """Return the cameras of the rig's take: the drone's films a scene of its own (``twin.scenes.survey_flight``)."""
+    """Return the cameras of the rig's take: that of the drone has its own scene (``twin.scenes.survey_flight``)."""
     if spec.self_orientation is None:
         return cameras
     return tuple(one for one in cameras if one.camera.name != spec.self_orientation.camera)

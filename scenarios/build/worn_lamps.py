@@ -1,4 +1,4 @@
-"""Worn cameras: where they sit on their bodies, and the lamps that they carry."""
+"""Worn cameras: their poses on the bodies, and the lamps that they carry."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ if TYPE_CHECKING:
     from twin.scenes.actor import BodyLamp
 
 LAMP = "lamp/"
-"""How the names of worn cameras' lamps begin; the camera's name follows."""
+"""Prefix of the names of worn cameras' lamps; the camera's name follows."""
 
 
 def rider_pose(own: CameraSpec) -> Pose:
-    """Return ``body_from_camera`` of a camera that rides on a body."""
+    """Return ``body_from_camera`` of a camera on a body."""
     forward, up = np.array(own.forward, float), np.array(own.up, float)
     right = np.cross(forward, up)
     if np.linalg.norm(right) <= 1e-6 * np.linalg.norm(forward) * np.linalg.norm(up):

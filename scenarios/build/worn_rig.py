@@ -18,9 +18,9 @@ NO_POSE = Pose(np.eye(3), np.zeros(3))
 
 
 def worn_cameras(spec: Scenario, cameras: tuple[VirtualCamera, ...]) -> tuple[VirtualCamera, ...]:
-    """Return the cameras that ride on the body ``worn_on``, with ``moving`` then those on others that film it too.
+    """Return the cameras on the body ``worn_on``; with ``moving``, then those on other bodies that also film it.
 
-    InputError where fewer than two ride on the body itself.
+    InputError where fewer than two are on the body itself.
     """
     assert spec.continuous is not None
     body = spec.continuous.worn_on
@@ -35,7 +35,7 @@ def worn_cameras(spec: Scenario, cameras: tuple[VirtualCamera, ...]) -> tuple[Vi
 
 
 def worn_rig(spec: Scenario, worn: tuple[VirtualCamera, ...]) -> Calibrated:
-    """Return the rig in the body's frame, the pipeline's lens model fitted to the true lenses' rays.
+    """Return the rig in the body's frame, with the pipeline's lens model fitted to the true lenses' rays.
 
     Poses of cameras on other bodies are unknown.
     """
@@ -55,12 +55,12 @@ def worn_settings(spec: Scenario) -> PipelineSettings:
 
 
 def without_poses(rig: Rig, known: AbstractSet[str]) -> Rig:
-    """Return the rig with the poses of the cameras ``known`` alone; the others' are placeholders."""
+    """Return the rig with the poses of the cameras ``known`` only; the other poses are placeholders."""
     return Rig(tuple(one if one.name in known else replace(one, world_from_camera=NO_POSE) for one in rig.cameras))
 
 
 def known_lamps(spec: Scenario, rig: Rig) -> tuple[tuple[str, ...], Lamps]:
-    """Return the cameras on the body itself, whose poses are known, and all cameras' lamps; InputError without."""
+    """Return the cameras on the body itself (with known poses) and the lamps of all; InputError without lamps."""
     assert spec.continuous is not None
     of_name = {own.name: own for own in spec.camera}
     numbers, places = [], []

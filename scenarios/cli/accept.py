@@ -52,7 +52,7 @@ def accept(out: Path | None, **given: Any) -> None:
         with Progress(Path(options.what).name) as shown:
             take = take_of(options, target, shown)
         document = acceptance_document(take, target)
-        # before anything is written: no full disk loses the figures
+        # printed before anything is written, so that a full disk does not lose the figures
         _print(document)
         click.echo(f"{take.name}: {document['verdict']}")
         sys.stdout.flush()

@@ -108,7 +108,7 @@ def benchmark(**given: Any) -> None:
     if options.passphrase is not None:
         passphrase = seeds.given(options.passphrase)
     else:
-        # before the first round is published there is nothing to repeat
+        # until the first round is published there is none to repeat
         passphrase = (None if options.fresh else seeds.published()) or seeds.fresh()
     if not (options.sets or options.quick):
         sets = set_files(passphrase.sets)
@@ -127,7 +127,7 @@ def _tune(sets: Any, entrants: Any, job: Any) -> None:
 
 
 def _export(sets: Any, passphrase: Any, folder: Path, workers: int) -> None:
-    """Write the data sets; those that cannot be made here are told."""
+    """Write the data sets; those that cannot be made here are printed."""
     from mosca.data.files.whole_file import check_folder
     from scenarios.studies.benchmark.make import make_set, missing, write_readme
 

@@ -1,4 +1,4 @@
-"""The verbs that open devices: capture, and rig check with what the drivers see."""
+"""The verbs that open devices: capture, and rig check with the devices that the drivers find."""
 
 import sys
 from pathlib import Path

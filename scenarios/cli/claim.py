@@ -12,7 +12,7 @@ from scenarios.cli.options import EXIT_BROKEN, EXIT_PASSED, FILE, OUT_FOLDER, pr
 from scenarios.cli.progress import Progress
 
 EXIT_UNDECIDED = 3
-"""Besides the codes of every verb: the runs that were allowed do not decide."""
+"""Exit code, besides those of every verb, where the permitted number of runs does not decide the claim."""
 EXITS = {"conforming": EXIT_PASSED, "not conforming": EXIT_BROKEN, "undecided": EXIT_UNDECIDED}
 
 
@@ -47,7 +47,7 @@ def claim(claim: Path, jobs: int | None, scheduler: str | None, out: Path | None
     check_folder(target)
     with one_writer(target):
         result = _result(path, jobs, scheduler)
-        # before anything is written: no full disk loses the figures
+        # printed before anything is written, so that a full disk does not lose the figures
         _print(result.document)
         runs, most = result.document["runs"], result.document["looks"][-1]
         click.echo(f"{path.stem}: {result.verdict}, after {runs} of at most {most} runs")
@@ -58,7 +58,7 @@ def claim(claim: Path, jobs: int | None, scheduler: str | None, out: Path | None
 
 
 def _result(path: Path, jobs: int | None, scheduler: str | None) -> Any:
-    """Make the runs, with the progress on the terminal."""
+    """Make the runs and return the result, with the progress on the terminal."""
     from scenarios.run.interrupt import first_ctrl_c
     from scenarios.studies.campaign.campaign import run_claim
     from scenarios.studies.campaign.cluster import ClusterEngine

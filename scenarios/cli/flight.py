@@ -14,7 +14,7 @@ class Numbers(click.ParamType):  # type: ignore[type-arg]  # generic from click 
     name = "A,B,... or FROM:UNTIL:STEP"
 
     def __init__(self, least: float, below: float) -> None:
-        """``least`` is allowed, ``below`` is not."""
+        """Set the range: ``least`` is allowed, ``below`` is not."""
         self._least, self._below = least, below
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:

@@ -1,4 +1,4 @@
-"""The list of commands in ``mosca --help``, by what one wants to do, as in the README."""
+"""The list of commands in ``mosca --help``, grouped by purpose as in the README."""
 
 import click
 
@@ -13,7 +13,7 @@ SECTIONS: dict[str, tuple[str, ...]] = {
 }
 
 LONGEST = 120
-"""Characters of what is said of a command; its first sentence fits."""
+"""Most characters of a command's description; its first sentence fits."""
 
 
 class GroupedCommands(click.Group):
@@ -22,7 +22,7 @@ class GroupedCommands(click.Group):
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """Return the command that is meant; of an unknown one say in which group it is."""
+        """Return the command; for an unknown one the error names the group that has it."""
         try:
             return super().resolve_command(ctx, args)
         except click.UsageError as error:

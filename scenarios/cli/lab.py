@@ -101,7 +101,7 @@ def _reboot(text: str) -> tuple[str, float]:
 
 
 def _tell(up: "Served") -> None:
-    """Print who answers where."""
+    """Print the served devices and their addresses."""
     shown = table("camera", "address", "serial", "size", "format", "exposure")
     for device in up.devices:
         who = device.identity

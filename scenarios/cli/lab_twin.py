@@ -103,7 +103,7 @@ def told_table(told: Sequence["Told"]) -> Any:
 
 
 def lacking_lines(told: Sequence["Told"]) -> list[str]:
-    """Return a line for each reason for which parameters are not told, with the cameras and keys that it is of."""
+    """Return a line for each reason why parameters are not estimated, with the cameras and keys concerned."""
     from mosca.accuracy.lab_twin.estimates import NotTold
 
     lacking: dict[str, tuple[dict[str, None], dict[str, None]]] = {}

@@ -1,4 +1,4 @@
-"""The verb for a run that does not wait: live."""
+"""The verb for a run in real time: live."""
 
 from typing import Any
 

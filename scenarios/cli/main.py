@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-# Before numpy is imported: BLAS threads for small matrix products block each other as soon as anything else runs
+# Set before numpy is imported: BLAS threads for small matrix products block each other as soon as anything else runs
 # (measured: adjustments 10 to 100 times slower); large computations here use threads of their own.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
@@ -151,7 +151,7 @@ def run(
             result = run_scenario(spec, name, path.parent, options)
         if overrides or lab is not None:
             result = replace(result, record=with_changed(result.record, changed_keys(path, spec)))
-        # before anything is written: no full disk and no failing page loses the figures
+        # printed before anything is written, so that neither a full disk nor a failing page loses the figures
         _print_metrics(result.record)
         print_table(summary_table([result.record]))
         click.echo(f"{name}: {result.record.verdict}")
@@ -331,7 +331,7 @@ def schema(kind: str) -> None:
 
 def main() -> None:
     """Run the command line; known errors become one line and exit code 2."""
-    # a verb imports a million objects that stay: to look for garbage among them is a tenth of the time to start
+    # a verb imports a million permanent objects: searching them for garbage takes a tenth of the start time
     gc.set_threshold(50_000, 10, 10)
     try:
         cli(prog_name="mosca", standalone_mode=False)
@@ -352,7 +352,7 @@ def main() -> None:
     except (click.Abort, KeyboardInterrupt, SystemError) as error:
         if isinstance(error, SystemError) and not was_interrupted(error):
             raise
-        # the end of the process waits for threads and processes; one more Ctrl-C does not
+        # the end of the process waits for threads and processes; another Ctrl-C ends it at once
         signal.signal(signal.SIGINT, lambda *_: os._exit(EXIT_STOPPED))
         click.echo("mosca: stopped; nothing was left half written", err=True)
         sys.exit(EXIT_STOPPED)
@@ -373,7 +373,7 @@ def _removed_in_the_end(path: Path | None) -> Iterator[None]:
 
 
 def _outcome(metric: Any, scale: float) -> str:
-    """Return in words whether a metric is as it must be."""
+    """Return in words whether a metric meets its limit or range."""
     if metric.within is not None:
         low, high = (f"{scale * end:.4g}" for end in metric.within)
         inside = "met: in" if metric.passed else "broken as it must be: in"

@@ -1,4 +1,4 @@
-"""What several verbs have: options and their values, -v and -q, lines and tables on the terminal."""
+"""Parts that several verbs share: options and their values, -v and -q, lines and tables on the terminal."""
 
 import logging
 import math
@@ -14,7 +14,7 @@ from mosca.data.files.whole_file import check_folder, check_writable
 
 
 class Number(click.FloatRange):
-    """A finite number in a range: ``nan`` and ``inf`` are numbers to Python, and no lengths of time or rates."""
+    """A finite number in a range: ``nan`` and ``inf`` are numbers in Python, but no durations or rates."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Return the number, or fail as click does."""
@@ -30,11 +30,11 @@ class ScenarioName(click.Path):
     name = "scenario"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Return it as given: what it means is looked up by the verb."""
+        """Return the text unchanged: the verb resolves it."""
         return value
 
     def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
-        """Return names that begin so, in full or by their last part, and files."""
+        """Return files, and names that begin with ``incomplete`` as a whole or in their last part."""
         from scenarios.spec.catalog import built_in, scenario_name
 
         found = [
@@ -64,10 +64,10 @@ class ImageCount(click.ParamType):  # type: ignore[type-arg,unused-ignore]
 
 
 class OutFile(click.Path):
-    """A file to write: its place is tried while the command line is read, before any work."""
+    """A file to write: whether it can be written is tested while the command line is read, before any work."""
 
     def __init__(self, makes_folders: bool = False) -> None:
-        """``makes_folders``: the verb makes the folders above the file."""
+        """Set ``makes_folders``: whether the verb makes the folders above the file."""
         super().__init__(path_type=Path)
         self._makes_folders = makes_folders
 
@@ -82,7 +82,7 @@ class OutFile(click.Path):
 
 
 class OutFolder(click.Path):
-    """A folder to write into, tried in the same way."""
+    """A folder to write into, tested in the same way."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Return the path; InputError where no files can be written there."""
@@ -103,14 +103,14 @@ NOT_NEGATIVE = Number(min=0)
 ALL_IMAGES = 1 << 31
 IMAGES = ImageCount()
 EXIT_PASSED, EXIT_BROKEN, EXIT_ERROR = 0, 1, 2
-"""Codes of every verb: limits met; broken or not judged; an error in the input."""
+"""Exit codes of every verb: limits met; broken or not judged; an error in the input."""
 LOGGERS = ("mosca", "twin", "hardware", "scenarios")
 LEVELS = (logging.WARNING, logging.INFO, logging.DEBUG)
-"""Of no -v, one and two."""
+"""Log levels without -v, with -v and with -vv."""
 
 
 def log_to_stderr(verbose: int, quiet: bool) -> None:
-    """Send the packages' log to stderr: warnings, with -v stages, with -vv details, with -q errors alone."""
+    """Send the packages' log to stderr: warnings, with -v stages, with -vv details, with -q errors only."""
     if quiet and verbose:
         raise click.UsageError("-q and -v exclude each other; give one of them")
     handler = logging.StreamHandler()
@@ -138,7 +138,7 @@ def table(*headings: str, numbers: bool = True) -> Any:
 
 
 def print_table(shown: Any) -> None:
-    """Print what ``rich`` renders; a pipe gets whole lines instead of a guess at a terminal's width."""
+    """Print a renderable of ``rich``; a pipe gets whole lines instead of an assumed terminal width."""
     from rich.console import Console
 
     Console(width=None if sys.stdout.isatty() else 140).print(shown)

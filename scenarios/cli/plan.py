@@ -1,4 +1,4 @@
-"""The verb that plans where cameras are to stand: plan."""
+"""The verb that plans camera positions: plan."""
 
 import os
 import sys
@@ -44,7 +44,7 @@ def plan(volume: Path, verify: bool, evaluations: int, curve: bool, workers: int
 
 
 def _print(document: dict) -> None:  # type: ignore[type-arg]
-    """Print the curve, what is predicted, and what was simulated."""
+    """Print the curve, the predictions and the simulated values."""
     from reports.plan.page import curve_cells, plan_sentence, verified_rows
 
     share = f"{100 * document['quantile']:.0f} %"

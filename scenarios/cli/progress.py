@@ -1,4 +1,4 @@
-"""How far the work is: a bar on a terminal, a line every few seconds elsewhere; nothing with -q."""
+"""Progress of the work: a bar on a terminal, a line every few seconds elsewhere; nothing with -q."""
 
 import os
 import sys
@@ -12,20 +12,20 @@ import click
 from scenarios.run.interrupt import was_interrupted
 
 EVERY_S = 5.0
-"""From one line to the next where there is no terminal; a shorter piece of work prints none."""
+"""Time between lines where there is no terminal; shorter work prints none."""
 LATER = 0.05
-"""Share of the time so far from one line to the next, where that is more: hours of work do not fill a log."""
+"""Time between lines as a share of the elapsed time, if that is longer, so that hours of work do not fill a log."""
 SOME = 10
-"""Functions that are compiled in any run: small ones, which are not kept."""
+"""Number of functions that are compiled in any run: small ones, which are not cached."""
 FIRST_RUN = 345
-"""Functions that ``mosca run actor`` compiles after an installation; other work more or fewer."""
+"""Number of functions that ``mosca run actor`` compiles after an installation; other work compiles more or fewer."""
 BESIDE = 1.45 if (os.cpu_count() or 1) < 4 else 1.0
-"""Time until all is compiled over that of these functions: with few cores the processes beside are done later (185 s
+"""Time until all is compiled, over that of these functions: with few cores the parallel processes finish later (185 s
 and 128 s on two)."""
 
 
 def is_first_run() -> bool:
-    """Return whether no kernels are kept yet, so that all of them will be compiled."""
+    """Return whether no kernels are cached yet, so that all of them will be compiled."""
     from mosca.detection.frame_set_kernel import detect_frame_set
     from mosca.numba_support.cache import is_compiled
 
@@ -33,9 +33,9 @@ def is_first_run() -> bool:
 
 
 class Progress:
-    """A context that gives a function of (done, all) which tells how far it is; after Ctrl-C it says how far it was.
+    """A context that gives a function of (done, all) to report progress; after Ctrl-C it prints the progress reached.
 
-    What is compiled meanwhile is told as well: the first run after an installation takes minutes for it.
+    Compiled functions are reported as well, since the first run after an installation takes minutes for them.
     """
 
     def __init__(self, title: str) -> None:
@@ -81,17 +81,17 @@ class Progress:
         if was_interrupted(error):
             done, total = self._moved
             counted = f" at {done}" + ("" if total is None else f" of {total}")
-            if self._stage and self._moved == (0, None):  # nothing is counted in this stage
+            if self._stage and self._moved == (0, None):  # this stage has no count
                 counted = ""
             click.echo(f"{self._title}: stopped{counted}{self._stage}", err=True)
 
     def stage(self, name: str) -> None:
-        """Say what is being done from now on; what is counted begins anew."""
+        """Set the name of the stage that begins now; the count restarts."""
         self._stage = f", {name}"
         self._moved, self._first = (0, None), None
         if self._bar is not None:
             self._bar.reset(self._task)
-            self._bar.tasks[0].total = None  # None in a call leaves it as it is
+            self._bar.tasks[0].total = None  # None as an argument would not change it
 
     def _move(self, done: int, total: int | None) -> None:
         self._moved = done, total
@@ -105,14 +105,14 @@ class Progress:
         while not self._over.wait(max(EVERY_S, LATER * (time.monotonic() - self._begun_s))):
             if self._bar is None:
                 done, total = moved = self._moved
-                if moved != said or total is None or done < total:  # all done is said once
+                if moved != said or total is None or done < total:  # a completed count is printed once
                     click.echo(self.line(time.monotonic()), err=True)
                 said = moved
             else:
                 self._bar.update(self._task, description=self._title + self._stage + self._compiling())
 
     def line(self, now_s: float) -> str:
-        """Return in one line how far the work is at ``now_s`` [s, monotonic clock]."""
+        """Return the progress at ``now_s`` [s, monotonic clock] in one line."""
         done, total = self._moved
         waited = f"{self._title}: {now_s - self._begun_s:.0f} s{self._stage}"
         if not done:
@@ -127,7 +127,7 @@ class Progress:
         return f", about {(now_s - began_s) / (done - before) * (total - done):.0f} s left"
 
     def _compiling(self) -> str:
-        """Return what has been compiled, where that was more than when it was asked before."""
+        """Return a text on compiled functions if their number has grown since the last call; else ""."""
         count = 0 if self._compiled is None else self._compiled.functions
         before, self._told = self._told, count
         if count < SOME or count == before:

@@ -1,4 +1,4 @@
-"""The verb that streams what was measured before: replay."""
+"""The verb that streams earlier measurements: replay."""
 
 from pathlib import Path
 from typing import Any

@@ -21,7 +21,7 @@ LISTEN_HELP = "endpoint to listen on, with the address of the interface, e.g. tc
 
 
 def _trusted(command: Callable[..., None]) -> Callable[..., None]:
-    """Add the options that say whose messages are taken."""
+    """Add the options that select whose messages are accepted."""
     for option in (
         click.option(
             "--insecure",

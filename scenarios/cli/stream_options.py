@@ -1,4 +1,4 @@
-"""Options of the verbs that stream: where to, in which protocols, and which way is up."""
+"""Options of the verbs that stream: addresses, protocols, and the axis that points up."""
 
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
@@ -26,13 +26,13 @@ _KEYS: dict[str, dict[str, str]] = {
     "port": {"foxglove": "port"},
     "app_name": {"natnet": "name", "lsl": "name", "foxglove": "name"},
 }
-"""Option -> protocol that has it -> field of its settings."""
+"""Option -> protocol that has this option -> field of the protocol's settings."""
 
 
 def stream_options(default: str | None, address: str = "--address") -> Callable[[Any], Any]:
-    """Add --stream (``default``: without it) and what goes with it; ``stream_settings`` takes them out again.
+    """Add --stream (``default``: its default) and related options; ``stream_settings`` takes them out again.
 
-    ``address``: what the option is called that says where to serve.
+    ``address``: name of the option with the address to serve at.
     """
     options = (
         click.option(
@@ -71,7 +71,7 @@ def stream_options(default: str | None, address: str = "--address") -> Callable[
 
 
 def fault_options(command: Any) -> Any:
-    """Add --fault and --faults, of what is streamed."""
+    """Add --fault and --faults: faults of the streams."""
     command = click.option("--faults", type=FILE, help="TOML file of a stream's faults over time")(command)
     return click.option(
         "--fault", "fault", multiple=True, metavar="NAME[=VALUE][@AT_S[+FOR_S]]",
@@ -80,9 +80,9 @@ def fault_options(command: Any) -> Any:
 
 
 def stream_settings(given: dict[str, Any]) -> tuple[tuple["StreamSettings", ...], "UpAxis"]:
-    """Take the stream's options out of ``given``; return each stream's settings, and the axis up.
+    """Take the stream's options out of ``given``; return each stream's settings, and the axis that points up.
 
-    InputError where an option is given without a stream that has it, or cannot be.
+    InputError where an option is given without a stream that has it, or has an impossible value.
     """
     kinds, up = tuple(dict.fromkeys(given.pop("stream"))), given.pop("up")
     address = "stream_address" if "stream_address" in given else "address"

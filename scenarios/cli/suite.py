@@ -134,7 +134,7 @@ def suite(**given: Any) -> None:
         work.check_replicate(entries, replicate)
     outcomes = _outcomes(entries, options)
     stopped = [o.name for o in outcomes if o.error == work.STOPPED]
-    # before anything is written: no full disk loses the figures
+    # printed before anything is written, so that a full disk does not lose the figures
     print_table(summary_table([o.record for o in outcomes if o.record is not None]))
     sys.stdout.flush()
     if options.update_baselines and not stopped:

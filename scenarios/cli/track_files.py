@@ -1,4 +1,4 @@
-"""The verbs for files of tracks: tracks info, convert, page, ros2."""
+"""The verbs for files of tracks: tracks info, tracks convert, tracks page, tracks ros2."""
 
 from pathlib import Path
 

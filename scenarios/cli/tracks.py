@@ -1,4 +1,4 @@
-"""The verbs that make tracks and give them names: reconstruct, labels, zones."""
+"""The verbs that make tracks and name them: reconstruct, labels, bodies, zones."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -55,7 +55,7 @@ class ReconstructOptions:
 
 
 def _exclude(what: str, options: dict[str, object]) -> None:
-    """Raise InputError where one of ``options`` is given that does not go with ``what``."""
+    """Raise InputError where one of ``options`` is given that cannot be combined with ``what``."""
     for name, given in options.items():
         if given is not None:
             raise InputError(f"{name} does not go with {what}; leave one of them out")

@@ -1,1 +1,1 @@
-"""What the verbs do, without the command line."""
+"""The work of the verbs, without the command line."""

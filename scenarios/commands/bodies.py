@@ -1,4 +1,4 @@
-"""Rigid bodies from tracks files: their definition learned, their poses found."""
+"""Rigid bodies from tracks files: learning their definitions, finding their poses."""
 
 from pathlib import Path
 
@@ -22,7 +22,7 @@ POSES = (".csv", ".tum")
 def learn_from(path: Path, out: Path, bodies: tuple[str, ...], frames: str | None) -> list[str]:
     """Learn rigid bodies from the tracks in ``path``, write them to ``out`` and return the lines to print.
 
-    ``bodies``: ``NAME=TRACK,TRACK,...`` texts; ``frames``: ``FIRST:LAST``. InputError where that cannot be.
+    ``bodies``: ``NAME=TRACK,TRACK,...`` texts; ``frames``: ``FIRST:LAST``. InputError where these cannot be used.
     """
     if out.suffix.lower() != ".toml":
         raise InputError(f"{out}: suffix '{out.suffix}' given; definitions of bodies are a .toml file")
@@ -56,8 +56,8 @@ def find_in(
 ) -> list[str]:
     """Find the poses of the bodies of a file in the tracks of another, write them and return the lines to print.
 
-    ``out``: .csv for all bodies with covariance, or .tum for one; ``body``: which one; ``tracks_out``: the same
-    tracks, labelled by the bodies that they belong to.
+    ``out``: .csv for all bodies with covariance, or .tum for one; ``body``: the one for .tum; ``tracks_out``: file
+    for the same tracks, labelled by the bodies to which they belong.
     """
     if out.suffix.lower() not in POSES:
         raise InputError(f"{out}: suffix '{out.suffix}' given; poses are written as {' or '.join(POSES)}")

@@ -1,4 +1,4 @@
-"""The verbs for real calibrations: from a recording and a target file to a rig file and its page."""
+"""Calibration from real images: a rig file and its page from a recording and a target file."""
 
 import logging
 from collections.abc import Callable
@@ -54,7 +54,7 @@ class CalibrateOptions:
     overrides: tuple[str, ...] = ()
 
     def settings(self) -> EstimateSettings:
-        """Return what is estimated, and from which frame sets."""
+        """Return the settings of the estimate: free parameters, and frame sets used."""
         free = None if self.free is None else tuple(name.strip() for name in self.free.split(","))
         lens = LensChoice(self.lens or "mosca", self.pixel_pitch_mm)
         return EstimateSettings(
@@ -69,7 +69,7 @@ class CalibrateOptions:
         )
 
     def detection(self) -> DetectionSettings:
-        """Return the detection settings of balls; InputError for keys of other stages, and where nothing detects."""
+        """Return the detection settings of balls; InputError for keys of other stages, and without a detection."""
         for text in self.overrides:
             if not text.startswith("detection."):
                 raise InputError(f"--set {text}: a calibration has the settings of detection.KEY=VALUE alone")
@@ -77,9 +77,9 @@ class CalibrateOptions:
 
 
 def calibrate(request: CalibrateOptions, progress: Callable[[int, int | None], None]) -> list[str]:
-    """Calibrate, write the rig and its page, and return what to report, a line each.
+    """Calibrate, write the rig and its page, and return the lines to print.
 
-    A calibration that must not be used writes its page and its record alone and raises CalibrationError.
+    For a calibration that must not be used, only page and record are written, and CalibrationError is raised.
     """
     settings = request.settings()
     out = request.out
@@ -126,7 +126,7 @@ def calibrate(request: CalibrateOptions, progress: Callable[[int, int | None], N
 
 
 def summary_lines(calibration: Calibration) -> list[str]:
-    """Return a calibration in a few lines: precision of each camera, and what must be known."""
+    """Return a summary of a calibration in a few lines: precision of each camera, and warnings."""
     size = f"{len(calibration.sightings)} image points, {int((~calibration.used).sum())} left out"
     lines = [f"{calibration.target}: {size}; sigma0 {calibration.sigma0:.2f}, scale from {calibration.scaled_by}"]
     if calibration.body_px:

@@ -1,4 +1,4 @@
-"""``mosca clinic``: a recording or a run folder, with what lies in it, and the likeliest cause of its fault."""
+"""``mosca clinic``: the likeliest cause of the fault in a recording or a run folder, from the files in it."""
 
 import json
 from collections.abc import Mapping
@@ -32,7 +32,7 @@ from scenarios.run.take_files import POSES_FILE, RECORD_FILE, RIG_FILE, TRACKS_F
 
 @dataclass(frozen=True)
 class ClinicRequest:
-    """Arguments of ``mosca clinic``; ``rig``, ``tracks`` and ``calibration`` None: what lies in the take."""
+    """Arguments of ``mosca clinic``; ``rig``, ``tracks`` and ``calibration`` None: the files in the take."""
 
     take: Path
     rig: Path | None = None
@@ -43,9 +43,9 @@ class ClinicRequest:
 
 
 def clinic_of(request: ClinicRequest) -> ClinicReport:
-    """Return what is wrong with a take: its frames with the rig, its tracks, its bodies' poses, its records.
+    """Return the report on a take, from its frames with the rig, its tracks, its bodies' poses and its records.
 
-    InputError where there is nothing to look at, or frames without a rig.
+    InputError where there is nothing to examine, or frames without a rig.
     """
     path = request.take
     if not path.exists():
@@ -83,7 +83,7 @@ def _take_report(request: ClinicRequest, rig_file: Path | None) -> ClinicReport:
 
 
 def health_report(path: Path, period_s: float | None) -> ClinicReport:
-    """Return what the record of a run says of its cameras; ``period_s``: between its frames, None: not known."""
+    """Return the report on a run's cameras from its record; ``period_s``: time between frames, None: unknown."""
     cameras = [_health(name, values) for name, values in read_record(path).cameras.items()]
     if not cameras:
         return ClinicReport((), ())
@@ -102,9 +102,9 @@ def _health(name: str, values: Mapping[str, Any]) -> CameraHealth:
 
 
 def with_calibration(report: ClinicReport, path: Path) -> ClinicReport:
-    """Return a report with what the calibration's record at ``path`` warned of.
+    """Return a report with the warnings in the calibration's record at ``path``.
 
-    A warning adds to the evidence of its cause; where the take shows no such cause, it ranks last.
+    A warning is added to the evidence of its cause. A cause that the take does not show ranks last.
     """
     record = read_calibration_record(path)
     findings = [Finding(one.code, one.severity, one.message, one.camera) for one in record.findings]

@@ -1,8 +1,8 @@
-"""``mosca demo lab``: what a lab would have after a day's work, from the twin; the truth lies apart.
+"""``mosca demo lab``: the data of a lab after a day's work, made by the twin; the truth is kept apart.
 
-A calibration session as folders of images and a take as ``mosca capture`` records it, with the files that describe
-the target, and a scenario that judges what is reconstructed. Commands that calibrate, reconstruct and judge stand in
-the lab's README.md; they know nothing of the twin.
+The lab has a calibration session as folders of images, a take as recorded by ``mosca capture``, the files that
+describe the target, and a scenario that judges the reconstruction. The commands that calibrate, reconstruct and judge
+are in the lab's README.md; they do not use the twin.
 """
 
 from collections.abc import Callable
@@ -28,15 +28,15 @@ from scenarios.spec.scenario import Scenario
 from twin.cameras.virtual_camera import VirtualCamera
 
 NOT_OF_THE_TAKE = {"premises", "skeleton", "breaks", "told", "calibration"}
-"""Tables of a scenario that are not about the frames of its take, or about the rig that is to be found."""
+"""Tables of a scenario that do not concern the frames of its take, or that concern the rig to be calibrated."""
 NEEDS_COVARIANCE = {"nees", "coverage95", "calibration_volume_rms", "calibration_rays_rms"}
-"""Limits on what only a calibration in the same run knows: its own covariance, its errors."""
+"""Limits on values that only a calibration in the same run has: its own covariance, its errors."""
 Progress = Callable[[int, int | None], None]
 
 
 @dataclass(frozen=True)
 class DemoLab:
-    """What was written: ``commands`` (n) in their order, as they stand in the lab's README."""
+    """A written lab: ``commands`` (n) in their order, as in the lab's README."""
 
     folder: Path
     images: int
@@ -47,16 +47,16 @@ class DemoLab:
 def write_demo_lab(
     spec: Scenario, source_folder: Path, out: Path, workers: int, progress: Progress | None = None
 ) -> DemoLab:
-    """Render the calibration session and the take of ``spec`` into the folder ``out``; it appears when it is whole.
+    """Render the calibration session and the take of ``spec`` into the folder ``out``, which appears when whole.
 
     Parameters
     ----------
     spec
         A scenario with a ``[calibration]``.
     source_folder
-        That its files are relative to.
+        Folder to which its file names are relative.
     out
-        A folder that is not there yet.
+        A folder that does not exist yet.
     workers
         Rendering threads.
     progress
@@ -107,7 +107,7 @@ def write_demo_lab(
 
 
 def _sessions(spec: Scenario) -> dict[str, Session[Any]]:
-    """Return what is put before the cameras, by the name of its folder, in the order in which it is recorded."""
+    """Return the sessions before the cameras, by the name of their folder, in the order of recording."""
     assert spec.calibration is not None
     target = spec.calibration.target
     sessions: dict[str, Session[Any]] = {target: target_session(spec, spec.calibration)}
@@ -139,9 +139,9 @@ def _commands(out: Path, sessions: list[str], cameras: tuple[VirtualCamera, ...]
 
 
 def _check_toml(spec: Scenario, source_folder: Path) -> str:
-    """Return a scenario that judges the take, measured with the rig file that is calibrated beside it.
+    """Return a scenario that judges the take, measured with the rig file of the calibration beside it.
 
-    Files that the scene is made of stay where they are, in ``source_folder``.
+    The files of the scene are not copied; they stay in ``source_folder``.
     """
     document = spec.model_dump(mode="json", exclude_unset=True, exclude=NOT_OF_THE_TAKE)
     document["title"] = f"{spec.title} (from this lab's images)"

@@ -1,4 +1,4 @@
-"""What a rig file says about its cameras, and what in it cannot be right."""
+"""Description of the cameras in a rig file, and of implausible values in it."""
 
 from itertools import combinations
 from pathlib import Path
@@ -13,14 +13,14 @@ from mosca.data.rig import Camera, Rig
 from scenarios.build.cameras import overlap_of
 
 FARTHEST_APART_M = 50.0
-"""Median distance of two cameras above which a rig is taken to be in millimetres: halls are smaller, and cameras that
-are 50 mm apart rarely make a rig."""
+"""Median distance of two cameras above which a rig is taken to be in millimetres: halls are smaller, and cameras 50
+mm apart rarely make a rig."""
 SAME_PLACE = 1e-6
-"""Distance over the median distance of two cameras, and difference of their rotations, of one pose stated twice."""
+"""Bound for one pose stated twice: distance over the median distance of two cameras, and difference of rotations."""
 
 
 def describe_rig(path: Path) -> list[str]:
-    """Return what a rig's cameras are, how far their views overlap, and what cannot be right, a line each."""
+    """Return lines on a rig's cameras, the overlap of their views, and implausible values."""
     rig = read_rig(path)
     lines = [
         f"{c.name}: {c.lens.model} lens, {c.width} x {c.height} px, {_view(c)}, at "
@@ -36,7 +36,7 @@ def describe_rig(path: Path) -> list[str]:
 
 
 def _view(camera: Camera) -> str:
-    """Return how wide a camera sees, from the middles of its image's edges."""
+    """Return a camera's field of view in words, from the middles of its image's edges."""
     middle_x, middle_y = (camera.width - 1) / 2, (camera.height - 1) / 2
     edges = np.array([[0, middle_y], [camera.width - 1, middle_y], [middle_x, 0], [middle_x, camera.height - 1]])
     v = lens_directions(camera.lens, edges)
@@ -53,7 +53,7 @@ def _distances(rig: Rig) -> Array:
 
 
 def _overlaps(rig: Rig) -> Array:
-    """Return the share (n, n) of each camera's view that another one can see; NaN for two at one place."""
+    """Return the share (n, n) of each camera's view that another camera can see; NaN for two at one position."""
     distance = _distances(rig)
     share = np.full(distance.shape, np.nan)
     for k, camera in enumerate(rig.cameras):
@@ -92,9 +92,9 @@ def _units(rig: Rig) -> list[str]:
 
 
 def _apart(rig: Rig, share: Array) -> list[str]:
-    """Return which cameras have no common field of view with the others, directly or by way of third ones."""
+    """Return lines on cameras that share no field of view with the others, directly or through third cameras."""
     joined = np.nan_to_num(share) > 0
-    # two at one place are not told apart by their overlap
+    # two cameras at one position cannot be judged by their overlap
     count, group_of = connected_components(joined | joined.T | np.isnan(share), directed=False)
     if count < 2:
         return []

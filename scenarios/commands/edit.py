@@ -1,4 +1,4 @@
-"""Takes edited by a file of operations, and their edits undone."""
+"""Editing of takes by a file of operations, and undoing of edits."""
 
 from functools import partial
 from pathlib import Path
@@ -17,7 +17,7 @@ MOTION = ".bvh"
 
 
 def edit_take(path: Path, edits_path: Path, out: Path, fps: float | None, metres_per_unit: float) -> list[str]:
-    """Do the edits of a file to the tracks or the motion in ``path``, write ``out``; return the lines to print."""
+    """Apply the edits of a file to the tracks or the motion in ``path``, write ``out``; return the lines to print."""
     form = _format(path, out, fps, metres_per_unit)
     edits = form.read_edits(edits_path)
     before = read_edited(path, form)
@@ -29,7 +29,7 @@ def edit_take(path: Path, edits_path: Path, out: Path, fps: float | None, metres
 
 
 def undo_take(path: Path, last: int | None, out: Path, fps: float | None, metres_per_unit: float) -> list[str]:
-    """Undo the ``last`` edits of ``path``, all for None, and write ``out``; return the lines to print."""
+    """Undo the ``last`` edits of ``path`` (None: all) and write ``out``; return the lines to print."""
     form = _format(path, out, fps, metres_per_unit)
     before = read_edited(path, form)
     there = len(before.edits)
@@ -49,7 +49,7 @@ def _written(edited: Edited[Any], out: Path, whole: bool) -> str:
 
 
 def _format(path: Path, out: Path, fps: float | None, metres_per_unit: float) -> TakeFormat[Any]:
-    """Return how ``path`` is read and ``out`` written; InputError where one is tracks and the other a motion."""
+    """Return the format to read ``path`` and write ``out``; InputError where one is tracks and the other a motion."""
     if path.suffix.lower() == MOTION:
         if out.suffix.lower() != MOTION:
             raise InputError(f"{out}: suffix '{out.suffix}' given; a motion is written as {MOTION}")

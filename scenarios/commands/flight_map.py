@@ -27,11 +27,11 @@ LEAST_SECONDS = 1.0
 
 
 class FlightOutcome(NamedTuple):
-    """Of one flight."""
+    """Outcome of one flight."""
 
     crashed: bool
     rms_m: float
-    """Off the path; NaN where it crashed before it was scored."""
+    """Rms distance from the path; NaN where the flight crashed before it was scored."""
 
 
 @dataclass(frozen=True)
@@ -41,11 +41,12 @@ class MapCell:
     latency_s: float
     dropout: float
     age_s: float
-    """Mean age of what acts: latency, time since the newest pose, half a control period, command."""
+    """Mean age of the pose behind the acting command: latency, time since the newest pose, half a control period,
+    command."""
     runs: int
     crashes: int
     crash_ci95: tuple[float, float]
-    """Wilson interval of the share that crashes."""
+    """Wilson interval of the share of flights that crash."""
     rms_m: float
     """Root mean square over the flights that did not crash; NaN where all did."""
     rms_ci95: tuple[float, float]
@@ -60,16 +61,16 @@ class MapOptions:
     """Mean delays from mid-exposure to arrival [s]."""
     dropout: tuple[float, ...]
     runs: int
-    """Flights a cell."""
+    """Number of flights in each cell."""
     seconds: float
-    """Scored flight of each [s]."""
+    """Scored length of each flight [s]."""
     workers: int
     out: Path | None
     plot: Path | None
     overrides: tuple[str, ...]
 
     def run(self, progress: Callable[[int, int | None], None]) -> list[str]:
-        """Fly, write what is asked for, and return the lines to print."""
+        """Fly, write the requested files, and return the lines to print."""
         path = find(self.scenario)
         spec = load_scenario(path, self.overrides)
         if spec.flight is None:
@@ -113,7 +114,7 @@ class MapOptions:
 
 
 def cell_of(spec: Scenario, outcomes: Sequence[FlightOutcome]) -> MapCell:
-    """Return what the flights of one setting give."""
+    """Return the cell of the flights with one setting."""
     assert spec.flight is not None
     latency_s = spec.flight.delay_s(spec.capture.exposure_s)
     age_s = latency_s + mean_age_s(1 / spec.capture.frame_rate_hz, spec.flight.dropout)
@@ -131,15 +132,16 @@ def cell_of(spec: Scenario, outcomes: Sequence[FlightOutcome]) -> MapCell:
 
 
 def wilson95(count: int, n: int) -> tuple[float, float]:
-    """Return the 95 % interval of a share of which ``count`` of ``n`` were seen (Wilson 1927)."""
+    """Return the 95 % interval of a share that was observed in ``count`` of ``n`` cases (Wilson 1927)."""
     found = binomtest(count, n).proportion_ci(0.95, method="wilson")
     return float(found.low), float(found.high)
 
 
 def margin_of(spec: Scenario, sigma_m: float) -> float:
-    """Return the delay from which on the linear loop is unstable whose filter does not know of it [s].
+    """Return the delay [s] above which the linear loop is unstable if its filter does not account for the delay.
 
-    ``sigma_m``: of a pose's position, an axis. With prediction: infinite, since the filter knows.
+    ``sigma_m``: standard deviation of a pose's position on each axis. With prediction the margin is infinite, since
+    the filter accounts for the delay.
     """
     assert spec.flight is not None
     if spec.flight.compensate:
@@ -151,7 +153,7 @@ def margin_of(spec: Scenario, sigma_m: float) -> float:
 
 
 def described(spec: Scenario, cells: Sequence[MapCell], sigma_m: float) -> list[str]:
-    """Return the lines to print: cell by cell, and what goes with the figures."""
+    """Return the lines to print: a line for each cell, and remarks on the figures."""
     assert spec.flight is not None
     lines = [f"sigma of a pose's position at the centre: {1e3 * sigma_m:.3g} mm (3D, from the rig's geometry)"]
     lines.append("latency  dropout  age      crashed                rms off the path")

@@ -49,7 +49,7 @@ class IdentifyOptions:
     delay: float
 
     def run(self, progress: Report) -> list[str]:
-        """Identify, write what is asked for, and return the lines to print; InputError where that cannot be."""
+        """Identify, write the requested files, and return the lines to print; InputError where that is impossible."""
         for path, suffix in ((self.out, ".json"), (self.plot, ".svg")):
             if path is not None:
                 if path.suffix.lower() != suffix:
@@ -113,7 +113,7 @@ class IdentifyOptions:
 
 
 def described(one: IdentifiedOutput, model: IdentifiedModel) -> list[str]:
-    """Return the lines that say what was found of an output."""
+    """Return the lines on the identified model of an output."""
     estimate, n = one.estimate, one.order
     value, half = estimate.quantities, (estimate.intervals[:, 1] - estimate.intervals[:, 0]) / 2
     tried = ", ".join(f"{rms:.3g}" for rms in one.held_out_rms)
@@ -135,7 +135,7 @@ def described(one: IdentifiedOutput, model: IdentifiedModel) -> list[str]:
 
 
 def second_opinion(model: IdentifiedModel) -> list[str]:
-    """Return the line of the eigensystem realization."""
+    """Return the line on the eigensystem realization."""
     poles = ", ".join(
         f"{p.real:.4f}" + (f"{p.imag:+.4f} i" if abs(p.imag) > 1e-12 else "")
         for p in sorted(model.realization.poles, key=lambda p: -abs(p))

@@ -27,8 +27,8 @@ from scenarios.run.interrupt import between_steps
 def learn_from(path: Path, out: Path, names: tuple[str, ...], limbs: tuple[str, ...], frames: str | None) -> str:
     """Learn a marker model from the tracks in ``path`` and write it to ``out``; return the line to print.
 
-    ``names``: ``TRACK=LABEL`` texts, ``limbs``: ``LIMB=LABEL,LABEL,...``, ``frames``: ``FIRST:LAST``. Where tracks
-    are named here, only these are learned from. InputError where that cannot be.
+    ``names``: ``TRACK=LABEL`` texts, ``limbs``: ``LIMB=LABEL,LABEL,...``, ``frames``: ``FIRST:LAST``. Where ``names``
+    has tracks, only these are used. InputError where the arguments cannot be used.
     """
     if out.suffix.lower() != ".toml":
         raise InputError(f"{out}: suffix '{out.suffix}' given; a marker model is a .toml file")
@@ -149,7 +149,7 @@ def rate_of(tracks: Tracks, fps: float | None, path: Path) -> float:
 
 
 def between(tracks: Tracks, frames: str) -> Tracks:
-    """Return the samples of the frames ``FIRST:LAST``, ends included; InputError where that is none."""
+    """Return the samples of the frames ``FIRST:LAST``, ends included; InputError where there are none."""
     first, colon, last = frames.partition(":")
     if not colon or not first.isdecimal() or not last.isdecimal() or int(first) > int(last):
         raise InputError(f"--frames {frames}: FIRST:LAST is wanted, for example --frames 100:400")

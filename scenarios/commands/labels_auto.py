@@ -36,8 +36,8 @@ def label_auto(
     """Name the tracks in ``path`` by a template, write them to ``out`` and return the lines to print.
 
     ``set_name``: a set of the template that comes with mosca, "face", or a file of a template or a surface model.
-    ``static``: a labelled take of the same person and markers. ``model``: where to write this person's marker model;
-    ``probabilities``: those of the labels, sample by sample. InputError where that cannot be.
+    ``static``: a labelled take of the same person and markers. ``model``: file for this person's marker model;
+    ``probabilities``: file for those of the labels, sample by sample. InputError where these cannot be used.
     """
     check_tracks_file(out)
     for file, what, suffix in (
@@ -78,7 +78,7 @@ def label_auto(
 
 
 def _in_the_sets_names(done: AutomaticLabels, template: MarkerTemplate) -> AutomaticLabels:
-    """Return labels as the set that was found calls them."""
+    """Return labels with the names of the set that was found."""
     called = dict(zip(template.names, template.called(done.set_name), strict=True))
     names = np.array([called.get(name, name) for name in done.tracks.label.tolist()], dtype=np.str_)
     return replace(done, tracks=replace(done.tracks, label=names))

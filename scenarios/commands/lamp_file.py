@@ -32,7 +32,7 @@ class LampFile(Table):
 
 
 def read_lamps(path: Path, rig: Rig) -> tuple[tuple[str, ...], Lamps]:
-    """Return the cameras of known pose and all cameras' lamps, in the rig's order; InputError in one line."""
+    """Return the cameras with known poses, and all cameras' lamps in the rig's order; InputError in one line."""
     file = check(LampFile, read_toml(path), path)
     for name in (*file.known, *(one.camera for one in file.lamp)):
         if name not in rig.names:

@@ -1,4 +1,4 @@
-"""``mosca live``: a run that keeps up with its source, reports each second, and writes tracks while it runs."""
+"""``mosca live``: a run at the pace of its source that reports each second and writes tracks while it runs."""
 
 import threading
 import time
@@ -38,7 +38,7 @@ EVERY_S = 1.0
 
 @dataclass
 class _Second:
-    """What happened since the last line."""
+    """Counts since the last line."""
 
     start: float
     sets: int = 0
@@ -48,7 +48,7 @@ class _Second:
     tracks: set[int] = field(default_factory=set)
 
     def line(self, now: float, elapsed: float, skipped: int) -> str:
-        """Return it as a line; ``skipped``: frame sets left out so far."""
+        """Return the counts as a line; ``skipped``: frame sets left out so far."""
         if not self.sets:
             return f"{elapsed:4.0f} s: nothing came, {skipped - self.skipped} sets dropped"
         p50, p99 = 1e3 * np.quantile(self.latency, [0.5, 0.99])
@@ -62,7 +62,8 @@ class _Second:
 def run_live_command(options: LiveOptions, report: Callable[[str], None]) -> list[str]:
     """Run live until the source ends, ``seconds`` are over or Ctrl-C; return the lines of the summary.
 
-    ``report`` is called with a line each second. Tracks are written on the way; the record holds each stage's times.
+    ``report`` is called with a line each second. Tracks are written during the run; the record has each stage's
+    times.
     """
     if options.record is not None and options.record.suffix.lower() != ".json":
         raise InputError(f"{options.record}: suffix '{options.record.suffix}' given; a record is a .json file")
@@ -84,7 +85,7 @@ def run_live_command(options: LiveOptions, report: Callable[[str], None]) -> lis
         stream = stack.enter_context(LiveStream(options, source, person)) if options.stream else None
         for note in (*source.notes, *(() if stream is None else (stream.where,))):
             report(note)
-        warm_up()  # a compiler's seconds would count as latency
+        warm_up()  # compilation would count as latency
         if smoother is not None:
             FixedLag(LagSettings(lag=1)).step(0, _one_sample())
         assembly, health = (Assembly(), Health.of(source.rig, source.settings.match))
@@ -120,9 +121,9 @@ def run_live_command(options: LiveOptions, report: Callable[[str], None]) -> lis
 
 @dataclass(frozen=True)
 class _Sinks:
-    """What the samples of a live run go through.
+    """Consumers of the samples of a live run.
 
-    In this order: stream, virtual objects, smoother, person, viewer, log; a stream with a person comes after it.
+    Their order is: stream, virtual objects, smoother, person, viewer, log; a stream with a person comes after it.
     """
 
     smoother: FixedLag | None
@@ -133,7 +134,7 @@ class _Sinks:
     stream: LiveStream | None = None
 
     def take(self, step: Step) -> tuple[Step, Samples]:
-        """Return a step with the times that this took, and the samples that left the smoother."""
+        """Pass a step on; return it with the times that this took, and the samples that left the smoother."""
         seconds, start = dict(step.seconds), time.perf_counter()
         samples = step.samples
         poses: list[LivePose] = []
@@ -167,12 +168,12 @@ class _Sinks:
         return replace(step, seconds=seconds), samples
 
     def flush(self) -> None:
-        """Hand what was written to the operating system."""
+        """Flush written data to the operating system."""
         if self.log is not None:
             self.log.flush()
 
     def rest(self) -> None:
-        """Take what the smoother still holds."""
+        """Take the samples that the smoother still holds."""
         if self.smoother is None:
             return
         samples = self.smoother.rest()
@@ -182,7 +183,7 @@ class _Sinks:
 
 
 class _Steps:
-    """The steps of a live run; a context that ends the source, at Ctrl-C as well."""
+    """The steps of a live run; a context that ends the source, also after Ctrl-C."""
 
     def __init__(
         self, source: LiveSource, assembly: Assembly, health: Health, sensors: Sensors, options: LiveOptions
@@ -205,7 +206,7 @@ class _Steps:
         self._ctrl_c.__exit__(None, None, None)
 
     def end(self) -> None:
-        """End the source; what it has sent is still followed unless the caller checks ``over``."""
+        """End the source; frames already sent are still followed unless the caller checks ``over``."""
         self.over.set()
         self._source.stop()
 
@@ -213,12 +214,12 @@ class _Steps:
 def _follow(
     steps: _Steps, assembly: Assembly, sinks: _Sinks, options: LiveOptions, report: Callable[[str], None]
 ) -> tuple[dict[str, list[float]], float]:
-    """Follow the run to its end; return each stage's times, ``latency`` their sum, and how long it took."""
+    """Follow the run to its end; return each stage's times, ``latency`` their sum, and the duration."""
     stages: dict[str, list[float]] = {"latency": []}
     begin = time.perf_counter()
     second = _Second(begin)
     for step in steps.steps:
-        if steps.count == 0:  # the source needed its time to start
+        if steps.count == 0:  # the start of the source took time
             begin = second.start = time.perf_counter()
         steps.count += 1
         step, samples = sinks.take(step)
@@ -285,7 +286,7 @@ def _record(
     watched: tuple[Health, Sensors],
     log: TracksLog | None,
 ) -> RunRecord:
-    """Return the record: counts, how each camera did, and for each stage mean, 99 % and most of its times [s]."""
+    """Return the record: counts, health of each camera, and mean, 99 % and largest of each stage's times [s]."""
     health, sensors = watched
     learned = {one.name: sensor_record(one) for one in sensors.cameras()}
     timings = {"total": elapsed, "health_mean": health.seconds / max(sets, 1)}

@@ -28,8 +28,8 @@ from scenarios.commands.skeleton_words import check_bodies
 class LivePerson:
     """A subject in a live run.
 
-    ``labels``: of its markers; ``example``: its joints in a pose of the take that it was fitted to, None where the
-    model has too few markers for one.
+    ``labels``: those of its markers; ``example``: its joints in a pose of the take to which it was fitted, None where
+    the model has too few markers for one.
     """
 
     def __init__(self, path: Path, joints: Path | None, stack: ExitStack) -> None:
@@ -42,7 +42,7 @@ class LivePerson:
         kinematics = Kinematics(subject.model, subject.parameters)
         kinematics.pose(subject.q)
         tracker = SkeletonTracker(subject)
-        # compiles what would else count as latency
+        # compiles functions whose compilation would else count as latency
         solution = tracker.step(kinematics.markers(), np.zeros((len(self.labels), 3, 3)))
         self.example = None if solution is None else tracker.joints_at(solution, 0, 0)
         self._live = stack.enter_context(LiveSkeleton(subject, background=True))
@@ -51,11 +51,11 @@ class LivePerson:
         self._first_ns = self._found_ns = None  # type: int | None
 
     def measured_by(self, rig: Rig) -> None:
-        """Tell the cameras whose shake is told apart from the markers' own errors."""
+        """Set the cameras, whose shake is separated from the markers' own errors."""
         self._live.rig = rig
 
     def step(self, samples: Samples) -> tuple[list[LivePose], Mapping[tuple[int, int], str]]:
-        """Follow the frames of ``samples`` that are later than those before; return poses, and the labels."""
+        """Follow the frames of ``samples`` that are later than earlier ones; return poses, and the labels."""
         poses = []
         label_of: dict[tuple[int, int], str] = {}
         for frame in np.unique(samples.frame[samples.frame > self._frame]).tolist():
@@ -76,7 +76,7 @@ class LivePerson:
         return poses, label_of
 
     def finish(self) -> list[str]:
-        """Write what is left; return the lines to print."""
+        """Write the remaining poses; return the lines to print."""
         if self._found_ns is None or self._first_ns is None:
             lines = ["skeleton: the person was not found; is the whole body seen, with the markers of the fit?"]
         else:
@@ -92,7 +92,7 @@ class LivePerson:
 
 
 class LiveShow:
-    """Points and bones of a live run in Rerun: in a file every frame, in the viewer some a second."""
+    """Points and bones of a live run in Rerun: every frame in a file, some frames a second in the viewer."""
 
     def __init__(self, options: LiveOptions, rig: Rig, stack: ExitStack) -> None:
         self._file = None if options.rrd is None else stack.enter_context(RerunLog(options.rrd, rig))
@@ -104,13 +104,13 @@ class LiveShow:
 
     @property
     def logs(self) -> tuple[RerunLog, ...]:
-        """The file and the viewer, where there are."""
+        """The logs of the file and the viewer, those that exist."""
         return tuple(log for log in (self._file, self._viewer) if log is not None)
 
     def show(
         self, frame: int, time_ns: int, samples: Samples, poses: list[LivePose], step: Step | None = None
     ) -> None:
-        """Log the samples of one frame, and the poses; of ``step`` images and detections where they are due."""
+        """Log the samples of one frame and the poses; if images are due, also images and detections of ``step``."""
         logs = [] if self._file is None else [self._file]
         now = time.monotonic()
         if self._viewer is not None and self._closed is None and now >= self._due:
@@ -135,10 +135,10 @@ class LiveShow:
     def _images_of(
         self, step: Step | None, time_ns: int
     ) -> tuple[Mapping[str, Array] | None, Mapping[str, Detections] | None]:
-        """Return the images of a step and what was detected in them, where some are due by the frames' clock."""
+        """Return the images of a step and the detections in them, where images are due by the frames' clock."""
         if step is None or time_ns < self._images_due_ns or not np.isfinite(self._images_each_ns):
             return None, None
-        # from the instant at which they were due: else a rate that is no divisor of the frame rate would fall behind
+        # counted from the due instant: else a rate that is no divisor of the frame rate would fall behind
         late_ns = time_ns - self._images_due_ns
         self._images_due_ns += self._images_each_ns
         if not late_ns < self._images_each_ns:
@@ -148,7 +148,7 @@ class LiveShow:
 
 
 def check_show(options: LiveOptions) -> None:
-    """Raise InputError for options of a person without one, and for a recording that cannot be written."""
+    """Raise InputError for options of a person if none is given, and for a recording that cannot be written."""
     if options.joints is not None and options.skeleton is None:
         raise InputError(f"--joints {options.joints}: whose joints? give --skeleton with what 'skeleton fit' wrote")
     if options.images and options.rrd is None and not options.view:

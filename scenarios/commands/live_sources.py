@@ -1,4 +1,4 @@
-"""Sources that come at their own pace: devices, recordings and scenarios played as if they were filmed now."""
+"""Sources with their own pace: devices, and recordings and scenarios that are played as if they were filmed now."""
 
 import os
 import threading
@@ -28,7 +28,7 @@ from scenarios.spec.scenario import load_scenario
 from twin.scenes.scene import Scene
 
 MEMORY_BYTES = 1 << 30
-"""How much of a scenario's frames is rendered beforehand."""
+"""Most bytes of a scenario's frames that are rendered beforehand."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class LiveOptions:
     rrd: Path | None = None
     view: bool = False
     images: int = 0
-    """Frame sets a second whose images are shown."""
+    """Number of frame sets a second whose images are shown."""
     virtual: Path | None = None
     bodies: Path | None = None
     bind: tuple[str, ...] = ()
@@ -60,15 +60,15 @@ class LiveOptions:
     display_delay: float | None = None
     horizon: float | None = None
     stream: tuple[StreamSettings, ...] = ()
-    """Serve markers and bodies there."""
+    """Streams that serve markers and bodies."""
     up: UpAxis = "z"
-    """Of the stream."""
+    """Upward axis of the stream."""
     workers: int | None = None
     """Rendering threads of a scenario; default: all cores."""
 
 
 class PacedFrames:
-    """Frames of a source, each when it is due: by its time, ``speed`` times as fast. ``stop`` ends it at once."""
+    """Frames of a source, each yielded when it is due by its time, at ``speed``. ``stop`` ends this at once."""
 
     def __init__(self, cameras: tuple[CameraInfo, ...], frames: Iterable[Frame], speed: float = 1.0) -> None:
         self.cameras = cameras
@@ -77,7 +77,7 @@ class PacedFrames:
         self._begin: tuple[float, int] | None = None
 
     def session_ns(self, host_ns: int) -> int | None:
-        """Return a host time (monotonic) in the frames' clock [ns]; None before the first frame.
+        """Return a host time (monotonic) on the frames' clock [ns]; None before the first frame.
 
         A frame is due at the middle of its exposure, as if readout and transport took no time.
         """
@@ -115,9 +115,10 @@ class PacedFrames:
 
 @dataclass(frozen=True, eq=False)
 class LiveSource:
-    """What a live run reads: frames, rig, settings; ``stop`` ends it; ``notes``: lines to print.
+    """Input of a live run: frames, rig, settings; ``stop`` ends it; ``notes``: lines to print.
 
-    ``session_ns``: host time (monotonic) -> the frames' clock [ns], None while not known. ``scene``: the twin's.
+    ``session_ns``: host time (monotonic) -> time on the frames' clock [ns], None while unknown. ``scene``: that of
+    the twin.
     """
 
     frames: FrameSource
@@ -130,7 +131,7 @@ class LiveSource:
 
 
 def opened_live(options: LiveOptions, stack: ExitStack) -> LiveSource:
-    """Open hardware:RIG.toml, recording:DIR or a scenario; InputError for another, and for options it cannot have."""
+    """Open hardware:RIG.toml, recording:DIR or a scenario; InputError for other sources and unsuitable options."""
     source = options.source
     kind, colon, place = source.partition(":")
     if colon and not place:

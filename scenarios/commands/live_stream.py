@@ -29,7 +29,7 @@ class LiveStream:
     """Serves each frame set's markers, the poses of bodies and a person's skeleton and joint angles; a context.
 
     Bodies are those of ``--bodies``, or a scenario's own; markers have the labels of ``person``, if there is one.
-    ``where``: a line that says where it serves.
+    ``where``: a line with the addresses of the server.
     """
 
     def __init__(self, options: LiveOptions, source: LiveSource, person: LivePerson | None = None) -> None:
@@ -82,14 +82,14 @@ class LiveStream:
         self._server.send(made, mid_ns, now)
 
     def _host_ns(self, time_ns: int, now_ns: int) -> int:
-        """Return a time of the frames' clock in host time; that clock runs straight from a second ago to now."""
+        """Return a time of the frames' clock as host time, by a linear relation from a second ago to now."""
         at, before = self._session_ns(now_ns), self._session_ns(now_ns - 1_000_000_000)
         if at is None or before is None:
             return now_ns
         return now_ns - round((at - time_ns) * 1e9 / (at - before))
 
     def finish(self) -> list[str]:
-        """End serving and return what became of it as lines."""
+        """End serving and return its account as lines."""
         self._server.close()
         return [f"stream: {line}" for line in (f"{self._server.frames} frames", *self._server.lines())]
 

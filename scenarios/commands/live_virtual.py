@@ -28,30 +28,30 @@ from scenarios.virtual.scene import Placement, VirtualScene
 
 DISPLAY_HZ = 60.0
 DRAWS = 31
-"""Displays whose median time from the prediction to the hand-over the next one is predicted over."""
+"""Number of displays whose median time from prediction to hand-over is the prediction time of the next display."""
 
 
 @dataclass(eq=False)
 class _Displayed:
-    """What was shown: latencies and ages [s] of all displays, statuses counted, and rows that are held to a truth."""
+    """Account of the displays: latencies and ages [s], counts of statuses, and rows to be compared with a truth."""
 
     latency_s: array = field(default_factory=lambda: array("d"))  # type: ignore[type-arg]
-    """From the middle of the newest exposure of a body to the hand-over of its object."""
+    """Time from the middle of the newest exposure of a body to the hand-over of its object."""
     aimed_s: array = field(default_factory=lambda: array("d"))  # type: ignore[type-arg]
-    """From the instant that was predicted to the hand-over."""
+    """Time from the predicted instant to the hand-over."""
     statuses: dict[str, Counter[str]] = field(default_factory=dict)
     rows: list[ShownObject] = field(default_factory=list)
-    """At the instants that were predicted."""
+    """Objects at the predicted instants."""
     handed: list[ShownObject] = field(default_factory=list)
-    """The same at those at which they were handed over."""
+    """The same objects at the instants of hand-over."""
     displays: int = 0
 
 
 class LiveVirtual:
-    """Bodies followed in a live run, and the thread that displays what they move.
+    """Bodies followed in a live run, and the thread that displays the objects that they move.
 
-    Each display's poses are predicted to the instant at which it is handed over: now, and the time that the last ones
-    took to be drawn. ``close`` ends the thread.
+    The poses of each display are predicted to the instant of its hand-over: now plus the drawing time of the last
+    displays. ``close`` ends the thread.
     """
 
     def __init__(self, options: LiveOptions, source: LiveSource, logs: Sequence[RerunLog]) -> None:
@@ -81,7 +81,7 @@ class LiveVirtual:
         self._thread.start()
 
     def step(self, frame: int, time_ns: int, samples: Samples) -> None:
-        """Take the tracker's samples of one frame set. Raises what ended the display."""
+        """Take the tracker's samples of one frame set. Raises the error that ended the display, if any."""
         if self._failed is not None:
             raise self._failed
         self._objects.update(self._tracker.update(samples, frame, time_ns))
@@ -150,7 +150,7 @@ class LiveVirtual:
     def _run(self) -> None:
         try:
             self._display()
-        except Exception as error:  # it belongs to the thread that tracks, and is raised there
+        except Exception as error:  # kept, and raised in the thread that tracks
             self._failed = error
 
     def _display(self) -> None:
@@ -159,8 +159,8 @@ class LiveVirtual:
         while not self._over.wait(max(0.0, due - time.monotonic())):
             began = time.monotonic()
             due = max(due + self._period_s, began)
-            # physics takes most of a display, and gives way to other threads at each of its steps: it comes first,
-            # so that the poses that are shown are predicted over the drawing alone
+            # physics takes most of the time of a display and yields to other threads at each of its steps: it comes
+            # first, so that the shown poses are predicted over the drawing time only
             if (pushed := self._predicted(began, statistics.median(drawn))) is None:
                 continue
             self._scene.show(began, _placed(pushed[1]))
@@ -179,7 +179,7 @@ class LiveVirtual:
                 self._account(shown, aim_ns, handed_ns)
 
     def _predicted(self, now_s: float, ahead_s: float) -> tuple[int, list[ShownObject]] | None:
-        """Return the instant ``ahead_s`` after ``now_s`` [s] in the frames' clock [ns], and the objects then."""
+        """Return the instant ``ahead_s`` after ``now_s`` [s] on the frames' clock [ns], and the objects at it."""
         aim_ns = self._source.session_ns(round(1e9 * (now_s + ahead_s)))
         return None if aim_ns is None else (aim_ns, self._objects.at(aim_ns + self._lead_ns, self._delay_ns))
 
@@ -192,7 +192,7 @@ class LiveVirtual:
             done.statuses.setdefault(one.object, Counter())[one.pose.status] += 1
             if self._source.scene is not None:
                 done.rows.append(one)
-                # held to the truth is when it was handed over, too, not when that was meant to be alone
+                # compared with the truth also at the real hand-over, not only at the intended one
                 off_ns = handed_ns - aim_ns
                 done.handed.append(one._replace(time_ns=one.time_ns + off_ns, meant_ns=one.meant_ns + off_ns))
 
@@ -200,7 +200,7 @@ class LiveVirtual:
 def live_virtual(
     options: LiveOptions, source: LiveSource, logs: Sequence[RerunLog], stack: ExitStack
 ) -> LiveVirtual | None:
-    """Return what displays the objects of ``--virtual``, closed with ``stack``; None without it."""
+    """Return the display of the objects of ``--virtual``, closed with ``stack``; None without that option."""
     if options.virtual is None:
         return None
     made = LiveVirtual(options, source, logs)
@@ -209,7 +209,7 @@ def live_virtual(
 
 
 def check_virtual(options: LiveOptions) -> None:
-    """Raise InputError for options of virtual objects that do not go together."""
+    """Raise InputError for options of virtual objects that cannot be combined."""
     if options.virtual is None:
         own = () if options.stream else ("bodies",)
         for name in (*own, "display_hz", "display_lead", "display_delay", "horizon"):
@@ -233,9 +233,9 @@ def _bodies(options: LiveOptions, source: LiveSource) -> tuple[RigidBody, ...]:
 
 
 def _compile(bodies: Sequence[RigidBody]) -> None:
-    """Follow the bodies at rest over some frames, and display one between and one ahead: what else would be late."""
+    """Follow the bodies at rest over some frames, and predict between and ahead of them, so that all is compiled."""
     tracker, objects = BodyTracker(bodies), BoundObjects({one.name: one.name for one in bodies})
-    # apart, so that none can be taken for another
+    # placed apart, so that none can be taken for another
     apart = [one.positions + [3.0 * k, 0.0, 0.0] for k, one in enumerate(bodies)]
     xyz = np.concatenate(apart)
     n = len(xyz)

@@ -1,4 +1,4 @@
-"""``mosca reconstruct``: from a recording of real images to tracks."""
+"""``mosca reconstruct``: tracks from a recording of real images."""
 
 import logging
 from collections.abc import Callable
@@ -143,7 +143,7 @@ def reconstruct_recording(
 
 
 def _why_no_tracks(counts: Array, settings: PipelineSettings, health: Health) -> str:
-    """Return advice by the first stage without results; ``counts``: sets, detections, points."""
+    """Return advice for the first stage without results; ``counts``: sets, detections, points."""
     if health.withheld:
         return f"no tracks: look at track.worst_sigma_m ({settings.track.worst_sigma_m:g})"
     if counts[1] == 0:
@@ -190,9 +190,9 @@ def reconstruct_settings(spec: ReconstructSpec, path: Path | None = None) -> Pip
 
 
 def recorded_backgrounds(recording: Path, rig: Rig, fps: float | None, spec: BackgroundSpec) -> dict[str, Array]:
-    """Return camera -> background (H, W) of a recording's first frames, as ``spec`` has it.
+    """Return camera -> background (H, W) of a recording's first frames, by the settings ``spec``.
 
-    Camera by camera and frame by frame, so that no more than a few images are in memory.
+    It is made camera by camera and frame by frame, so that only a few images are in memory.
     """
     if spec.kind == "none":
         return {}

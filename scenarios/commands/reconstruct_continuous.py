@@ -1,6 +1,4 @@
-"""``mosca reconstruct --continuous``: a recording of cameras that are not synchronised -> tracks on a grid of
-instants.
-"""
+"""``mosca reconstruct --continuous``: tracks on a grid of instants from a recording of unsynchronised cameras."""
 
 import json
 from collections.abc import Callable, Mapping
@@ -40,7 +38,7 @@ class ContinuousOptions:
     """Options of ``mosca reconstruct --continuous``."""
 
     rate_hz: float | None = None
-    """Of the grid; None: the fastest camera's."""
+    """Rate of the grid; None: that of the fastest camera."""
     clocks: Literal["auto", "common", "own"] = "auto"
     """See ``AssociationSettings``."""
     search_s: float = 10.0
@@ -48,7 +46,7 @@ class ContinuousOptions:
     limbs: bool = True
     """Whether constant distances are used."""
     worn: Path | None = None
-    """File of the lamps of cameras on limbs; of the rig's poses only those of cameras that it names are used."""
+    """File of the lamps of cameras on limbs; only the rig's poses of the cameras that it names are used."""
 
 
 def reconstruct_continuous(
@@ -109,12 +107,12 @@ def reconstruct_continuous(
 def _of_table(
     path: Path, rig: Rig, fps: float | None, gathering: AssociationSettings, wanted: ContinuousSettings
 ) -> Reconstructed:
-    """Return what a table of image points gives."""
+    """Return the reconstruction from a table of image points."""
     table = read_image_points(path, fps)
     seen, names = seen_in_table(table, rig)
     if (table.point != "").all():
         return reconstruct_gathered(gather_named(seen, names, rig, gathering), rig, wanted)
-    # a table states no sizes that could tell what is partly hidden
+    # a table has no sizes from which partly hidden targets could be recognised
     pipeline = gathering.pipeline
     pipeline = replace(pipeline, match=replace(pipeline.match, judge_sizes=False))
     count = FrameCount({one.info.name: len(one.frame_ns) for one in seen})
@@ -127,7 +125,7 @@ def _of_images(
     backgrounds: Mapping[str, Array], lamps: tuple[tuple[str, ...], Lamps] | None,
     progress: Callable[[int, int], None] | None
 ) -> Reconstructed:  # fmt: skip
-    """Return what a recording's images give."""
+    """Return the reconstruction from a recording's images."""
     with open_recording(recording, rig, fps) as opened, between_steps() as stop:
         source: FrameSource = opened
         if isinstance(opened, McapRecording) and opened.holds == "detections":
@@ -148,7 +146,7 @@ def _of_images(
 
 
 def _without_stamps(recording: Path, fps: float | None, options: ContinuousOptions) -> list[str]:
-    """Return a line where frames have no stamps of their own: what is taken for granted then."""
+    """Return a line on the assumptions made where frames have no stamps of their own."""
     if fps is None or options.clocks == "own" or not recording.is_dir():
         return []
     if any((recording / name).exists() for name in ("frames.csv", "recording.mcap")):
@@ -160,7 +158,7 @@ def _without_stamps(recording: Path, fps: float | None, options: ContinuousOptio
 
 
 def grid_ns(found: Reconstructed, rate_hz: float) -> Array:
-    """Return instants (t,) at ``rate_hz`` over all that was seen, the first camera's stamps [ns]."""
+    """Return instants (t,) at ``rate_hz`` over all image points, in the first camera's stamps [ns]."""
     begin, end = found.span_ns()
     count = int((end - begin) * 1e-9 * rate_hz) + 1
     result: Array = begin + np.rint(np.arange(count) * (1e9 / rate_hz)).astype(np.int64)
@@ -168,7 +166,7 @@ def grid_ns(found: Reconstructed, rate_hz: float) -> Array:
 
 
 def check_overlap(rig: Rig, path: Path) -> None:
-    """Raise InputError where a camera sees nothing that another one sees."""
+    """Raise InputError where the view of a camera does not overlap with that of another."""
     for camera in rig.cameras:
         if not any(overlap_of(camera, other) for other in rig.cameras if other is not camera):
             raise InputError(

@@ -1,4 +1,4 @@
-"""``mosca self-orient``: a moving camera's poses from a test field in its recording, and a rig's beside them."""
+"""``mosca self-orient``: a moving camera's poses from a test field in its recording, compared with those of a rig."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -29,12 +29,12 @@ from mosca.rigid_bodies.tracker import body_poses
 
 Report = Callable[[int, int | None], None]
 NO_FIELD_MOTION = Registration(Pose(np.eye(3), np.zeros(3)), np.zeros((6, 6)), 0.0, 0)
-"""Of a rig whose world is the test field's frame, as that of a rig calibrated with it."""
+"""Registration of a rig whose world is the test field's frame, as after calibration with that field."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Flight:
-    """The camera's frames, kept where the lamp in them is wanted; its row time [s], and the bits of a pixel."""
+    """The camera's frames, kept where the lamp in them is needed; its row time [s], and the bits of a pixel."""
 
     frames: list[Frame]
     row_s: float
@@ -64,7 +64,7 @@ class SelfOrientOptions:
     offset: float | None
 
     def run(self, progress: Report) -> list[str]:
-        """Resect, compare and write what is asked for; return the lines to print."""
+        """Resect, compare and write the requested files; return the lines to print."""
         self._check()
         camera, field = self._camera(), self._field()
         seen, flight = self._seen(camera, field, progress)
@@ -118,7 +118,7 @@ class SelfOrientOptions:
         return field
 
     def _seen(self, camera: Camera, field: TestField, progress: Report) -> tuple[list[TargetImages], _Flight]:
-        """Return the images of targets, and the flight's frames where the lamp in them is wanted."""
+        """Return the images of targets, and the flight's frames where the lamp in them is needed."""
         seen, frames = [], []
         row_ns = 0
         with open_recording(self.recording, Rig((camera,)), self.fps) as source:
@@ -185,7 +185,7 @@ class SelfOrientOptions:
             raise InputError(f"{self.registration}: {error}") from None
 
     def _clock(self, own: Resected, camera: Camera, there: Registration, flight: _Flight) -> tuple[float, float, str]:
-        """Return the offset of the camera's stamps [s], its standard deviation, and the line that says so."""
+        """Return the offset of the camera's stamps [s], its standard deviation, and a line that states them."""
         assert self.light is not None
         assert self.rig_recording is not None
         assert self.rig is not None
@@ -208,7 +208,7 @@ class SelfOrientOptions:
 
 
 def described(name: str, own: Resected, frames: int, row_s: float) -> list[str]:
-    """Return the lines that say what the resection found."""
+    """Return the lines on the result of the resection."""
     sigma = np.sqrt(np.mean(np.diagonal(own.path.total_covariance(), axis1=1, axis2=2), axis=0))
     place, turn = 1e3 * sigma[:3], np.rad2deg(sigma[3:])
     shutter = f"rows {1e6 * row_s:.3g} us apart are taken into account" if row_s else "all rows taken for one instant"

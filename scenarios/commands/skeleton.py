@@ -1,4 +1,4 @@
-"""Skeletons of people from files of labelled tracks: fitted to a take, and their joints found in takes."""
+"""Skeletons of people from files of labelled tracks: fitting to a take, and finding of joints in takes."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -57,7 +57,7 @@ class Outputs:
     rrd: Path | None = None
 
     def check(self) -> None:
-        """Raise InputError where there is none, one has a wrong suffix, stands twice or cannot be written."""
+        """Raise InputError if no file is wanted, or one has a wrong suffix, is named twice or cannot be written."""
         suffixes = {
             "out": ".csv",
             "angles": ".csv",
@@ -86,9 +86,9 @@ class Outputs:
 
 @dataclass(frozen=True)
 class Selection:
-    """What of a take is read: ``person``, whose labels are NAME:LABEL, and ``frames``, FIRST:LAST; None for all.
+    """The part of a take to read: ``person``, with labels NAME:LABEL, and ``frames``, FIRST:LAST; None for all.
 
-    ``rig``: file of the calibrated cameras that measured it, which tells what of the markers' errors they share.
+    ``rig``: file of the calibrated cameras that measured it, from which the errors shared by markers are derived.
     """
 
     person: str | None = None
@@ -96,7 +96,7 @@ class Selection:
     rig: Path | None = None
 
     def markers(self, tracks: Tracks, labels: Sequence[str]) -> MarkerFrames:
-        """Return the markers called ``labels`` frame by frame; InputError where the rig says nothing of shake."""
+        """Return the markers called ``labels`` frame by frame; InputError where the rig does not state shake."""
         rig = None if self.rig is None else read_rig(self.rig)
         if rig is not None and not any(camera.shake_px for camera in rig.cameras):
             raise InputError(
@@ -148,8 +148,8 @@ def fit_take(
 ) -> list[str]:
     """Fit a skeleton to the labelled tracks in ``path``, write the subject to ``out``; return the lines to print.
 
-    ``model_path``: MJCF of the model, None for that of a person; ``mjcf``: where the fitted model goes, None for
-    nowhere; ``osim_scale``: where the scale set for OpenSim's gait2354 goes.
+    ``model_path``: MJCF of the model, None for that of a person; ``mjcf``: file for the fitted model, None for none;
+    ``osim_scale``: file for the scale set of OpenSim's gait2354.
     """
     check_subject_file(out)
     for file, kind in ((mjcf, "a model"), (osim_scale, "a scale set")):
@@ -203,8 +203,8 @@ def track_take(
 ) -> list[str]:
     """Find the joints of a subject in the labelled tracks in ``path``, write ``outputs``; return the lines to print.
 
-    ``heading_deg``: direction of progression in the world, which pelvis angles are about; ``opensim``: the model that
-    the .mot file is for.
+    ``heading_deg``: direction of progression in the world, to which pelvis angles refer; ``opensim``: the model for
+    which the .mot file is written.
     """
     outputs.check()
     subject = read_subject(subject_path)
@@ -235,7 +235,7 @@ def track_take(
 
 
 class _Writer:
-    """Writes what a take was asked for."""
+    """Writes the requested files of a take."""
 
     def __init__(
         self, path: Path, subject: FittedSubject, take: SkeletonTake, frames: MarkerFrames, tracks: Tracks
@@ -243,7 +243,7 @@ class _Writer:
         self.path, self.subject, self.take, self.frames, self.tracks = path, subject, take, frames, tracks
 
     def write(self, outputs: Outputs, rate: float, heading_deg: float, opensim: str) -> list[str]:
-        """Write the files; return the lines to print. Raises InputError for what a file cannot hold."""
+        """Write the files; return the lines to print. Raises InputError for data that a file cannot hold."""
         joints = self.take.joints
         angles = isb_angles(joints, heading_rad=float(np.deg2rad(heading_deg)))
         lines = []
@@ -280,7 +280,7 @@ class _Writer:
             show_person(log, self.take.joints)
 
     def _mot(self, out: Path, opensim: str) -> list[str]:
-        """Write OpenSim's coordinates of the frames in which all that are ever known are known."""
+        """Write OpenSim's coordinates for the frames that have all coordinates that are known in any frame."""
         joints = self.take.joints
         angles = isb_angles(joints)
         known = np.isfinite(angles.angles)
@@ -314,7 +314,7 @@ class _Writer:
         return whole
 
     def _strikes(self) -> dict[str, Array] | None:
-        """Return heel strikes where both feet have two or more, None where nobody walks."""
+        """Return heel strikes where both feet have two or more, else None (the person does not walk)."""
         joints, frames = self.take.joints, self.frames
         heels = {
             side: frames.xyz[:, k] for k, name in enumerate(frames.labels) for side in "lr" if name == _heel(side)
@@ -331,7 +331,7 @@ def _heel(side: str) -> str:
 
 
 def _model(path: Path, labels: tuple[str, ...], source: Path) -> tuple[SkeletonModel, list[str]]:
-    """Return the model in ``path`` with the markers that ``labels`` name, and labels that it does not know."""
+    """Return the model in ``path`` with the markers that ``labels`` name, and labels that are not in it."""
     text = read_text(path, "a skeleton model (MJCF)", most_bytes=MOST_BYTES)
     mj: Any = compiled(text, str(path))
     known = tuple(mj.site(k).name for k in range(mj.nsite))
@@ -340,7 +340,7 @@ def _model(path: Path, labels: tuple[str, ...], source: Path) -> tuple[SkeletonM
 
 
 def _suggested(labels: tuple[str, ...], known: tuple[str, ...]) -> list[str]:
-    """Return the labels that are not known, each with the nearest known one that no label has, where there is one."""
+    """Return the unknown labels, each with the nearest known name that no label has, where there is one."""
     free = {name.upper(): name for name in known if name not in labels}
     found = []
     for label in labels:

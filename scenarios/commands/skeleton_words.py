@@ -1,4 +1,4 @@
-"""What the skeleton verbs say of a fit and a take: segment lengths, joints that are not told, standard deviations."""
+"""Words of the skeleton verbs on a fit and a take: segment lengths, undetermined joints, standard deviations."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -16,13 +16,13 @@ from mosca.skeleton.mjcf import compiled
 from mosca.skeleton.track import track_subject
 
 UNTOLD_M = 0.01
-"""A joint's centre that is known worse than this, one standard deviation in its worst direction, is named [m]."""
+"""Standard deviation of a joint's centre in its worst direction above which the joint is named [m]."""
 COINCIDENT_M = 1e-3
-"""Joints nearer to each other than this are one place [m]."""
+"""Distance below which two joints count as one place [m]."""
 LOOKED_AT = 12
-"""Frames of a take from which the fit says how well joints are known."""
+"""Number of frames of a take from which the uncertainty of joints is taken."""
 OF_95_PERCENT = 1.96
-"""Standard deviations."""
+"""Half of a 95 % interval, in standard deviations."""
 MOVEMENTS: Mapping[str, str] = {
     "hip": "swing the leg forward, back and out, and circle it",
     "knee": "bend the knee; along its axis only a marker on its inner side tells (KNM)",
@@ -31,11 +31,11 @@ MOVEMENTS: Mapping[str, str] = {
     "elbow": "bend the elbow and turn the forearm; along its axis only a marker on its inner side tells (ELM)",
     "wrist": "bend the hand to all sides and circle it",
 }
-"""Joint without its side -> what to do in a take that shows its centre."""
+"""Joint without its side -> movement in a take that determines its centre."""
 
 
 def check_bodies(subject: FittedSubject, path: Path) -> None:
-    """Raise InputError where the joints of a model cannot be read: they go by names of bodies and joints."""
+    """Raise InputError where the joints of a model cannot be read, which is by the names of bodies and joints."""
     mj: Any = compiled(subject.model.mjcf, str(path))
     bodies = {mj.body(k).name for k in range(1, mj.nbody)}
     if not any(chain.distal in bodies for chain in CHAINS.values()):
@@ -56,7 +56,7 @@ def check_bodies(subject: FittedSubject, path: Path) -> None:
 
 
 def lengths(subject: FittedSubject) -> list[str]:
-    """Return the distances of joints that one body carries, with their 95 % uncertainty."""
+    """Return lines with the distances of joints on one body, with their 95 % uncertainty."""
     model = subject.model
     mj: Any = compiled(model.mjcf, "model")
     lines = []
@@ -64,7 +64,7 @@ def lengths(subject: FittedSubject) -> list[str]:
     for k, joint in enumerate(model.joints):
         parent = mj.joint(int(mj.body_parentid[k + 2]) - 1).name
         length, sigma = _distance(subject, {joint: 1.0})
-        # a joint that the model places in another one is called as that
+        # a joint that coincides with another one in the model has the name of that one
         place_of[joint] = place_of[parent] if length < COINCIDENT_M else joint
         if length >= COINCIDENT_M and parent != mj.joint(0).name:
             lines.append(_length(place_of[parent], joint, length, sigma))
@@ -83,7 +83,7 @@ def _length(first: str, second: str, length: float, sigma: float) -> str:
 
 
 def _distance(subject: FittedSubject, weights: Mapping[str, float]) -> tuple[float, float]:
-    """Return the length of a sum of joint places in one body, and its standard deviation [m]."""
+    """Return the length of a weighted sum of joint positions in one body, and its standard deviation [m]."""
     rows = {joint: subject.model.joint_rows(joint) for joint in weights}
     place = np.sum([w * subject.parameters[rows[joint]] for joint, w in weights.items()], axis=0)
     length = float(np.linalg.norm(place))
@@ -94,14 +94,14 @@ def _distance(subject: FittedSubject, weights: Mapping[str, float]) -> tuple[flo
 
 
 def untold(subject: FittedSubject, frames: MarkerFrames) -> list[str]:
-    """Return a line for each joint whose centre the take does not tell, with the movement that would."""
+    """Return a line for each joint whose centre the take does not determine, with the movement that would."""
     try:
         check_bodies(subject, Path("model"))
     except InputError as error:
         return [f"joints are not read: {error}"]
     full = np.flatnonzero(frames.seen.mean(axis=1) >= LEAST_SEEN)
     chosen = full[np.unique(np.linspace(0, len(full) - 1, LOOKED_AT).round().astype(int))]
-    # frames far apart are no sequence: each is solved by itself
+    # frames far apart are no sequence: each is solved separately
     parts = [track_subject(subject, frames.select(np.array([k]))).joints for k in chosen]
     sigma = np.median([_worst(part.centre_covariance[0]) for part in parts], axis=0)
     lines = []

@@ -1,4 +1,4 @@
-"""Printed sheets: at what scale they were printed, and the lengths that the target file must hold then."""
+"""Printed sheets: the scale of the print, and the lengths that the target file must then have."""
 
 from pathlib import Path
 from typing import Literal
@@ -19,7 +19,7 @@ BOARD_KEYS = ("square_m", "margin_m", "marker_m")
 
 
 def scale_from_ruler(path: Path, measured_mm: float, nominal_mm: float) -> list[str]:
-    """Return the scale of the printed sheet of target file ``path``, and its true lengths, a line each."""
+    """Return lines with the scale of the printed sheet of target file ``path``, and its true lengths."""
     printed = _printed(path)
     scale = scale_of_ruler(measured_mm, nominal_mm)
     target = printed if isinstance(printed, Board) else printed[0]
@@ -29,7 +29,7 @@ def scale_from_ruler(path: Path, measured_mm: float, nominal_mm: float) -> list[
 def scale_from_scan(
     path: Path, scan: Path, dpi: float, page: str | None, colour: Literal["white", "black"]
 ) -> list[str]:
-    """Return the same from the coded targets in a scan; ``page``, ``colour``: as for ``mosca target sheet``."""
+    """Return the same lines from the coded targets in a scan; ``page``, ``colour``: as for ``mosca target sheet``."""
     targets = _printed(path)
     if isinstance(targets, Board):
         raise InputError(f"{path}: a board has no coded targets that a scan shows; measure its ruler, --ruler")
@@ -52,7 +52,7 @@ def scale_from_scan(
 
 
 def _printed(path: Path) -> Board | list[CodedTarget]:
-    """Return what ``mosca target sheet`` prints of a target file."""
+    """Return the board or the targets that ``mosca target sheet`` prints from a target file."""
     target = read_target_file(path)
     coded: list[CodedTarget] = []
     if isinstance(target, Board):

@@ -1,4 +1,4 @@
-"""``mosca tracks``: what a file of tracks holds, its page, and the same tracks in another format."""
+"""``mosca tracks``: the contents of a file of tracks, its page, and conversion to another format."""
 
 from pathlib import Path
 
@@ -21,7 +21,7 @@ from scenarios.commands.labels import rate_of
 from scenarios.run.take_files import RIG_FILE, take_files
 
 MOST_ROWS = 200
-"""Tracks of which a row is shown."""
+"""Most tracks with a row of their own."""
 
 
 def tracks_info(path: Path) -> tuple[list[str], list[tuple[str, ...]]]:
@@ -60,8 +60,8 @@ def tracks_info(path: Path) -> tuple[list[str], list[tuple[str, ...]]]:
 def convert_tracks(path: Path, out: Path, rate_hz: float | None, names: tuple[str, ...]) -> list[str]:
     """Write the tracks of ``path`` to ``out`` in the format of its suffix; return the lines to print.
 
-    ``rate_hz``: stated in C3D and TRC files, default: that of the samples' times; ``names``: the labels to keep, all
-    where empty. InputError where a file cannot be read or written, or a name is not there.
+    ``rate_hz``: rate stated in C3D and TRC files, default: that of the samples' times; ``names``: the labels to keep,
+    all where empty. InputError where a file cannot be read or written, or a name does not exist.
     """
     check_tracks_file(out)
     tracks = read_tracks(path)
@@ -78,8 +78,8 @@ def convert_tracks(path: Path, out: Path, rate_hz: float | None, names: tuple[st
 def page_of_tracks(take: Path, out: Path, rig_file: Path | None) -> list[str]:
     """Write the page of a take's tracks to ``out``, with the cameras of ``rig_file``; return the lines to print.
 
-    Without it those of ``take``, where it is a run folder, else none. InputError where a file cannot be read or
-    written, or there is no sample.
+    Without ``rig_file`` the cameras are those of ``take`` if it is a run folder, else none. InputError where a file
+    cannot be read or written, or there is no sample.
     """
     if out.suffix.lower() not in (".html", ".htm"):
         raise InputError(f"{out}: suffix '{out.suffix}' given; a page is .html")
@@ -128,10 +128,10 @@ def tracks_as_bag(
 ) -> list[str]:
     """Write a take, its rig and a recording's images as a ROS 2 bag; return the lines to print.
 
-    ``take``: file of tracks or run folder, whose poses of bodies and rig are taken, too; ``rig_file``: another rig;
-    without both that of the recording; ``most_px``: how far off ROS's model of a lens may be, None: no cameras.
-    InputError for files that cannot be read or written, for images whose stamps are not of the session's clock, and
-    where there is nothing of the take or no image of the recording to write.
+    ``take``: file of tracks or run folder, from which poses of bodies and the rig are also taken; ``rig_file``:
+    another rig; without both, that of the recording; ``most_px``: largest error of ROS's model of a lens, None: no
+    cameras. InputError for files that cannot be read or written, for images whose stamps are not on the session's
+    clock, and where there is nothing of the take or no image of the recording to write.
     """
     files = take_files(take)
     tracks = read_tracks(files.tracks)

@@ -1,4 +1,4 @@
-"""Modes of vibration from a file of tracks: a table, the noise floor, findings, and files of these."""
+"""Modes of vibration from a file of tracks: table, noise floor, findings, and files with these."""
 
 import math
 from dataclasses import dataclass
@@ -22,12 +22,12 @@ from scenarios.run.vibration import vibration_evidence
 
 @dataclass(frozen=True)
 class VibrationOptions:
-    """What ``vibration_take`` is asked for; see ``mosca.machines.vibration`` for their meaning."""
+    """Options of ``vibration_take``; see ``mosca.machines.vibration`` for their meaning."""
 
     axes: Literal["normal", "xyz"] = "normal"
     direction: tuple[float, float, float] | None = None
     rigid: str | None = None
-    """"all", or names of targets on the carrier, with commas between them."""
+    """"all", or names of targets on the carrier, separated by commas."""
     fps: float | None = None
     frames: str | None = None
     lowest_hz: float = 1.0
@@ -39,7 +39,7 @@ class VibrationOptions:
 def vibration_take(path: Path, out: Path | None, plot: Path | None, options: VibrationOptions) -> list[str]:
     """Find the modes in the tracks of ``path``, write ``out`` and ``plot``; return the lines to print.
 
-    InputError where the file, an option or the record does not serve.
+    InputError where the file, an option or the record is not suitable.
     """
     _check_files(out, plot)
     if options.direction is not None and options.axes == "xyz":
@@ -74,7 +74,7 @@ def vibration_take(path: Path, out: Path | None, plot: Path | None, options: Vib
 
 
 def words(found: Vibration) -> list[str]:
-    """Return the table of modes, the noise floor and the findings, a line each."""
+    """Return lines with the table of modes, the noise floor and the findings."""
     record, floor = found.displacements, found.floor
     lines = [
         f"{len(record.names)} targets, {record.length_s:.4g} s at {record.rate_hz:.6g} Hz, modes up to "

@@ -1,4 +1,4 @@
-"""Tracks files of zones, stitched into one."""
+"""Stitching of the tracks files of zones into one."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,7 +13,7 @@ from scenarios.run.zones import stitching_line
 
 
 def stitch_files(paths: Sequence[Path], out: Path, fps: float | None) -> list[str]:
-    """Stitch tracks files, one a zone, into ``out``; return the lines to print. A zone has the name of its file."""
+    """Stitch tracks files, one per zone, into ``out``; return the lines to print. A zone has the name of its file."""
     check_tracks_file(out)
     names = [path.stem if sum(p.stem == path.stem for p in paths) == 1 else str(path) for path in paths]
     if len(set(names)) < len(names):

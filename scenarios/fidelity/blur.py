@@ -20,7 +20,7 @@ SHARP = replace(FOCUSED, focus_m=None)
 MIDDLE, FIELD = (52.0, 33.0), (80.0, 58.0)
 CENTROID_PX, PIXEL = 0.001, 0.01
 Case = tuple[Optics, tuple[float, float], float, float | None, float]
-"""Lens, image position, diameter [px], tilt (None: a ball) and distance [m]."""
+"""Lens, image position [px], diameter [px], tilt (None: a ball) and distance [m]."""
 WORST = replace(FOCUSED, curvature_px=4.0, coma_px=3.0)
 CASES: dict[str, tuple[Case, ...]] = {
     "defocus (focused at 2 m)": (
@@ -44,7 +44,7 @@ CASES: dict[str, tuple[Case, ...]] = {
 
 
 def pupil_blur(quick: bool) -> Check:
-    """Blur that changes with distance and field: the image is the mean over the pupil's points."""
+    """Check blur that changes with distance and field against the mean image over the pupil's points."""
     rows: list[Row] = []
     for name, cases in CASES.items():
         pairs = [(rendered(case), expected(case)) for case in (cases[:1] if quick else cases)]
@@ -77,7 +77,7 @@ def rendered(case: Case) -> Array:
 
 
 def expected(case: Case, radial: int = 9, angles: int = 26) -> Array:
-    """Return the image (H, W) by the pupil's mean over so many points."""
+    """Return the image (H, W) as the mean over points of the pupil."""
     optics, xy, diameter, tilt, distance = case
     target, outline = marker(WITNESS, xy, diameter, tilt, distance)
     polygon = WITNESS.project(outline[::10])
@@ -89,6 +89,6 @@ def expected(case: Case, radial: int = 9, angles: int = 26) -> Array:
         circle += blur_circle_px(centre[2], optics.focus_m, optics.f_mm, optics.f_number, optics.pixel_pitch_mm)
     points, weights = pupil(radial, angles)
     places = displacements(points, circle, optics.coma_px * field, away / np.hypot(*away))
-    turn = 2 * np.pi / len(polygon)  # an inscribed polygon lacks area: its ellipse is larger by this
+    turn = 2 * np.pi / len(polygon)  # an inscribed polygon is too small: the area of its ellipse follows from this
     image = pupil_mean(lambda by: contour_image(polygon + by, optics.psf_sigma_px, *SIZE), places, weights)
     return np.asarray(image * turn / np.sin(turn))

@@ -24,11 +24,11 @@ CHECKS: tuple[Callable[[bool], Check], ...] = (
     mujoco_renderer,
     pyrender_renderer,
 )
-"""Pure functions: whether to be quick -> what was found. Each plants faults of its own, which it must catch."""
+"""Pure functions: whether to be quick -> Check. Each plants faults of its own, which it must catch."""
 
 
 def run_checks(quick: bool, progress: Callable[[int, int], None] = lambda done, total: None) -> list[Check]:
-    """Return what all checks found; ``progress`` is called with the numbers done and in all."""
+    """Return the results of all checks; ``progress`` is called with the number done and the number of all."""
     found = []
     for number, check in enumerate(CHECKS):
         progress(number, len(CHECKS))

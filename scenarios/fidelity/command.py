@@ -18,7 +18,7 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """What was found, and the pictures if they were wanted."""
+    """Results of the checks, and the pictures if they were wanted."""
 
     checks: tuple[Check, ...]
     crops: tuple[Crop, ...]
@@ -38,7 +38,7 @@ def look(quick: bool, with_pictures: bool, progress: Progress) -> Found:
 
 
 def prepare(folder: Path) -> None:
-    """Make the folder that the results go to; InputError where something else has its name."""
+    """Make the folder for the results; InputError where something else has its name."""
     if folder.exists() and not folder.is_dir():
         raise InputError(f"--out: {folder} is a file; give the name of a folder")
     folder.mkdir(parents=True, exist_ok=True)

@@ -28,12 +28,12 @@ from twin.scenes.world import Shape, add_shape, compiled, new_stage
 SIZE, F_PX, DEPTH_M, SEED, RATE_HZ = (120, 90), 300.0, 2.0, 1288, 100.0
 AHEAD = Pose(np.eye(3), np.zeros(3))
 GAP_PX, GAP_GREY = 8, 118
-"""Between panels: a grey that is seen on white and on black."""
+"""Width and grey value of the gap between panels: the grey is visible on white and on black."""
 CARRIED = "carried"
 WITHOUT = "without"
 """Label of a panel that lacks the disturbance."""
 BACK = np.diag([1.0, -1.0, -1.0])
-"""The carried body is rotated by 180 degrees about x: its +z, along which lamps shine, points to the camera."""
+"""Rotation of the carried body by 180 degrees about x: its +z, along which lamps shine, points to the camera."""
 
 
 def by_px(x: float, y: float, depth_m: float = DEPTH_M, f_px: float = F_PX) -> Array:
@@ -55,7 +55,7 @@ def quiet_camera(
     pose: Pose = AHEAD,
     **more: Any,
 ) -> VirtualCamera:
-    """Return a camera that has noise and no other disturbance, but for what ``more`` brings."""
+    """Return a camera with noise and no other disturbance except those in ``more``."""
     lens = OpenCVLens(f_px, f_px, (size[0] - 1) / 2, (size[1] - 1) / 2) if lens is None else lens
     still: dict[str, Any] = {
         "optics": Optics(gap_px=0.0),
@@ -159,12 +159,12 @@ def grey(counts: Array, dark: float = 0.0, bright: float = 255.0, gamma: float =
 
 
 def difference(counts: Array, other: Array, full: float) -> Array:
-    """Return ``counts`` less ``other`` as grey (H, W): none is middle grey, +-``full`` counts white and black."""
+    """Return ``counts`` less ``other`` as grey (H, W): 0 is middle grey, +-``full`` counts are white and black."""
     return grey(counts.astype(float) - other.astype(float), -full, full)
 
 
 def side_by_side(*panels: Array, zoom: int) -> Array:
-    """Return panels (h, w) uint8 beside each other, each pixel ``zoom`` x ``zoom``."""
+    """Return panels (h, w) uint8 side by side, each pixel enlarged to ``zoom`` x ``zoom``."""
     gap = np.full((len(panels[0]) * zoom, GAP_PX), GAP_GREY, dtype=np.uint8)
     parts: list[Array] = []
     for panel in panels:
@@ -182,7 +182,7 @@ def pair(
 ) -> list[Array]:
     """Return two panels: by ``camera``, and by the camera with parts ``changed``, within ``surroundings``.
 
-    ``levels``: of ``grey``; ``taken``: arguments of ``photo`` for both.
+    ``levels``: arguments of ``grey``; ``taken``: arguments of ``photo`` for both.
     """
     taken = taken or {}
     with_it = photo(scene, replace(camera, **changed), surroundings=surroundings, **taken)
@@ -191,7 +191,7 @@ def pair(
 
 @dataclass(frozen=True, eq=False)
 class Panels:
-    """How a picture is made and what is said of it: ``Crop`` with its panels unmade."""
+    """The recipe of a picture and its description: a ``Crop`` whose panels are not made yet."""
 
     name: str
     title: str

@@ -46,23 +46,24 @@ CARRIED = {
     "surroundings": set[str](),
     "glow": {"kind", "half_deg", "at_m", "even_deg", "ring_m", "lobe_deg", "lamp_half_deg"},
 }
-"""Keys that the witness renders or has a law of its own for; others of these tables are refused where they stand."""
+"""Keys that the witness renders or replaces by a law of its own; other keys of these tables are refused."""
 TABLES = ("lamps", "fault", "continuous", "camera")
-"""Refused as a whole."""
+"""Tables that are refused as a whole."""
 MOST_LENS_PX = 0.05
-"""Farthest that OpenCV's lens may be from the scenario's: what a lens model leaves of real images."""
+"""Largest difference of OpenCV's lens from the scenario's: about the misfit of a lens model in real images."""
 STEP_S = 2e-3
-"""Longest time between two places of a marker; four a frame at least."""
+"""Longest time between two positions of a marker; there are at least four in a frame period."""
 SAMPLES = 4096
-"""Of a pixel: the sensor's noise is smaller than in the witness's own scenes."""
+"""Samples of a pixel: the sensor's noise is smaller than in the witness's own scenes."""
 CLOTH = 0.3
-"""Reflectance of what hides markers."""
+"""Reflectance of the surfaces that hide markers."""
 
 
 def write_witness_scene(spec: Scenario, folder: Path, file: Path, samples: int = SAMPLES) -> None:
-    """Write ``file``, a scene of the witness, and what it names beside it; ``folder``: of the scenario's own files.
+    """Write ``file``, a scene of the witness, and the files that it names; ``folder``: that of the scenario's files.
 
-    ``samples`` of a pixel at markers' edges, a power of two. ValueError names what the witness cannot render.
+    ``samples``: those of a pixel at markers' edges, a power of two. ValueError names keys that the witness cannot
+    render.
     """
     if samples.bit_count() != 1:
         raise ValueError(f"{samples} samples a pixel given; a power of two is wanted, {SAMPLES} by default")
@@ -116,9 +117,9 @@ def _refused(spec: Scenario, scene: Scene) -> list[str]:
 
 
 def _opencv(rig: Rig) -> tuple[Rig, float]:
-    """Return the rig with OpenCV's lenses of five coefficients, and how far they are off at most [px].
+    """Return the rig with OpenCV's lenses of five coefficients, and their largest error [px].
 
-    Shear, the paper's affinity, is left out: OpenCV's lens has none.
+    Shear, the paper's affinity, is left out, since OpenCV's lens has none.
     """
     made, off = [], 0.0
     for camera in rig.cameras:
@@ -160,7 +161,7 @@ def _sensor(sensor: Sensor, marker_signal: float) -> dict[str, float]:
 
 
 def _write_tracks(spec: Scenario, scene: Scene, file: Path) -> None:
-    """Write where markers are throughout; the middle of the first exposure is at FIRST_MID_S."""
+    """Write the paths of the markers; the middle of the first exposure is at FIRST_MID_S."""
     capture, sampler = spec.capture, scene.sampler()
     step = min(STEP_S, 0.25 / capture.frame_rate_hz)
     last = (capture.pulses - 1) / capture.frame_rate_hz + capture.exposure_s
@@ -180,7 +181,7 @@ def _write_tracks(spec: Scenario, scene: Scene, file: Path) -> None:
 
 
 def _write_mesh(spec: Scenario, scene: Scene, file: Path) -> bool:
-    """Write the surface of what may hide markers at each mid-exposure; False where nothing does."""
+    """Write the surface of geoms that may hide markers, at each mid-exposure; return False where there are none."""
     may_hide = occluders_of(scene)
     geoms = [*may_hide.geom[may_hide.marker < 0], *may_hide.mesh_geom]
     if not geoms:
@@ -221,7 +222,7 @@ def _surface(model: mujoco.MjModel, geom: int) -> tuple[Array, Array]:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Write a scenario's scene and render it; 2 where that cannot be."""
+    """Write a scenario's scene and render it; return 2 where that is impossible."""
     parser = argparse.ArgumentParser(prog="python -m scenarios.fidelity.for_witness", description=__doc__)
     parser.add_argument("scenario", help="file or name of a built-in scenario")
     parser.add_argument(

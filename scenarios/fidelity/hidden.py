@@ -1,4 +1,4 @@
-"""What hides a marker: visible share and centroid against MuJoCo's ray caster on scan lines."""
+"""Occlusion of a marker: visible share and centroid against MuJoCo's ray caster on scan lines."""
 
 from typing import Any
 
@@ -22,9 +22,9 @@ from witness.render import image_centroid
 SIZE, SIGMA, F_PX = (160, 120), 0.6, 300.0
 LENS, WITNESS = small_camera(SIZE, F_PX, (-0.2, 0.06, 5e-4, -4e-4))
 SHARE, CENTROID_PX = 0.002, 0.004
-"""Bars: of the visible share, and of the centroid [px rms] where at least 0.3 of the marker is visible."""
+"""Bars for the visible share, and for the centroid [px rms] where at least 0.3 of the marker is visible."""
 AT, RADIUS, NEAR = np.array([0.06, -0.04, 1.5]), 0.02, 0.9
-"""The marker, 8 px large, and how near its occluders are [m]."""
+"""Position and radius of the marker (8 px in the image), and depth of its occluders [m]."""
 TURN = Rotation.from_euler("xyz", [40.0, 28.0, 25.0], degrees=True).as_matrix()
 GEOM = mujoco.mjtGeom
 SOLIDS = {
@@ -43,7 +43,7 @@ INSTANTS = 16
 
 
 def occlusion(quick: bool) -> Check:
-    """Each solid, in steps from beside the marker to before it, standing and moving."""
+    """Check occlusion by each solid, in steps from beside the marker to before it, at rest and moving."""
     rows: list[Row] = []
     sweep = SWEEP_PX[1:4:2] if quick else SWEEP_PX
     for name in [*SOLIDS, *MESHES]:
@@ -74,7 +74,7 @@ def _rows(name: str, found: Array) -> list[Row]:
 
 
 def beside(offset_px: float, depth_m: float = NEAR, angle_rad: float = 0.35) -> Array:
-    """Return a point [m] whose image is ``offset_px`` from the marker's."""
+    """Return a point [m] whose image is ``offset_px`` from that of the marker."""
     away = offset_px * depth_m / F_PX * np.array([np.cos(angle_rad), np.sin(angle_rad)])
     return np.array([*(AT[:2] / AT[2] * depth_m + away), depth_m])
 
@@ -102,7 +102,7 @@ def put(world: World, name: str, at: Path, turn: Path | None = None) -> World:
 
 
 def _compared(world: World, instants: int = 1) -> tuple[float, float, float]:
-    """Return the witness's share, the twin's less that, and how far the centroids are apart [px]."""
+    """Return the witness's visible share, the twin's minus that, and the distance of the centroids [px]."""
     image, visible = seen_in(world)
     rays = seen_over_time(world, WITNESS, SIZE, SIGMA, instants, 1.0, 24 if instants == 1 else 16)
     off = float(np.hypot(*(image_centroid(image) - rays.centroid))) if rays.share >= 0.3 else 0.0
@@ -140,7 +140,7 @@ def seen_in(world: World) -> tuple[Array, float]:
 
 
 def _faults() -> list[Row]:
-    """Return how wrong a twin's share is whose world is slightly else than the witness's."""
+    """Return the errors of the share of a twin whose world differs slightly from that of the witness."""
     still = seen_over_time(_still("box", 18.0), WITNESS, SIZE, SIGMA).share
     in_motion = seen_over_time(_moving("box", (6.0, 2.0)), WITNESS, SIZE, SIGMA, INSTANTS, 1.0, 16).share
     stopped = put(World(fixed(AT), RADIUS), "box", moving(beside(17.0), (6.0, 2.0)))

@@ -1,4 +1,4 @@
-"""What the checks have in common: how far two images are apart."""
+"""Measures of the difference of two images, shared by the checks."""
 
 import numpy as np
 
@@ -22,5 +22,5 @@ def rms(values: Array) -> float:
 
 
 def about(error: float, unit: str) -> str:
-    """Return an order of magnitude in words: below 3e-07 px."""
+    """Return a bound on an error in words: below 3e-07 px."""
     return f"below {error:.0e} {unit}".rstrip().replace("e-0", "e-")

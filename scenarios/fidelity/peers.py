@@ -1,4 +1,4 @@
-"""The twin beside OpenGL: MuJoCo's own renderer and pyrender, where the machine has them."""
+"""The twin compared with OpenGL: MuJoCo's own renderer and pyrender, where the machine has them."""
 
 import ctypes.util
 import os
@@ -27,19 +27,19 @@ from witness.render import area_and_centroid, ball_outline, disc_outline, image_
 SIGMA, SIZE = 0.6, (gl.WIDTH, gl.HEIGHT)
 LENS, WITNESS = small_camera(SIZE, gl.FOCAL_PX)
 FREE_PX, HIDDEN_PX, PIXEL = 0.003, 0.01, 0.008
-"""Bars: some twice what the peers themselves are off; of a marker nearly hidden they see a few fine pixels."""
+"""Bars: about twice the peers' own errors; a nearly hidden marker has only a few fine pixels in their images."""
 HIDDEN = [0, 4]
 """Indices of the partly hidden markers: balls first, then discs."""
 NO_GL = "no system OpenGL here: on Debian install libegl1, libopengl0 and libgl1-mesa-dri, or libosmesa6"
 
 
 def mujoco_renderer(quick: bool) -> Check:
-    """MuJoCo's renderer."""
+    """Compare with MuJoCo's renderer."""
     return _beside("mujoco", "mujoco.Renderer", quick)
 
 
 def pyrender_renderer(quick: bool) -> Check:
-    """Pyrender."""
+    """Compare with pyrender."""
     return _beside("pyrender", "pyrender", quick)
 
 
@@ -93,7 +93,7 @@ def _beside(name: str, shown: str, quick: bool) -> Check:
 
 
 def _peer_image(name: str, where: str) -> tuple[Array | None, str]:
-    """Return the peer's image (H, W), or None and its last words."""
+    """Return the peer's image (H, W), or None and its last line of output."""
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "fine.npy"
         done = subprocess.run(
@@ -149,6 +149,6 @@ def _hidden_world(number: int) -> World:
 
 
 def _around(outline: Array) -> tuple[slice, slice]:
-    """Return the pixels about an outline (n, 2) [px]: no light of another marker lies there."""
+    """Return the pixels about an outline (n, 2) [px], which have no light of another marker."""
     low, high = outline.min(axis=0) - 5, outline.max(axis=0) + 6
     return slice(int(low[1]), int(high[1])), slice(int(low[0]), int(high[0]))

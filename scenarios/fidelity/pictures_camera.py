@@ -1,4 +1,4 @@
-"""Pictures of what lens, mount and time do: blur, vignetting, dust, glare, vibration, shutters, lamps."""
+"""Pictures of the effects of lens, mount and time: blur, vignetting, dust, glare, vibration, shutters, lamps."""
 
 from itertools import product
 

@@ -112,7 +112,7 @@ def _context() -> list[Array]:
 def _plates(
     figure: Figure, half_m: tuple[float, float], glow: Glow, size: tuple[int, int], bright: float
 ) -> list[Array]:
-    """Return a printed plate straight and askew."""
+    """Return a printed plate, facing the camera and tilted."""
     scenes = [stage(plates=[Plate(by_px(0.0, 0.0), turn, figure, half_m, glow)]) for turn in (FACING, TILTED)]
     return [grey(photo(scene, quiet_camera(size)), 0.0, bright) for scene in scenes]
 

@@ -27,7 +27,7 @@ SQUARE, COLUMNS, ROWS, BLACK = 0.025, 5, 4, 0.1
 
 
 def figures(quick: bool) -> Check:
-    """Circle, coded target and checkerboard, seen askew through a distorting lens."""
+    """Check circle, coded target and checkerboard, seen obliquely through a distorting lens."""
     rows: list[Row] = []
     drawn = {"circle": disc_of_tape(), "coded target": coded(), "checkerboard": board()}
     for name, (contours, outlines) in drawn.items():
@@ -57,7 +57,7 @@ def figures(quick: bool) -> Check:
 
 
 def profiles(quick: bool) -> Check:
-    """Balls and discs that are not evenly bright: limb darkening and shading together."""
+    """Check balls and discs that are not evenly bright: limb darkening and shading together."""
     rows: list[Row] = []
     limb, shade = 0.5, (0.3, -0.2, 0.0)
     own = 0.0
@@ -75,7 +75,7 @@ def profiles(quick: bool) -> Check:
             what = f"{diameter:g} px {'ball' if tilt is None else 'disc at 50 deg'}"
             off = float(np.hypot(*(image_centroid(image) - centroid)))
             rows.append(Row(f"{what}: centroid", off, "px", PROFILE_PX))
-            if diameter < 20.0:  # larger ones: the witness's spots would have to lie denser
+            if diameter < 20.0:  # for larger ones the witness's spots would have to be denser
                 wanted = points_image(face.xy, light, SIGMA, *SIZE)
                 rows.append(Row(f"{what}: pixels, largest", pixels_apart(image, wanted), "of peak", 2 * PIXEL))
     true, _normal = profiled(10.0, None, limb, shade)
@@ -118,7 +118,7 @@ def _sector(start: float, end: float) -> Array:
 
 
 def coded() -> tuple[list[Array], Outlines]:
-    """Return the same of a dot with ring sectors."""
+    """Return the same for a dot with ring sectors."""
     outlines: Outlines = [(arc(DOT, 0, 2 * np.pi)[:-1], 1.0)]
     for start, end in SECTORS:
         outer, inner = arc(OUTER, start, end), arc(INNER, end, start)
@@ -129,7 +129,7 @@ def coded() -> tuple[list[Array], Outlines]:
 
 
 def board() -> tuple[list[Array], Outlines]:
-    """Return the same of black squares on a white plate."""
+    """Return the same for black squares on a white plate."""
     half = np.array([COLUMNS + 1, ROWS + 1]) / 2 * SQUARE
     paper = np.array([-half, [half[0], -half[1]], half, [-half[0], half[1]]])
     unit = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])

@@ -1,4 +1,4 @@
-"""The sensor, measured as one measures a camera: photon transfer and spatial noise after EMVA 1288."""
+"""The sensor, measured like a real camera: photon transfer and spatial noise by EMVA 1288."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -23,11 +23,11 @@ SHEETS = {
 }
 """Cameras whose dark noise exceeds the quantisation noise, as the standard requires."""
 Grab = Callable[[float, int], Array]
-"""A camera before even light: mean photons a pixel and number of the frame -> counts (H, W)."""
+"""A camera before even light: mean photons per pixel and number of the frame -> counts (H, W)."""
 
 
 def sensors(quick: bool) -> Check:
-    """Gain, noise and fixed patterns of cameras of 8, 10 and 12 bits, held against their data sheets."""
+    """Check gain, noise and fixed patterns of cameras of 8, 10 and 12 bits against their data sheets."""
     rows: list[Row] = []
     for bits, sheet in SHEETS.items():
         if quick and bits == 10:
@@ -56,7 +56,7 @@ def sensors(quick: bool) -> Check:
 
 
 def _off(found: "MeasuredSensor", sheet: Sensor) -> list[tuple[str, float, float]]:
-    """Return name, relative deviation from the data sheet, and its bar."""
+    """Return name, relative deviation from the data sheet, and bar of each value."""
     transfer = found.transfer
     pairs = [
         ("system gain K", transfer.gain, sheet.gain_dn_per_e, GAIN),
@@ -71,7 +71,7 @@ def _off(found: "MeasuredSensor", sheet: Sensor) -> list[tuple[str, float, float
 
 @dataclass(frozen=True, eq=False)
 class MeasuredSensor:
-    """A photon transfer curve, and the variances of stacks of images in the dark and half way to saturation."""
+    """A photon transfer curve, and the variances of stacks of images in the dark and at half of saturation."""
 
     transfer: PhotonTransfer
     dark: Spatial
@@ -89,7 +89,7 @@ class MeasuredSensor:
 
 
 def measured(grab: Grab, full_photons: float, images: int = IMAGES) -> MeasuredSensor:
-    """Measure a camera that saturates at about ``full_photons`` a pixel, from stacks of so many images."""
+    """Measure a camera that saturates at about ``full_photons`` per pixel, from stacks of ``images`` images."""
     photons = np.linspace(0.0, 1.04, STEPS) * full_photons
     pairs = [temporal(grab(p, 2 * k + 1), grab(p, 2 * k + 2)) for k, p in enumerate(photons)]
     transfer = PhotonTransfer(photons, *np.transpose(pairs))

@@ -1,4 +1,4 @@
-"""Targets that move behind global and rolling shutters, strobes and lamps."""
+"""Targets in motion with global and rolling shutters, strobes and lamps."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -65,7 +65,7 @@ CASES = {
 
 
 def motion(quick: bool) -> Check:
-    """Motion blur: balls and discs of 3-14 px that run up to 20 px in an exposure, speed up and roll."""
+    """Check motion blur: balls and discs of 3-14 px that move up to 20 px in an exposure, accelerate and roll."""
     rows: list[Row] = []
     for name, cases in CASES.items():
         pairs = [_both(case) for case in (cases[:2] if quick else cases)]
@@ -87,7 +87,7 @@ def _both(case: Case) -> tuple[Array, Array]:
 
 
 def path(case: Case) -> tuple[Callable[[float], Array], float, Array]:
-    """Return where the target is at any instant, its radius [m] and, for a disc, its normal."""
+    """Return the target's position as a function of time, its radius [m] and, for a disc, its normal."""
     centre, radius, sight, one, other = place(WITNESS, MIDDLE, case.diameter, DISTANCE)
     metre = DISTANCE / F_PX  # of a pixel
     speed, acceleration = metre * np.array([*case.speed, 0.0]), metre * np.array([*case.acceleration, 0.0])
@@ -110,7 +110,7 @@ def rendered(case: Case) -> tuple[Array, VisibleTargets]:
 
 @lru_cache(maxsize=64)
 def expected(case: Case, instants: int = INSTANTS) -> Array:
-    """Return the witness's image (H, W): each row's mean over its own window, from so many instants."""
+    """Return the witness's image (H, W): each row's mean over its own window, from ``instants`` instants."""
     at, radius, normal = path(case)
 
     def image_at(t: float) -> Array:
@@ -124,7 +124,7 @@ def expected(case: Case, instants: int = INSTANTS) -> Array:
 
 
 def _faults() -> list[Row]:
-    """Return how far off the image of a twin is whose input differs slightly from the witness'."""
+    """Return the errors of the image of a twin whose input differs slightly from that of the witness."""
     across, rolled, flashed = (CASES["global shutter"][0], CASES["rolling shutter"][0], CASES["strobe and lamp"][0])
     late = 5e-5
     faults: dict[str, tuple[Case, dict[str, Any]]] = {

@@ -24,7 +24,7 @@ OUTLINES = "outlines of 2,000 points through OpenCV's lenses (the paper's by fix
 
 
 def still_markers(quick: bool) -> Check:
-    """Centroids of balls and discs through each lens model, in the image's centre, at its edge and in a corner."""
+    """Check centroids of balls and discs through each lens model, in the centre, at an edge and in a corner."""
     offs = {name: _offs(lens, plain, plain, EVEN, quick) for name, (lens, plain) in LENSES.items()}
     together = np.concatenate(list(offs.values()))
     rows = [row for name, found in offs.items() for row in _rows(f"{name} lens", found[:, 3])]
@@ -43,7 +43,7 @@ def still_markers(quick: bool) -> Check:
 
 
 def real_lenses(quick: bool) -> Check:
-    """The same through lenses with higher radial orders, a tilted sensor and a wandering entrance pupil."""
+    """Check the same through lenses with higher radial orders, a tilted sensor and an entrance-pupil shift."""
     rows: list[Row] = []
     for name, (lens, plain) in LENSES.items():
         gapped = with_gap(plain, REAL.gap_px, W, H, 11 if name == "fisheye" else 9)
@@ -61,7 +61,7 @@ def real_lenses(quick: bool) -> Check:
 
 
 def lens_models(quick: bool) -> Check:
-    """Each lens model's projection over the whole image, and its way back."""
+    """Check each lens model's projection over the whole image, and its inverse."""
     rows: list[Row] = []
     grid = np.stack(np.meshgrid(np.linspace(0, W - 1, 41), np.linspace(0, H - 1, 31)), axis=-1).reshape(-1, 2)
     for name, (lens, witness) in LENSES.items():
@@ -88,7 +88,7 @@ def lens_models(quick: bool) -> Check:
 
 
 def _offs(lens: Lens, witness: WitnessLens, plain: WitnessLens, optics: Optics, quick: bool) -> Array:
-    """Return position, diameter, tilt and error of the centroid [px], a row each; object array."""
+    """Return rows of position, diameter, tilt and error of the centroid [px]; object array."""
     rows = []
     for place, xy in PLACES.items():
         for number, diameter in enumerate(DIAMETERS[::3] if quick else DIAMETERS):
@@ -107,14 +107,14 @@ def _rows(name: str, off: Array) -> list[Row]:
 
 
 def _outline_error() -> float:
-    """Return how much the witness's centroid moves when it takes half of its points [px]."""
+    """Return the change of the witness's centroid with half of its points [px]."""
     witness = LENSES["rational"][1]
     polygon = witness.project(marker(witness, PLACES["corner"], 40.0, 60.0)[1])
     return float(np.hypot(*(area_and_centroid(polygon)[1] - area_and_centroid(polygon[::2])[1])))
 
 
 def _faults() -> tuple[Row, ...]:
-    """Return how far off faulty cameras put a marker: each must exceed the bar."""
+    """Return the errors of a marker's position with faulty cameras: each must exceed the bar."""
     lens, witness = LENSES["rational"]
     target, outline = marker(witness, PLACES["edge"], 8.0, None)
     _area, centroid = area_and_centroid(witness.project(outline))

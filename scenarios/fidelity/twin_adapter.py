@@ -34,7 +34,7 @@ ELECTRONS = 12_000.0
 ALWAYS = (-np.inf, np.inf)
 NOTHING = unhidden(3)[0]
 EVEN = Optics(gap_px=0.0)
-"""A lens that is its model and nothing else."""
+"""A lens that has only its model, without a gap."""
 
 
 def turn_to(normal: Array) -> Array:
@@ -84,7 +84,7 @@ def window_of(
     light_s: tuple[float, float] = ALWAYS,
     nodes: int = 3,
 ) -> Window:
-    """Return an exposure's window with its instants where Chebyshev, Gauss and Lobatto have them."""
+    """Return an exposure's window with its instants at Chebyshev-Gauss-Lobatto nodes."""
     end = length_s + row_time_s * (rows - 1)
     at = 0.5 * (1 - np.cos(np.pi * np.arange(nodes) / (nodes - 1)))
     return Window(at * end, length_s, row_time_s, light_s)

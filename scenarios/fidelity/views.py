@@ -1,4 +1,4 @@
-"""Lenses that twin and witness both model, and markers before them."""
+"""Lenses in the models of both twin and witness, and markers before them."""
 
 from dataclasses import replace
 
@@ -40,8 +40,8 @@ TILT_MATRICES = {
     "paper": np.array([[6.5 / 0.00943, 0, 301.4], [0, 6.5 / 0.00944, 255.5], [0, 0, 1]]),
     "fisheye": np.array([[6 * 270.0, 0, 322.0], [0, 6 * 271.0, 240.0], [0, 0, 1]]),
 }
-"""Centre of rotation of a tilted sensor, where it is not MATRIX: principal point and, instead of the principal
-distance, the exit pupil's, which for a fisheye is six times as far."""
+"""Centre of rotation of a tilted sensor, where it is not that of MATRIX: principal point and, instead of the
+principal distance, the distance of the exit pupil, which for a fisheye is six times as far."""
 PLACES = {"centre": (327.3, 245.8), "edge": (618.4, 251.7), "corner": (39.6, 450.2)}
 
 

@@ -1,1 +1,1 @@
-"""Flights in a closed loop: a drone that is steered by the poses that its cameras give."""
+"""Flights in closed loop: a drone steered by the poses that the cameras measure."""

@@ -1,4 +1,4 @@
-"""The loop around a flight: frames become poses, poses arrive late or never, the pilot steers by them."""
+"""The loop of a flight: poses from frames arrive late or never, and the pilot steers by them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ from twin.streams import rng
 
 
 def pilot_of(spec: Scenario, keeps_log: bool = True) -> Pilot:
-    """Return the pilot of a scenario's ``[flight]``; ``keeps_log``: as of ``Pilot``."""
+    """Return the pilot of a scenario's ``[flight]``; ``keeps_log``: as in ``Pilot``."""
     assert spec.flight is not None
     shift_s = 0.0 if spec.flight.compensate else spec.flight.delay_s(spec.capture.exposure_s)
     if isinstance(spec.fault, WrongDelayFault):
@@ -32,7 +32,7 @@ def pilot_of(spec: Scenario, keeps_log: bool = True) -> Pilot:
 
 
 def check_flight_source(spec: Scenario, source: str) -> None:
-    """Raise InputError where a flight in closed loop is asked for of frames that are not the twin's."""
+    """Raise InputError where a flight in closed loop has another source of frames than the twin."""
     if spec.flight is not None and source != "twin":
         raise InputError(
             f"--source {source}: [flight] steers the twin's drone by what its frames give; frames of another source "
@@ -48,7 +48,7 @@ def live_flight(scene: Scene) -> LiveFlight:
 
 @dataclass(frozen=True, eq=False)
 class PoseLink:
-    """What happens to poses on their way to the pilot."""
+    """Delay and loss of poses on their way to the pilot."""
 
     spec: Scenario
 
@@ -62,9 +62,9 @@ class PoseLink:
         now_s: float,
         lasting: Array | None = None,
     ) -> None:
-        """Send the pose of a pulse, exposed at ``frame_s``, known to nobody before ``now_s`` [s].
+        """Send the pose of a pulse, exposed at ``frame_s`` and not available before ``now_s`` [s].
 
-        ``covariance``, ``lasting`` (none by default): as of ``ArrivedPose``.
+        ``covariance``, ``lasting`` (none by default): as in ``ArrivedPose``.
         """
         flight = self.spec.flight
         assert flight is not None
@@ -78,10 +78,10 @@ class PoseLink:
 
 
 class RenderedPoses:
-    """Poses from the pipeline's steps, as they come, sent to the pilot.
+    """Sends poses from the pipeline's steps to the pilot.
 
-    ``body``: the drone's definition; ``rig``: what its points are made with; ``origin`` (3,): the point of the body
-    that is steered, in its axes [m].
+    ``body``: the drone's definition; ``rig``: the rig that measures its points; ``origin`` (3,): the steered point of
+    the body, in its axes [m].
     """
 
     def __init__(self, spec: Scenario, scene: Scene, pilot: Pilot, bodies: Sequence[RigidBody], rig: Rig) -> None:
@@ -106,8 +106,8 @@ def split_errors(
 ) -> tuple[Array, Array]:
     """Return the covariances of the passing and of the lasting errors (3, 3) [m^2] of a single pose's ``position``.
 
-    ``covariance`` (3, 3): stated of it, with all images' errors independent; where images were doubted it is larger
-    than their errors make it, and so are both parts then.
+    ``covariance`` (3, 3): the stated covariance, for independent errors of all images. Where images were doubted, it
+    is larger than by their errors, and both parts are enlarged likewise.
     """
     markers = np.asarray(body.positions) @ rotation_from_quaternion(pose.quaternion[0]).T + pose.position[0]
     if step.noise is None or not len(step.points):
@@ -128,7 +128,7 @@ def split_errors(
 
 
 def steered_point(scene: Scene) -> Array:
-    """Return the drone's origin (3,) [m] in its definition's frame: its markers' middle, the world's axes at 0 s."""
+    """Return the drone's origin (3,) [m] in its definition's frame (markers' middle, axes of the world at 0 s)."""
     sampler = scene.sampler()
     middle = sampler.at(0.0).marker_xyz.mean(axis=0)
     origin: Array = np.asarray(scene.configuration_at(0.0))[:3] - middle

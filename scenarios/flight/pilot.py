@@ -1,7 +1,7 @@
-"""What steers the drone from the ground: late poses into a Kalman filter, its prediction into a position controller.
+"""The pilot on the ground: a Kalman filter fuses late poses, and a position controller uses its prediction.
 
-The position controller is the one of ``twin.scenes.flight`` (Lee, Leok & McClamroch 2010, eq. 12), on the predicted
-state. On board are the attitude controller, a gyroscope and the attitude that it needs: these are taken as exact.
+The position controller is that of ``twin.scenes.flight`` (Lee, Leok & McClamroch 2010, eq. 12), on the predicted
+state. On board are the attitude controller, and the gyroscope and attitude that it needs: these are taken as exact.
 """
 
 import heapq
@@ -21,25 +21,25 @@ from twin.streams import rng
 
 PERIOD_S = PHYSICS_STEP_S * CONTROL_STEPS
 _START_SIGMA = (0.1, 2.0)
-"""Of position [m] and velocity [m/s] at the first pose: wide."""
+"""Standard deviations of position [m] and velocity [m/s] at the first pose: wide."""
 
 
 class ArrivedPose(NamedTuple):
-    """A pose as the controller gets it."""
+    """A pose that reaches the controller."""
 
     arrival_s: float
     frame_s: float
-    """Its mid-exposure."""
+    """Mid-exposure of the pose."""
     position: Array
-    """(3,) of the body's origin [m]."""
+    """(3,) position of the body's origin [m]."""
     covariance: Array
-    """(3, 3) of the errors that are new in each pose [m^2]."""
+    """(3, 3) covariance of the errors that are new in each pose [m^2]."""
     lasting: Array
-    """(3, 3) of those that successive poses share: no filter tells them from the motion [m^2]."""
+    """(3, 3) covariance of errors that successive poses share: no filter can separate them from the motion [m^2]."""
 
 
 class ControlStep(NamedTuple):
-    """What was known and commanded at a control step, and the truth."""
+    """Estimate, reference and truth at a control step."""
 
     time_s: float
     position: Array
@@ -51,13 +51,13 @@ class ControlStep(NamedTuple):
     estimated: Array
     """(3,) predicted for this instant [m]; NaN before the first pose."""
     covariance: Array
-    """(3, 3) of that [m^2]."""
+    """(3, 3) covariance of the estimate [m^2]."""
     pose_age_s: float
-    """Of the newest pose fused [s]."""
+    """Age of the newest fused pose [s]."""
 
 
 def motion_noise(spec: FlightSpec) -> MotionNoise:
-    """Return what the predictor's known acceleration leaves open."""
+    """Return the process noise besides the predictor's known acceleration."""
     white = spec.imu_noise_mps2 * PERIOD_S**0.5 if spec.inputs == "imu" else 0.0
     return MotionNoise(spec.unexplained_mps2, spec.unexplained_s, white)
 
@@ -65,8 +65,8 @@ def motion_noise(spec: FlightSpec) -> MotionNoise:
 class Pilot:
     """Steers a drone by the poses that it receives.
 
-    ``shift_s``: how much later than it was a pose is believed to be exposed: 0 where the delay is known.
-    ``keeps_log``: false where the delay and the predictions are not asked for, which takes half the time.
+    ``shift_s``: error of the assumed exposure time of a pose (too late is above 0); 0 where the delay is known.
+    ``keeps_log``: false where the delay and the predictions are not needed, which takes half the time.
     """
 
     def __init__(self, spec: FlightSpec, shift_s: float, seed: int, keeps_log: bool = True) -> None:
@@ -85,7 +85,7 @@ class Pilot:
         self.steps: list[ControlStep] = []
 
     def receive(self, pose: ArrivedPose) -> None:
-        """Take a pose that will have arrived at its ``arrival_s``."""
+        """Take a pose that will arrive at its ``arrival_s``."""
         heapq.heappush(self._waiting, pose)
 
     def steer(self, time_s: float, aboard: Aboard, wanted: Reference) -> tuple[Array, float]:
@@ -95,7 +95,7 @@ class Pilot:
             measured = aboard.acceleration + self._bias + self._random.normal(0.0, self._spec.imu_noise_mps2, 3)
             self._know(time_s - PERIOD_S, measured)
         self._log(time_s, aboard, wanted)
-        # on board it is taken up at the next control step
+        # the command takes effect on board at the next control step
         acts_s = time_s + PERIOD_S * np.ceil(self._spec.command_s / PERIOD_S - 1e-9)
         push, yaw = self._command(time_s, acts_s, aboard, wanted)
         self._sent.append((acts_s, push, yaw))
@@ -107,7 +107,7 @@ class Pilot:
         return push, yaw
 
     def log(self) -> FlightLog:
-        """Return what the ground knows, for the estimate of the delay."""
+        """Return the data available on the ground, for the estimate of the delay."""
         late = self.arrived
         return FlightLog(
             np.array([time_s for time_s, _ in self._known]),
@@ -145,7 +145,7 @@ class Pilot:
         else:
             position, velocity, acceleration, yaw = wanted.at(acts_s)
             now, speed, unexplained = known.mean_at(max(acts_s, known.newest_s))
-            if spec.inputs == "imu":  # it is the sensor's error, not a force
+            if spec.inputs == "imu":  # this is the sensor's error, not a force
                 unexplained = np.zeros(3)
         push = (
             acceleration
@@ -168,21 +168,21 @@ class Pilot:
 
 
 class AttitudeLag:
-    """The attitude loop's answer to commanded horizontal accelerations; thrust acts at once.
+    """The attitude loop's response to commanded horizontal accelerations; thrust acts at once.
 
     The loop on board measures once a control period and holds its moments until the next: a'' = ATTITUDE_GAIN (u - a)
-    - RATE_GAIN a', its right side as at the period's start. Taken as continuous it would answer half a period later.
-    A drone turns about its centre of mass, so that its origin below goes the other way first, by the height times the
-    tilt a / g.
+    - RATE_GAIN a', with the right side at the period's start. A continuous model would respond half a period later. A
+    drone turns about its centre of mass, so that its origin below it first moves the opposite way, by the height
+    times the tilt a / g.
     """
 
     def __init__(self) -> None:
         self._tilt, self._rate = np.zeros(2), np.zeros(2)
 
     def step(self, wanted: Array, centre_m: float) -> Array:
-        """Return the origin's mean acceleration (3,) over a control period that ``wanted`` (3,) holds for [m/s^2].
+        """Return the origin's mean acceleration (3,) over a control period with the command ``wanted`` (3,) [m/s^2].
 
-        ``centre_m``: as of ``Aboard``.
+        ``centre_m``: as in ``Aboard``.
         """
         h, before, rate = PERIOD_S, self._tilt, self._rate
         held = ATTITUDE_GAIN * (wanted[:2] - before) - RATE_GAIN * rate

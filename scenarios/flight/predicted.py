@@ -1,10 +1,10 @@
-"""Flights on poses that are drawn, not rendered: their covariance is what the rig's geometry predicts.
+"""Flights on poses that are drawn, not rendered: their covariance is predicted from the rig's geometry.
 
 Fisher information of a pose from the images of its markers: each image adds J' J / s^2, with the Jacobian J of the
 projection and s the standard deviation of an image coordinate (Luhmann et al., Close-Range Photogrammetry, 3rd ed.,
 section 4.4). An error that all images of a camera share at an instant (a shaken body, the lens model's misfit in a
-small part of the image) is one more unknown shift of each camera, with its variance as prior. What the calibration
-gets wrong is common to all poses of a flight and is drawn once for each.
+small part of the image) is one more unknown shift of each camera, with its variance as prior. The error of the
+calibration is common to all poses of a flight and is drawn once for each flight.
 """
 
 from dataclasses import dataclass, field
@@ -26,22 +26,22 @@ from twin.scenes.live_flight import LiveFlight
 from twin.streams import rng
 
 _CELL_M = 0.05
-"""The covariance changes by a few percent of itself over a metre."""
+"""Edge of the cells in which the covariance is constant: it changes by a few percent over a metre."""
 
 
 @dataclass(frozen=True, eq=False)
 class PoseNoise:
-    """What errors a rig's poses of a body have."""
+    """Errors of a rig's poses of a body."""
 
     rig: Rig
     markers: Array
-    """(m, 3) from the body's origin, at the attitude of the start [m]."""
+    """(m, 3) markers from the body's origin, at the attitude of the start [m]."""
     sigma_px: Array
     """(m, c) standard deviation of an image coordinate; infinite where a camera does not see a marker [px]."""
     shared_px: Array
-    """(c,) standard deviation of the error that all images of a camera share at an instant, an axis [px]."""
+    """(c,) standard deviation, on each axis, of the error that all images of a camera share at an instant [px]."""
     calibration_m2: Array
-    """(3, 3) of the error that all poses share [m^2]."""
+    """(3, 3) covariance of the error that all poses share [m^2]."""
     _known: dict[tuple[float, float, float], Array] = field(default_factory=dict)
 
     def at(self, position: Array) -> Array:
@@ -72,16 +72,16 @@ class PoseNoise:
 
 @dataclass(frozen=True, eq=False)
 class Flown:
-    """A flight and what was found of its delay."""
+    """A flight and the estimate of its delay."""
 
     path: FlownPath
     delay: DelayEstimate | None
-    """None where it could not be estimated; ``delay_note`` says why."""
+    """None where the delay could not be estimated; ``delay_note`` states the reason."""
     delay_note: str = ""
 
 
 def fly_predicted(spec: Scenario, folder: Path, noise: PoseNoise, with_delay: bool = True) -> Flown:
-    """Return a flight on poses drawn from ``noise``; nothing is rendered. ``with_delay``: the delay is estimated."""
+    """Return a flight on poses drawn from ``noise``, without rendering. ``with_delay``: to estimate the delay."""
     pilot = pilot_of(spec, with_delay)
     flight = live_flight(build_scene(spec, folder, pilot))
     link, random = PoseLink(spec), rng(spec.seed, "flight/pose_noise")
@@ -100,7 +100,7 @@ def fly_predicted(spec: Scenario, folder: Path, noise: PoseNoise, with_delay: bo
 
 
 def flown(spec: Scenario, pilot: Pilot, flight: LiveFlight, calibration_m2: Array, with_delay: bool = True) -> Flown:
-    """Return a flight that is over, with its delay; ``calibration_m2`` (3, 3): of the error that all poses share."""
+    """Return a finished flight with its delay; ``calibration_m2`` (3, 3): covariance of the error all poses share."""
     assert spec.flight is not None
     delay_s = spec.flight.delay_s(spec.capture.exposure_s)
     stated = [float(np.trace(one.covariance + one.lasting)) for one in pilot.arrived]

@@ -1,1 +1,1 @@
-"""Where devices meet the rest: what needs detection, scenarios and hardware at once."""
+"""Work with devices that needs detection, scenarios and hardware together."""

@@ -1,4 +1,4 @@
-"""Capture: the rig's frames, or what they show, into a recording that is readable at any moment."""
+"""Capture: the rig's frames, or the detections in them, into a recording that is readable at any moment."""
 
 import time
 from collections.abc import Callable
@@ -39,21 +39,21 @@ Progress = Callable[[int, int | None], None]
 
 @dataclass(frozen=True)
 class CaptureRequest:
-    """What to capture."""
+    """Arguments of a capture."""
 
     rig: Path
     out: Path
     frames: int | None = None
-    """Pulses, None until Ctrl-C."""
+    """Number of pulses; None: until Ctrl-C."""
     seconds: float | None = None
     detections: bool = False
-    """Keep these alone, no images."""
+    """Keep only these, no images."""
     view: bool = False
     """Show it live."""
     view_log: Path | None = None
-    """Into this .rrd file instead of the viewer."""
+    """Show it in this .rrd file instead of the viewer."""
     settings: Path | None = None
-    """File as of ``mosca reconstruct``, for detections and view."""
+    """Settings file as for ``mosca reconstruct``, for detections and view."""
     program: Path | None = None
     """Commands and events (``hardware.onboard.commands``)."""
     waiting_bytes: int = WAITING_BYTES
@@ -69,7 +69,7 @@ class CameraRow:
     """Counts of one camera's pulses."""
 
     frames: int = 0
-    """In the recording or processed."""
+    """Frames in the recording, or processed."""
     failed: int = 0
     dropped: int = 0
     overrun: int = 0
@@ -87,7 +87,7 @@ class CaptureOutcome:
 
     pulses: int = 0
     lost: int = 0
-    """Frame sets that this machine was too slow for."""
+    """Frame sets for which this machine was too slow."""
     lost_text: str = ""
     skipped: int = 0
     """Pulses that this machine could not send in their periods."""
@@ -96,11 +96,11 @@ class CaptureOutcome:
     cameras: dict[str, CameraRow] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
     accept_unproven: bool = False
-    """The rig file's: frames whose pulses are not certain count like others."""
+    """Setting of the rig file: frames whose pulses are not certain count like others."""
 
     @property
     def whole(self) -> bool:
-        """Whether each pulse has a whole frame of each camera, which is certainly of it or accepted as such."""
+        """Whether each pulse has a whole frame of each camera that is certainly, or accepted as, of that pulse."""
         lacks = [c.failed or c.dropped or c.overrun for c in self.cameras.values()]
         doubtful = [c.unproven for c in self.cameras.values() if not self.accept_unproven]
         return not self.lost and not any(lacks + doubtful)
@@ -112,7 +112,7 @@ def capture(
     opener: OpenCamera = open_camera,
     trigger_opener: OpenTrigger = open_trigger,
 ) -> CaptureOutcome:
-    """Capture until the frames wanted are there, Ctrl-C, or the disk is full (InputError); DeviceError for devices.
+    """Capture until all wanted frames have come, Ctrl-C, or a full disk (InputError); DeviceError for devices.
 
     ``opener`` and ``trigger_opener`` are for tests.
     """
@@ -129,7 +129,7 @@ def _captured(
     program = None if request.program is None else read_program(request.program)
     settings = _settings(request)
     if request.view and request.view_log is None:
-        viewer_program("--view")  # a missing one is told before cameras are opened
+        viewer_program("--view")  # a missing viewer is reported before cameras are opened
         check_window("--view", "leave it out")
     pulses = pulses_of(request, hardware)
     with ExitStack() as stack:
@@ -169,7 +169,7 @@ def _captured(
 
 
 def _settings(request: CaptureRequest) -> "PipelineSettings | None":
-    """Return the settings of detection; None where nothing is to be detected, and nothing heavy is loaded."""
+    """Return the settings of detection; None without detection, and then nothing heavy is imported."""
     if not (request.detections or request.view or request.view_log or request.settings):
         return None
     from scenarios.commands.reconstruct import live_spec, reconstruct_settings
@@ -178,21 +178,21 @@ def _settings(request: CaptureRequest) -> "PipelineSettings | None":
 
 
 def check_out(out: Path) -> None:
-    """Raise InputError where ``out`` is there already, before any device is touched."""
+    """Raise InputError where ``out`` exists already, before any device is opened."""
     if out.exists() and not (out.is_dir() and not any(out.iterdir())):
         raise InputError(f"{out}: is there already; choose another folder for this take")
     check_folder(out)
 
 
 def pulses_of(request: CaptureRequest, hardware: RigHardware) -> int | None:
-    """Return how many pulses are wanted, None for no end."""
+    """Return the number of wanted pulses; None: without end."""
     if request.seconds is not None:
         return max(round(request.seconds * hardware.shared.rate_hz), 1)
     return request.frames
 
 
 def _calibrated(path: Path) -> Rig | None:
-    """Return the rig where all its cameras have lens and pose, else None."""
+    """Return the rig if all its cameras have lens and pose, else None."""
     tables = read_rig_file(path).camera
     if any(table.lens is None or table.pose is None for table in tables):
         return None
@@ -203,7 +203,7 @@ def _recording(request: CaptureRequest, source: HardwareSource, pulses: int | No
     text = read_text(request.rig, "a rig file")
     if request.detections:
         return RecordingWriter(request.out, source.cameras, text, holds="detections", tail_bytes=0)
-    # before packing, as nobody knows how far these images pack; without an end the take may fill the disk
+    # size before packing, since the compression of these images is unknown; without an end the take may fill the disk
     check_folder(request.out, (pulses or 0) * sum(info.image_bytes for info in source.cameras))
     return RecordingWriter(request.out, source.cameras, text, holds="frames", tail_bytes=request.waiting_bytes)
 
@@ -236,7 +236,7 @@ def _watch(
     run: ProgramRun | None,
     progress: Callable[[int], object],
 ) -> bool:
-    """Let it run and write down clocks and accounts; return whether Ctrl-C ended it."""
+    """Write clocks and accounts while the capture runs; return whether Ctrl-C ended it."""
     stopped, next_statistics = False, time.monotonic() + STATISTICS_S
     with between_steps() as check:
         intake.start()
@@ -272,7 +272,7 @@ def _now_ns(source: HardwareSource) -> int:
 
 
 def _write_clocks(recorder: Recorder, source: HardwareSource, intake: Intake) -> None:
-    """Write down the latest pulses and raw stamps of frames, and one instant in all clocks of this machine."""
+    """Write the latest pulses and raw stamps of frames, and one instant on all clocks of this machine."""
     now_ns = time.monotonic_ns()
     session_ns = source.session_ns(now_ns)
     if session_ns is None:
@@ -285,7 +285,7 @@ def _write_clocks(recorder: Recorder, source: HardwareSource, intake: Intake) ->
 
 
 def _write_statistics(recorder: Recorder, source: HardwareSource, intake: Intake) -> None:
-    """Record the counts of the buffers until now; the last record is of the end."""
+    """Record the counts of the buffers until now; the last record is that at the end."""
     account = {
         "cameras": {name: asdict(one) for name, one in source.statistics.cameras.items()},
         "skipped_pulses": source.statistics.skipped_pulses,
@@ -338,7 +338,7 @@ def _outcome(
 
 
 def _whole_pulses(intake: Intake) -> int:
-    """Return the number of pulses when Ctrl-C came: the last set may not have been whole yet."""
+    """Return the number of pulses at Ctrl-C, when the last set may not have been whole yet."""
     last = intake.pulses - 1
     return min(seen.last for seen in intake.cameras.values() if seen.last > last - TAIL_PULSES) + 1
 

@@ -1,4 +1,4 @@
-"""Frames that come now, and what they show: detection beside the reading thread, whole sets left out when behind."""
+"""Detection in live frames: it runs beside the reading thread, and leaves out whole frame sets when it is behind."""
 
 import os
 from collections.abc import Iterator, Mapping, Sequence
@@ -34,7 +34,7 @@ def detected(
 
 
 def warm_up(cameras: Sequence[CameraInfo], settings: PipelineSettings) -> None:
-    """Detect once in pictures of a blurred disc, so that what has to be compiled is before the first pulse."""
+    """Detect once in pictures of a blurred disc, so that compilation is done before the first pulse."""
     look = FrameSetDetector(settings.detection, {info.name: info.bit_depth for info in cameras})
     learned = NO_STATISTICS
     for _ in range(2):

@@ -1,4 +1,4 @@
-"""Which cameras the drivers see, and which of them a rig file names. Opens none of them."""
+"""The cameras that the drivers find, and those of them that a rig file names. None is opened."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -12,7 +12,7 @@ ListDevices = Callable[[str, str], Sequence[Device]]
 
 def describe_devices(path: Path | None, list_devices: ListDevices = devices) -> tuple[list[str], list[str]]:
     """Return a line for each device and each driver that cannot search, then one for each camera of the rig file; and
-    the names of the rig file's cameras that no driver sees.
+    the names of the rig file's cameras that no driver finds.
     """
     cameras = {} if path is None else read_hardware(path).cameras
     producers = sorted({settings.producer for settings in cameras.values() if settings.producer})

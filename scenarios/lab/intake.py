@@ -1,4 +1,4 @@
-"""The thread that reads the rig during a capture: frames to the recorder as they are, or what they show."""
+"""The thread that reads the rig during a capture, and passes frames, or the detections in them, to the recorder."""
 
 import threading
 from collections import OrderedDict
@@ -17,11 +17,11 @@ if TYPE_CHECKING:
     from scenarios.lab.live_view import LiveView
 
 FEWEST_WAITING, MOST_WAITING = 2, 500
-"""Frame sets that may wait for detection."""
+"""Least and largest number of frame sets that may wait for detection."""
 REMEMBERED_FRAMES = 20_000
 STAMPS = ("index", "block", "device_ns", "host_ns", "pulse", "found")
-"""What is recorded of each frame's buffer: the camera's count, the stream's, the raw stamp of the camera's clock, its
-arrival, its pulse and how that was found."""
+"""Recorded values of each frame's buffer: count of the camera, count of the stream, raw stamp of the camera's clock,
+arrival, pulse and how that was found."""
 
 
 @dataclass
@@ -33,14 +33,14 @@ class FrameCounts:
     pulses: int = 0
     last: int = -1
     left_out: int = 0
-    """Whole ones that belong to frame sets that were lost."""
+    """Whole frames that belong to lost frame sets."""
 
 
 class Intake:
-    """Reads ``source`` to its end on a thread. ``settings``: of detection; None records the frames themselves.
+    """Reads ``source`` to its end on a thread. ``settings``: those of detection; None: the frames are recorded.
 
-    ``cameras``: what came; ``assembly``: how it was grouped (with detection); ``lost``: frame sets that there was no
-    time for.
+    ``cameras``: counts of frames; ``assembly``: their grouping (with detection); ``lost``: frame sets for which there
+    was no time.
     """
 
     def __init__(
@@ -72,19 +72,19 @@ class Intake:
 
     @property
     def pulses(self) -> int:
-        """How many pulses there were so far."""
+        """Number of pulses so far."""
         return max(seen.last for seen in self.cameras.values()) + 1
 
     def start(self) -> None:
-        """Begin: this arms the cameras and starts the pulses."""
+        """Begin to read, which arms the cameras and starts the pulses."""
         self._thread.start()
 
     def wait(self, seconds: float) -> None:
-        """Wait for the end, so long at most."""
+        """Wait for the end, at most for ``seconds``."""
         self._thread.join(seconds)
 
     def check(self) -> None:
-        """Raise what ended the reading early, if anything did."""
+        """Raise the error that ended the reading early, if any."""
         if self._failed is not None:
             raise self._failed
 

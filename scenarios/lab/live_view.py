@@ -1,8 +1,8 @@
-"""What a capture sees, live in the Rerun viewer: some frame sets a second, never at the capture's expense.
+"""Live view of a capture in the Rerun viewer: some frame sets a second, without slowing down the capture.
 
-Frames are offered while they pass; of the sets that are whole the newest is kept, the others are let go. A thread
-takes it, detects and, with a calibrated rig, measures points. It rests at least as long as it worked, and while the
-recording is behind it takes nothing.
+Frames are offered while they pass. Only the newest whole frame set is kept. A thread takes it, detects and, with a
+calibrated rig, measures points. The thread rests at least as long as it worked, and takes nothing while the recording
+is behind.
 """
 
 import statistics
@@ -30,10 +30,10 @@ OPEN_PULSES = 4
 
 
 class LiveView:
-    """Shows what ``offer`` is given. ``rig`` None: cameras without calibration, beside each other and without 3D.
+    """Shows the frames given to ``offer``. ``rig`` None: cameras without calibration, side by side and without 3D.
 
-    ``behind``: fill level of the recording's queue, 0 to 1. ``shown``: frame sets logged so far; ``failed``: why
-    showing ended early.
+    ``behind``: fill level of the recording's queue, 0 to 1. ``shown``: frame sets logged so far; ``failed``: reason
+    why showing ended early.
     """
 
     def __init__(
@@ -59,7 +59,7 @@ class LiveView:
         self._thread.start()
 
     def offer(self, frame: Frame) -> None:
-        """Take a frame if it may be shown; costs next to nothing. For one thread."""
+        """Take a frame if it may be shown; takes almost no time. For one thread."""
         if frame.image is None or time.monotonic() < self._due or self._behind() > BEHIND:
             return
         pulse = round(frame.time_ns / self._period_ns)

@@ -33,7 +33,7 @@ def in_order(detections: Mapping[str, Detections], rig: Rig) -> dict[str, Detect
 
 
 class Delays:
-    """Latency from frames' arrival at the station to their merged set [s]."""
+    """Latencies from the arrival of frames at the station to their merged set [s]."""
 
     def __init__(self) -> None:
         self._since_arrival: list[float] = []
@@ -48,7 +48,7 @@ class Delays:
             yield merged
 
     def percentiles(self, share: float) -> tuple[float, float]:
-        """Return the delay since the frame's arrival, and since its message was sent, that ``share`` stay below."""
+        """Return the ``share`` quantiles of the delays since a frame's arrival and since its message was sent."""
         if not self._since_arrival:
             return float("nan"), float("nan")
         return float(np.quantile(self._since_arrival, share)), float(np.quantile(self._since_sent, share))
@@ -57,8 +57,8 @@ class Delays:
 def calibrated_rig(path: Path, from_stations: Callable[[], Mapping[str, str]]) -> tuple[Rig, list[str]]:
     """Return the rig of the file at ``path``, and notes.
 
-    A camera that the file does not calibrate is taken from the rig file of its station (``from_stations`` fetches
-    them: station -> text; only called then). InputError where none has it.
+    A camera that the file does not calibrate is taken from the rig file of its station. ``from_stations`` fetches
+    these (station -> text) and is called only then. InputError where no file has the camera.
     """
     file = read_rig_file(path)
     if all(table.lens is not None and table.pose is not None for table in file.camera):
@@ -79,7 +79,7 @@ def calibrated_rig(path: Path, from_stations: Callable[[], Mapping[str, str]]) -
             station, table = theirs[table.name]
             notes.append(f"camera '{table.name}': calibration of station {station}")
         cameras.append(camera_of(table, path))
-    with tempfile.TemporaryDirectory() as folder:  # read anew, so that it is checked like any other
+    with tempfile.TemporaryDirectory() as folder:  # read again, so that it is checked like any other rig file
         whole = Path(folder) / path.name
         whole.write_text(rig_toml(Rig(tuple(cameras))), encoding="utf-8")
         return read_rig(whole), notes
@@ -137,7 +137,7 @@ def _counts(counts: Mapping[str, int]) -> str:
 
 
 def all_whole(statistics: ReceiverStatistics) -> bool:
-    """Return whether every pulse was seen by every camera."""
+    """Return whether there is a frame of every camera for every pulse."""
     return (
         statistics.merge.sets > 0
         and statistics.merge.sets == statistics.merge.complete

@@ -1,10 +1,10 @@
-"""Frames to disk while they come: packed on threads of their own, written by one, lost as whole sets when behind.
+"""Writing of frames to disk while they come: several threads pack, one writes, whole sets are lost when behind.
 
-Frames wait where packing or disk fall behind. So that memory stays bounded, a frame set whose first frame finds the
-queue full is left out of the recording, all cameras of it, and listed; frames are never left out one by one. Each
-camera's frames stay in order. What was written reaches the operating system at least every FLUSH_S. A frame that
-waits longer than KEPT_AFTER_S for that, behind a disk or a busy machine, is copied to memory that outlives this
-process; so are, as they come, those whose pulses are not known yet at the start.
+Frames wait where packing or the disk fall behind. To bound memory, a frame set whose first frame finds the queue full
+is left out of the recording with all its cameras, and listed; single frames are never left out. Each camera's frames
+stay in order. Written data reach the operating system at least every FLUSH_S. A frame that waits longer than
+KEPT_AFTER_S for that, because of a slow disk or a busy machine, is copied to memory that outlives this process. At
+the start, frames whose pulses are not known yet are copied there at once.
 """
 
 import queue
@@ -37,7 +37,7 @@ class LostSets:
         self.count = 0
 
     def add(self, first: int, last: int) -> None:
-        """Take the sets ``first`` to ``last``, which come after those before."""
+        """Add the sets ``first`` to ``last``, which are later than all earlier ones."""
         self.count += last - first + 1
         if self.ranges and first == self.ranges[-1][1] + 1:
             self.ranges[-1] = (self.ranges[-1][0], last)
@@ -64,8 +64,8 @@ class _Waiting:
 class Recorder:
     """Takes frames, frame sets of detections and further messages, and writes them in a thread of its own.
 
-    ``waiting_bytes``: of pixels that may wait. ``workers``: threads that pack. ``failed``: why writing ended early
-    (a full disk), None while all is well; what comes later is thrown away. ``take`` is for one thread.
+    ``waiting_bytes``: most bytes of pixels that wait. ``workers``: threads that pack. ``failed``: reason why writing
+    ended early (a full disk), None without a failure; later data are discarded. ``take`` is for one thread.
     """
 
     def __init__(
@@ -101,7 +101,7 @@ class Recorder:
         return self._waiting / self._most
 
     def take(self, frame: Frame, host_ns: int | None = None) -> bool:
-        """Have ``frame`` written; False where its set is left out. ``host_ns``: its arrival at this machine."""
+        """Queue ``frame`` for writing; False where its set is left out. ``host_ns``: its arrival at this machine."""
         pulse = round(frame.time_ns / self._period_ns)
         self._taken_any = True
         if not self._admit(pulse):
@@ -124,7 +124,7 @@ class Recorder:
         return True
 
     def keep_early(self, image: Array) -> None:
-        """Keep the image of a frame that ``take`` will bring, as long as it brought none; from any thread."""
+        """Keep the image of a frame that will come to ``take``, unless that has taken any yet; from any thread."""
         if self._taken_any:
             return
         slot = self._writer.reserve(image)
@@ -132,15 +132,15 @@ class Recorder:
             self._early[id(image)] = (image, slot)
 
     def take_set(self, frame_set: FrameSet, detections: Mapping[str, Detections], host_ns: Mapping[str, int]) -> None:
-        """Have the detections of a frame set written."""
+        """Queue the detections of a frame set for writing."""
         self._jobs.put(partial(self._writer.write_set, frame_set, detections, host_ns))
 
     def write_message(self, channel: str, time_ns: int, data: bytes | Mapping[str, Any]) -> None:
-        """Have a message of a further channel written; may be called by any thread."""
+        """Queue a message of a further channel for writing; may be called by any thread."""
         self._jobs.put(partial(self._writer.write_channel, channel, time_ns, data))
 
     def close(self) -> None:
-        """Write what waits and end the threads; may be called twice."""
+        """Write waiting data and end the threads; may be called twice."""
         if self._thread.is_alive():
             self._jobs.put(None)
             self._thread.join()
@@ -157,13 +157,13 @@ class Recorder:
         return known
 
     def _pack(self, frame: Frame) -> bytes:
-        """Pack ``frame``; later, while old frames arrive and the queue has space: those are kept first."""
+        """Pack ``frame``, but wait while old frames arrive and the queue has space: those are kept first."""
         while time.monotonic_ns() < self._hurry_until_ns and self.behind < HURRY_BELOW:
             time.sleep(POLL_S)
         return self._writer.pack(frame)
 
     def _keep_old(self) -> None:
-        """Copy all frames that wait to the tail once the oldest of them waited too long."""
+        """Copy all waiting frames to the tail once the oldest of them has waited too long."""
         while self._unkept and self._unkept[0].safe:
             self._unkept.popleft()
         if not self._unkept or time.monotonic_ns() - self._unkept[0].taken_ns < KEPT_AFTER_S * 1e9:
@@ -212,4 +212,4 @@ class Recorder:
 
 
 def _nothing() -> None:
-    """Do nothing: no job came, only the time to flush."""
+    """Do nothing: there is no job, only a flush is due."""

@@ -38,9 +38,9 @@ class ReplayRequest:
     bodies: Path | None = None
     joints: Path | None = None
     angles: Path | None = None
-    """Of a person, as 'mosca skeleton track' writes them; default: those of a run folder."""
+    """Joint angles of a person, as written by 'mosca skeleton track'; default: those of a run folder."""
     speed: float | None = 1.0
-    """How many times as fast as measured; None: as fast as possible."""
+    """Factor on the speed of the measurement; None: as fast as possible."""
     loop: bool = False
     seconds: float | None = None
     wait: int = 0
@@ -52,7 +52,7 @@ class ReplayRequest:
 def replay_tracks(request: ReplayRequest, report: Callable[[str], None]) -> list[str]:
     """Stream until the take is over, ``seconds`` have passed or Ctrl-C; return the account's lines.
 
-    ``report`` is called with the line that says where. InputError for files, options and faults that cannot be.
+    ``report`` is called with a line on the addresses. InputError for files, options and faults that cannot be used.
     """
     check_wait(request.settings, request.wait)
     faults = ordered_faults(request.fault, request.faults, request.seed)
@@ -101,7 +101,7 @@ def _take(request: ReplayRequest) -> TakeFrames:
 
 
 def _with_bodies(tracks: Tracks, path: Path) -> tuple[Tracks, BodyPoses, tuple[RigidBody, ...]]:
-    """Return the tracks, named by the bodies that they belong to, and the bodies' poses and definitions."""
+    """Return the tracks, named by the bodies to which they belong, and the bodies' poses and definitions."""
     if path.suffix.lower() == ".csv":
         return tracks, read_bodies_csv(path), ()
     bodies = read_bodies(path)

@@ -1,7 +1,7 @@
 """Check of a rig before an experiment, from a few seconds of its own frames.
 
-Devices and their settings, where these differ, what became of the pulses, how bright and how sharp the images are,
-how well the stamps lie on the pulses, and how long the disk lasts. Nothing is recorded.
+It reports devices and their settings, differences of settings, the account of the pulses, brightness and sharpness of
+the images, the fit of stamps to pulses, and how long the disk lasts. Nothing is recorded.
 """
 
 import shutil
@@ -22,13 +22,13 @@ from mosca.data.arrays import Array
 
 SECONDS = 2.0
 IMAGES_CHECKED = 8
-"""Images of each camera that are checked for light and focus, spread over the time."""
+"""Number of images of each camera that are checked for light and focus, spread over the time."""
 DARK, SATURATED = 0.3, 2e-3
-"""Share of white below which the brightest pixels are dark; share of all pixels that may be white."""
+"""Share of white below which the brightest pixels count as dark; share of all pixels that may be white."""
 EDGES, REACH_PX = 200, 6
 BLURRED_PX = 1.2
 OWN = ("DeviceUserID", "DeviceTemperature")
-"""Settings that are each camera's own."""
+"""Settings that are individual to each camera."""
 
 
 @dataclass
@@ -126,7 +126,7 @@ def differing(reports: Mapping[str, DeviceReport]) -> list[str]:
 
 
 def light(images: Sequence[Array], bit_depth: int) -> str:
-    """Return in words how bright images (H, W) are, and what to do; "" without images."""
+    """Return the brightness of images (H, W) in words, with advice; "" without images."""
     if not images:
         return ""
     white = 2**bit_depth - 1
@@ -141,7 +141,7 @@ def light(images: Sequence[Array], bit_depth: int) -> str:
 
 
 def focus(images: Sequence[Array]) -> str:
-    """Return in words how sharp the steepest edges of images (H, W) are, and what to do; "" where there are none."""
+    """Return the sharpness of the steepest edges of images (H, W) in words, with advice; "" where there are none."""
     widths = [width for image in images if (width := edge_width_px(image)) is not None]
     if not widths:
         return "no clear edges to judge the focus by: put markers in view"

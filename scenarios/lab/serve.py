@@ -36,10 +36,10 @@ from scenarios.spec.catalog import find
 from scenarios.spec.scenario import load_scenario
 
 MEMORY_BYTES = 1 << 30
-"""How much of the frames is kept in memory without ``--ahead``."""
+"""Most bytes of frames kept in memory without ``--ahead``."""
 POLL_S = 0.02
 LOOPBACK_PACKET = 8000
-"""Loopback carries large packets; five times as many small ones would keep a core busy."""
+"""Packet size on loopback, which carries large packets; five times as many small ones would keep a core busy."""
 TriggerKind = Literal["Line1", "serial", "Software", "Action1", "Off"]
 TRIGGER_SOURCES: Mapping[TriggerKind, str] = {
     "Line1": "external",
@@ -60,12 +60,12 @@ class TwinTable(Table):
 
 @dataclass(frozen=True)
 class InjectedFaults:
-    """Faults of the served cameras; for all of them but ``reboots``."""
+    """Faults of the served cameras; all except ``reboots`` apply to every camera."""
 
     loss: float = 0.0
     withhold: float = 0.0
     drift_ppm: float = 0.0
-    """The cameras' clocks drift from minus to plus this, evenly spread."""
+    """Largest drift of the cameras' clocks, which are evenly spread from minus to plus this."""
     reboots: Mapping[str, float] = field(default_factory=dict)
     """Camera -> seconds from the start of its acquisition to its reboot."""
     seed: int = 0
@@ -78,38 +78,38 @@ class ServeRequest:
     what: str
     address: str = FIRST_ADDRESS
     rate_hz: float | None = None
-    """None: the source's own."""
+    """Frame rate; None: that of the source."""
     seconds: float | None = None
     loop: bool = False
     ahead: int | None = None
     """Pulses read ahead; None: as many as fit in memory."""
     trouble: InjectedFaults = InjectedFaults()
     switchover: bool = False
-    """Whether a client may take a camera over from another with a key."""
+    """Whether a client with a key may take over a camera from another client."""
     rig_out: Path | None = None
     trigger: TriggerKind = "Line1"
     workers: int = 1
     streams: tuple[StreamSettings, ...] = ()
-    """Serve the tracks of the same instants there."""
+    """Streams that serve the tracks of the same instants."""
     up: UpAxis = "z"
-    """Of the streams."""
+    """Upward axis of the streams."""
     tracks: Path | None = None
-    """What is streamed: a run folder or file of tracks; None: the truth."""
+    """Streamed data: a run folder or file of tracks; None: the truth."""
     fault: tuple[str, ...] = ()
     faults: Path | None = None
-    """Of the streams; their seed is that of ``trouble``."""
+    """File of the streams' faults; their seed is that of ``trouble``."""
 
 
 @dataclass(frozen=True, eq=False)
 class ServedSource:
-    """What is served; its cameras' calibration, None where it is not known; addresses and serials, where given."""
+    """The served source; its cameras' calibration, None where unknown; addresses and serials, where given."""
 
     source: FrameSource
     rig: Rig | None
     addresses: Mapping[str, str] = field(default_factory=dict)
     serials: Mapping[str, str] = field(default_factory=dict)
     truth: Callable[[], TakeFrames] | None = None
-    """The true tracks at its pulses; called where they are streamed."""
+    """Function that returns the true tracks at the pulses; called where they are streamed."""
 
 
 def serve(
@@ -120,8 +120,8 @@ def serve(
 ) -> Served:
     """Serve until Ctrl-C or for ``request.seconds``; return what was served, closed, with its counts.
 
-    ``on_ready``: called once the devices answer. ``report``: with lines about the streams.
-    Raises InputError for what cannot be served.
+    ``on_ready``: called once the devices answer. ``report``: called with lines about the streams.
+    Raises InputError for a source that cannot be served.
     """
     if request.rig_out is not None:
         check_writable(request.rig_out)
@@ -171,7 +171,7 @@ def serve(
 def _stream(
     request: ServeRequest, subject: ServedSource, rate_hz: float, stack: ExitStack
 ) -> tuple[StreamServer, TakeFrames, FaultLine | None] | None:
-    """Return the streams' server, frames and faults, None where no stream is asked for."""
+    """Return the streams' server, frames and faults; None where no stream is requested."""
     if not request.streams:
         given = {"--tracks": request.tracks, "--faults": request.faults, "--fault": " ".join(request.fault) or None}
         for option, value in given.items():
@@ -192,10 +192,10 @@ def _stream(
 def _on_line(
     up: Served, server: StreamServer, frames: TakeFrames, faults: FaultLine | None, loop: bool, period_s: float
 ) -> PulsedStream:
-    """Return the stream as one more device on the cameras' trigger line."""
+    """Return the stream as an additional device on the cameras' trigger line."""
     exposure_ns = round(up.devices[0].identity.exposure_us * 1000)
     by_pulse = {frame.number: frame for frame in frames}
-    # what loops is the cameras' frames; of a source that is not whole in memory the tracks tell how many
+    # the cameras' frames loop; where the source is not wholly in memory, the tracks give their number
     length = up.store.length or max(by_pulse) + 1
     pulsed = PulsedStream(server, by_pulse, exposure_ns, length if loop else None, faults, period_s)
     up.line.add(pulsed)
@@ -205,7 +205,7 @@ def _on_line(
 def rig_text(rig: Rig | None, up: Served, rate_hz: float, trigger: TriggerKind, port: str = "") -> str:
     """Return a rig file with which ``mosca capture --rig`` grabs from the devices of ``up``.
 
-    ``rig``: the cameras' calibration, if it is known; ``port``: of a serial trigger.
+    ``rig``: the cameras' calibration, if it is known; ``port``: port of a serial trigger.
     """
     hardware = {
         device.identity.name: {
@@ -235,12 +235,12 @@ def rig_text(rig: Rig | None, up: Served, rate_hz: float, trigger: TriggerKind, 
 
 
 def _table(heading: str, values: Mapping[str, object]) -> str:
-    # texts, numbers and lists of numbers are written alike in JSON and TOML
+    # texts, numbers and lists of numbers are written in the same way in JSON and TOML
     return "\n".join((f"[{heading}]", *(f"{key} = {json.dumps(value)}" for key, value in values.items()), ""))
 
 
 def _stay(up: Served, rate_hz: float, request: ServeRequest) -> None:
-    """Give pulses while cameras are armed: from pulse 0 once all are, until none is."""
+    """Give pulses while cameras are armed: from pulse 0 once all are armed, until none is."""
     until = None if request.seconds is None else time.monotonic() + request.seconds
     waits = True
     with between_steps() as stop:

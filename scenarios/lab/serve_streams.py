@@ -1,7 +1,7 @@
-"""Streams beside served cameras: at each pulse of their line the tracks of the same instant, on the same clock.
+"""Streams beside served cameras: tracks of the same instant at each pulse of the trigger line, on the same clock.
 
-A pulse begins the cameras' exposure; the frame of its tracks has the pulse's number and the middle of the exposure
-as its stamp, and is sent when the exposure is over.
+A pulse begins the cameras' exposure. The frame of its tracks has the pulse's number and, as its stamp, the middle of
+the exposure. It is sent when the exposure is over.
 """
 
 import queue
@@ -35,14 +35,14 @@ from twin.scenes.scene import Scene
 from twin.truth_log import joints_at
 
 SIGMA_M = 1e-6
-"""Stated of true positions, so that poses can be fitted to them."""
+"""Stated standard deviation of true positions, so that poses can be fitted to them."""
 TRUTH_FILE = "truth.npz"
 
 
 def true_frames(spec: Scenario, scene: Scene, up: UpAxis) -> TakeFrames:
     """Return the true markers, bodies and person of a scenario at its pulses, as stream frames.
 
-    Raises InputError for a flight, whose motion depends on what is made of its frames.
+    Raises InputError for a flight, since its motion depends on results from its frames.
     """
     if spec.flight is not None:
         raise InputError("--stream: the truth of a flight is known when it is flown; give --tracks RUN")
@@ -97,10 +97,10 @@ def tracked_frames(path: Path, up: UpAxis) -> TakeFrames:
 
 
 class PulsedStream:
-    """A device on the trigger line that sends a frame a pulse. ``close`` ends it; a context is not needed.
+    """A device on the trigger line that sends a frame at each pulse. ``close`` ends it; a context is not needed.
 
-    ``frames``: by pulse. ``length``: pulses after which the first frame follows, None: once through. ``faults``: that
-    the frames go through, by the time from the first pulse on. ``sent``: pulses that had a frame.
+    ``frames``: by pulse. ``length``: pulses after which the frames repeat, None: no repetition. ``faults``: faults
+    that are applied to the frames, by the time from the first pulse on. ``sent``: number of pulses that had a frame.
     """
 
     def __init__(
@@ -125,7 +125,7 @@ class PulsedStream:
         self._due.put((number, time_ns))
 
     def close(self) -> None:
-        """Send what was exposed until now, and end."""
+        """Send the frames exposed until now, and end."""
         self._due.put(None)
         self._thread.join()
 
@@ -145,7 +145,7 @@ class PulsedStream:
         self._deliver_until(None)
 
     def _deliver_until(self, time_ns: int | None) -> None:
-        """Deliver what waits, each at its time, until a monotonic time; None: all of it."""
+        """Deliver waiting frames, each at its time, until a monotonic time; None: all of them."""
         while (at_ns := self._sender.deliver_due()) is not None and (time_ns is None or at_ns < time_ns):
             time.sleep(_seconds_until(at_ns) or 0.0)
         time.sleep(_seconds_until(time_ns) or 0.0)
@@ -163,5 +163,5 @@ class PulsedStream:
 
 
 def _seconds_until(time_ns: int | None) -> float | None:
-    """Return the time from now until a monotonic time, 0 where it is over; None for None."""
+    """Return the time [s] from now until a monotonic time, 0 where it is past; None for None."""
     return None if time_ns is None else max(0.0, (time_ns - time.monotonic_ns()) * 1e-9)

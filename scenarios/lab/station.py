@@ -1,8 +1,8 @@
 """A detecting station: frames of its own cameras become detections, sent to the station that reconstructs.
 
 The frames are processed one by one as they come, with the same detection, and the same statistics of earlier frames,
-as in a local run: what arrives elsewhere is what a local run would have found. A thread reads the source and notes
-when each frame was there; a station that falls behind leaves out its oldest frames, and reports which.
+as in a local run. So the sent detections are those of a local run. A thread reads the source and notes the arrival of
+each frame. A station that falls behind leaves out its oldest frames, and reports them.
 """
 
 import threading
@@ -21,15 +21,15 @@ from scenarios.lab.station_background import Backgrounds
 from scenarios.run.priority import before_others, prompt
 
 BACKLOG_S, LEAST_BACKLOG = 1.0, 12
-"""How long, and how many frames a camera, may wait for detection; then the oldest is left out. A rig holds its
-first frames until their pulses are known, and gives them all at once."""
+"""Time, and number of frames of a camera, that may wait for detection; then the oldest is left out. A rig holds its
+first frames until their pulses are known, and then gives all of them at once."""
 WAIT_S = 0.1
 
 
 class Arrivals:
-    """Frames of a source with the time at which each was there; iterate once. ``close`` ends the reading thread.
+    """Frames of a source with the arrival time of each; iterate once. ``close`` ends the reading thread.
 
-    ``arrival_ns``: when a frame was there. ``end``: makes the source end; else it is left at its next frame.
+    ``arrival_ns``: arrival of a frame. ``end``: makes the source end; else reading stops at its next frame.
     """
 
     def __init__(
@@ -47,7 +47,7 @@ class Arrivals:
         self._reader.start()
 
     def __iter__(self) -> Iterator[tuple[Frame, int, bool] | None]:
-        """Yield (frame, arrival, whether to detect in it), or None when none came for a while."""
+        """Yield (frame, arrival, whether to detect in it), or None when no frame came for a while."""
         while True:
             with self._changed:
                 self._changed.wait_for(lambda: self._waiting or self._over, WAIT_S)
@@ -79,7 +79,7 @@ class Arrivals:
                     self._changed.notify()
                 if self._stop:
                     break
-        except BaseException as error:  # it belongs to the thread that iterates, and is raised there
+        except BaseException as error:  # kept, and raised in the thread that iterates
             self._failed = error
         with self._changed:
             self._over = True
@@ -87,9 +87,9 @@ class Arrivals:
 
 
 class PulseCount:
-    """Pulse numbers of frames whose stamps are on one clock: each camera counts on from its last frame.
+    """Pulse numbers of frames whose stamps are on one clock: each camera's count continues from its last frame.
 
-    The first frame of all sets the count: at ``time_ns / period``, 0 for a source that counts from the first pulse.
+    The first of all frames sets the count, at ``time_ns / period``: 0 for a source that counts from the first pulse.
     """
 
     def __init__(self, rate_hz: float) -> None:
@@ -109,7 +109,7 @@ class PulseCount:
 
 @dataclass
 class StationTotals:
-    """What a station did: ``frames`` came, ``detected`` were processed, ``targets`` were found in them."""
+    """Totals of a station: ``frames`` came, ``detected`` were processed, ``targets`` were found in them."""
 
     frames: int = 0
     detected: int = 0
@@ -128,8 +128,8 @@ def run_station(
 ) -> StationTotals:
     """Detect and send until the source ends or ``every``, called between frames, returns False.
 
-    ``arrival_ns``: when a frame was there, by the sender's clock. ``end`` makes the source end. ``backgrounds``: what
-    is taken off the images. Closes source and sender; the other stations are informed when the source fails.
+    ``arrival_ns``: arrival of a frame by the sender's clock. ``end`` makes the source end. ``backgrounds``: images
+    that are subtracted. Source and sender are closed; the other stations are informed when the source fails.
     """
     with before_others(), prompt():
         return _run(source, sender, settings, arrival_ns, every, end, backgrounds or Backgrounds())
@@ -197,7 +197,7 @@ def _run(
 
 
 def _warm(settings: DetectionSettings, bit_depth: int) -> None:
-    """Detect in a made-up image, so that what has to be compiled or loaded is so before the first frame."""
+    """Detect in a synthetic image, so that all is compiled and loaded before the first frame."""
     image = np.zeros((64, 64), np.uint8 if bit_depth <= 8 else np.uint16)
     image[28:34, 29:35] = 2**bit_depth - 56
     detect_with_statistics([image], ["warming"], settings, bit_depth)

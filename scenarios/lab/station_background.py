@@ -1,7 +1,7 @@
-"""What does not move in a station's images: from its recording's first frames, or from those that its cameras give.
+"""The static background of a station's images, from the first frames of its recording or of its cameras.
 
-A rig has no earlier recording. So its first frames, as many as [background] frames, are used for
-that alone, and detections begin with the next one.
+A rig has no earlier recording. So its first frames, as many as [background] frames, are used only for the background,
+and detections begin with the next one.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -15,9 +15,9 @@ Make = Callable[[Iterable[Array]], Array]
 
 
 class Backgrounds:
-    """Each camera's background, known (``ready``) or made of its first frames as ``spec`` has it.
+    """Each camera's background, known (``ready``) or made from its first frames by the settings ``spec``.
 
-    ``on_made`` is called once for each that was made.
+    ``on_made`` is called once for each background that was made.
     """
 
     def __init__(
@@ -34,7 +34,7 @@ class Backgrounds:
         self.on_made = on_made
 
     def of(self, camera: str) -> Array | None:
-        """Return what is taken off a camera's images, None where nothing is."""
+        """Return the background subtracted from a camera's images; None for none."""
         return self._known.get(camera)
 
     def takes(self, frame: Frame) -> bool:

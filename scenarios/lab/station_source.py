@@ -1,4 +1,4 @@
-"""Where a station's frames come from: its devices, or a recording; both wait for the start that is ordered."""
+"""Sources of a station's frames: its devices, or a recording; both wait for the order to start."""
 
 import threading
 import time
@@ -15,13 +15,13 @@ from mosca.data.frames import Frame, FrameSource, WrappedSource
 
 WAIT_S = 0.1
 LATE_S = 0.1
-"""Frames of a recording that are later than this when it begins to play are over."""
+"""Lateness above which frames of a recording are skipped when it begins to play."""
 
 
 class PacedRecording(WrappedSource):
-    """A recording that is played as fast as it was taken, as a rig would give it, from the start that is ordered.
+    """A recording that is played at its own rate, as from a rig, from the order to start.
 
-    Recordings of one session start together on all stations; one that comes later goes on where the others are.
+    Recordings of one session start together on all stations; a later one continues where the others are.
     """
 
     def __init__(self, source: FrameSource) -> None:
@@ -47,7 +47,7 @@ class PacedRecording(WrappedSource):
             yield frame
 
     def arrival_ns(self, frame: Frame) -> int:
-        """Return when the frame was due, by the station's clock: a busy machine that plays it late counts alike."""
+        """Return when the frame was due, by the station's clock: late playing on a busy machine counts as delay."""
         assert self.gate.station.start_ns is not None
         return self.gate.station.start_ns + frame.time_ns
 
@@ -79,7 +79,7 @@ class StartGate:
 
     @property
     def left(self) -> bool:
-        """True when the station is to end."""
+        """Whether the station must end."""
         return self._stop.is_set()
 
     def hold(self) -> bool:
@@ -91,7 +91,7 @@ class StartGate:
         return False
 
     def leave(self) -> None:
-        """Wait no more."""
+        """Stop waiting."""
         self._stop.set()
 
 
@@ -107,7 +107,7 @@ class _Gated:
         self.report, self.close = trigger.report, trigger.close
 
     def start(self) -> int | None:
-        """Report that the cameras are armed; start the pulses, where they are this station's, on the order."""
+        """Report that the cameras are armed; if the pulses are this station's, start them on the order."""
         if not self._own_pulses:
             self._gate.station.set_state("armed")
             return self._trigger.start()
@@ -125,7 +125,7 @@ class RigOfStation(WrappedSource):
     ) -> None:
         self.gate = StartGate(trigger_opener)
         self.hardware = HardwareSource(rig, opener=opener, trigger_opener=self.gate.open)
-        # the merger waits for no station for long: a camera that lags must cost its own frames alone
+        # the merger does not wait long for any station: a camera that lags must lose only its own frames
         self.hardware.reorder = False
         super().__init__(self.hardware)
         self._notes_sent = 0
@@ -139,7 +139,7 @@ class RigOfStation(WrappedSource):
             yield frame
 
     def arrival_ns(self, frame: Frame) -> int:
-        """Return when the buffer was whole of the frame that was yielded last."""
+        """Return when the buffer of the last yielded frame was whole."""
         assert self._latest is not None
         latest, host_ns = self._latest
         assert latest is frame
@@ -153,7 +153,7 @@ class RigOfStation(WrappedSource):
         self._notes_sent = len(notes)
 
     def stop(self) -> None:
-        """End after what is under way; may be called from another thread."""
+        """End after the work in progress; may be called from another thread."""
         self.gate.leave()
         self.hardware.stop()
 

@@ -55,7 +55,7 @@ def detect_on_station(
     given = read_hardware(rig) if recording is None else recording
     devices: RigOfStation | None = None
     with before_others(), ExitStack() as failing:  # the engine's threads too
-        # an endpoint that cannot be used is told before cameras are opened or a background is made
+        # an endpoint that cannot be used is reported before cameras are opened or a background is made
         transport = open_transport(connect, trust=trust)
         failing.callback(transport.close)
         if isinstance(given, RigHardware):
@@ -108,7 +108,7 @@ def reconstruct_stations(
     Return the report, and whether every camera is in every set. The tracks are written in any case.
     """
     check_tracks_file(out)
-    # [background] is the stations'
+    # [background] is a setting of the detecting stations
     settings = reconstruct_settings(reconstruct_spec(settings_path, overrides), settings_path)
     file = read_rig_file(rig_path)
     rate = check(HardwareTable, dict(file.hardware), f"{rig_path}: [hardware]").rate_hz if file.hardware else None

@@ -1,4 +1,4 @@
-"""A scenario with a lab's cameras in the place of its own."""
+"""A scenario with a lab's cameras in place of its own."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -14,13 +14,13 @@ from scenarios.spec.cameras import CameraSpec
 from scenarios.spec.scenario import Scenario, apply_overrides
 
 LEAST_SHARE = 0.05
-"""Of its value, below which no draw of a key lies that must be above 0."""
+"""Lower limit of a draw, as a share of the value, for a key that must be above 0."""
 
 
 def load_with_lab(path: Path, lab_path: Path | None, overrides: tuple[str, ...] = ()) -> Scenario:
     """Read a scenario file with a lab's cameras in place of its own; ``overrides`` come last.
 
-    InputError names file, key, value and what is allowed; also where lab and scenario have not the same cameras.
+    InputError names file, key, value and what is allowed; also where lab and scenario have different cameras.
     """
     lab = None if lab_path is None else read_lab(lab_path)
     document = read_toml(path)
@@ -49,7 +49,7 @@ def put_cameras(document: dict[str, Any], lab: LabTwin) -> None:
 
 
 def written_keys(table: CameraSpec) -> dict[str, Any]:
-    """Return the keys that a camera's table states, as a document."""
+    """Return the keys that are set in a camera's table, as a document."""
     return {
         name: value.model_dump(exclude_unset=True) if isinstance(value, Table) else value
         for name, value in table
@@ -58,7 +58,7 @@ def written_keys(table: CameraSpec) -> dict[str, Any]:
 
 
 def _check_ring(spec: Scenario, lab: LabTwin, where: str) -> None:
-    """Raise InputError where a ring has other cameras than the lab: it has no rig file of its own."""
+    """Raise InputError where a ring, which has no rig file of its own, has other cameras than the lab."""
     ring = [f"cam{k + 1}" for k in range(spec.cameras.count)]
     own = [one.name for one in lab.camera]
     if set(own) != set(ring):
@@ -91,7 +91,7 @@ def bounded(key: str, value: float, drawn_value: float) -> float:
 
 
 def _stated(camera: Mapping[str, Any], key: str) -> float | None:
-    """Return what a camera's table states for ``table.key`` or one number of a pair; None where it does not."""
+    """Return the value of ``table.key``, or of one number of a pair, in a camera's table; None if it is not set."""
     table, name = key.split(".")
     index = None
     if name.endswith("]"):

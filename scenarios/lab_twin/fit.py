@@ -17,15 +17,15 @@ from scenarios.lab_twin.recordings import CameraImages, LabRecording, Progress, 
 from scenarios.lab_twin.still import KEYS, NEEDS, in_well, still_estimates
 
 BITS = (8, 10, 12)
-"""That a scenario's sensor can have."""
+"""Bits that a scenario's sensor can have."""
 
 
 @dataclass(frozen=True)
 class FitRequest:
-    """What is fitted to what."""
+    """Arguments of a fit."""
 
     recordings: tuple[str, ...]
-    """KIND:FOLDER each."""
+    """Recordings, KIND:FOLDER each."""
     out: Path
     rig: Path | None = None
     fps: float | None = None
@@ -33,7 +33,7 @@ class FitRequest:
 
 
 def fit_lab(request: FitRequest, progress: Progress | None = None) -> tuple[Told, ...]:
-    """Fit the cameras, write the lab file, and return what was told, camera by camera."""
+    """Fit the cameras, write the lab file, and return the estimates, camera by camera."""
     recordings = tuple(parse_recording(text) for text in request.recordings)
     rig = None if request.rig is None else read_rig(request.rig)
     if rig is None and any(one.kind == "moving" for one in recordings):
@@ -47,7 +47,7 @@ def fit_lab(request: FitRequest, progress: Progress | None = None) -> tuple[Told
 def estimates(
     recordings: Sequence[LabRecording], rig: Rig | None, request: FitRequest, progress: Progress | None = None
 ) -> list[Told]:
-    """Return all that the recordings tell and do not tell, camera by camera."""
+    """Return the estimates from the recordings, and those that are impossible, camera by camera."""
     sums = [(one, image_sums(one, rig, request.fps, request.bits, progress)) for one in recordings]
     _check_same_cameras(sums)
     still: dict[str, list[Told]] = {}
@@ -82,7 +82,7 @@ def _of_camera(name: str, seen: Sequence[tuple[LabRecording, CameraImages]]) -> 
 
 
 def _lens_residual(name: str, rig: Rig | None) -> Told:
-    """Return what the rig file states that its lens model leaves in a camera's images, an axis."""
+    """Return the residual of the lens model in a camera's images, on each axis, from the rig file."""
     stated = 0.0 if rig is None else rig.camera(name).residual_px
     if stated == 0.0:
         why = "needs a rig file whose calibration states what its lens model leaves: --rig RIG.toml (mosca calibrate)"

@@ -1,8 +1,8 @@
-"""``lab.toml``: cameras as a scenario describes them, with the uncertainty of each parameter and what is not known.
+"""``lab.toml``: cameras described as in a scenario, the uncertainty of each parameter, and the unknown parameters.
 
-``[[camera]]`` and ``[cameras]`` are a scenario's own tables; ``mosca run SCENARIO --lab lab.toml`` puts them in the
-place of the scenario's. ``[[estimate]]`` says how certain each key is and from what it was estimated,
-``[[not_told]]`` which keys the recordings did not tell: the scenario's own values stay.
+``[[camera]]`` and ``[cameras]`` are a scenario's own tables; ``mosca run SCENARIO --lab lab.toml`` puts them in place
+of the scenario's. ``[[estimate]]`` states the uncertainty of each key and the data of the estimate. ``[[not_told]]``
+lists the keys that the recordings do not determine: for these the scenario's own values stay.
 """
 
 import math
@@ -26,7 +26,7 @@ REACH = NormalDist().inv_cdf(0.975)
 DIGITS = 6
 TABLES = ("errors", "optics", "timing", "mount", "sensor", "delivery")
 SIGNED = ("timing.delay", "timing.skew", "mount.drift")
-"""Beginnings of keys whose values may lie below zero."""
+"""Prefixes of keys whose values may be below zero."""
 _PLACE = re.compile(
     "|".join(
         rf"{table}\.{name}(\[[01]\])?"
@@ -78,10 +78,10 @@ class LabTwin(Table):
 
 
 def read_lab(path: Path) -> LabTwin:
-    """Return the cameras in a lab file; its rig's path is made relative to nothing.
+    """Return the cameras in a lab file; the path of its rig file is made absolute.
 
-    InputError names file, key, value and what is allowed, also where an estimate is of a camera or a key that there
-    is not.
+    InputError names file, key, value and what is allowed, also where an estimate is of a camera or a key that does
+    not exist.
     """
     lab = check(LabTwin, read_toml(path), path)
     names = [one.name for one in lab.camera]
@@ -103,7 +103,7 @@ def read_lab(path: Path) -> LabTwin:
 
 
 def lab_document(told: Sequence[Told], recordings: Sequence[str], rig: str | None) -> dict[str, Any]:
-    """Return the document of a lab file from what was told and what was not.
+    """Return the document of a lab file from the estimates and the missing estimates.
 
     ``rig``: path of the rig file, relative to the lab file; None for none.
     """
@@ -145,18 +145,18 @@ def put(camera: dict[str, Any], key: str, value: float | int) -> None:
 
 
 def is_scenario_key(key: str) -> bool:
-    """Return whether an estimate's key is one of a scenario's, not for people alone."""
+    """Return whether an estimate's key is a key of a scenario, not only information for people."""
     table, dot, name = key.partition(".")
     return bool(dot) and table in TABLES and bool(name)
 
 
 def as_written(key: str, value: float) -> float | int:
-    """Return a value as a scenario has it: rounded, whole where it must be."""
+    """Return a value as written in a scenario: rounded, and whole where it must be."""
     return round(value) if key in WHOLE else _rounded(value)
 
 
 def interval(one: ParameterEstimate) -> tuple[float, float]:
-    """Return the 95 % interval of an estimate, within what is possible."""
+    """Return the 95 % interval of an estimate, limited to possible values."""
     low, high = one.value - REACH * one.sigma, one.value + REACH * one.sigma
     return (low if one.key.startswith(SIGNED) else max(low, 0.0)), high
 

@@ -1,7 +1,7 @@
-"""What a lab would measure in a planned experiment: its fitted twin runs the scenario, several times over.
+"""Prediction of a lab's measurement in a planned experiment: its fitted twin runs the scenario several times.
 
-In each run the parameters are drawn about their estimates with their standard deviations, and so is the seed. So the
-runs scatter as a measurement in the lab would about the truth: by what is not known of the lab, and by chance. The
+In each run the parameters are drawn about their estimates with their standard deviations, and the seed is drawn. So
+the runs scatter like a measurement in the lab about the truth: by unknown properties of the lab, and by chance. The
 interval is that of one more run (Student's t), in the logarithm where all values are above zero.
 """
 
@@ -24,19 +24,19 @@ from scenarios.types import RunOptions
 CONFIDENCE = 0.95
 FEWEST_DRAWS = 3
 OF_TIME = ("latency_p99", "frame_rate", "timing_seconds")
-"""Metrics of the computer, not of the lab."""
+"""Metrics that depend on the computer, not on the lab."""
 
 
 @dataclass(frozen=True)
 class Prediction:
-    """A metric as the lab will measure it."""
+    """The predicted value of a metric in the lab."""
 
     metric: str
     unit: str
     value: float
     low: float
     high: float
-    """95 % interval of what one measurement will give; no metric is below 0."""
+    """``low`` to ``high``: 95 % interval of one measurement; no metric is below 0."""
     runs: int
 
 
@@ -51,7 +51,7 @@ def predict(
 ) -> tuple[RunResult, tuple[Prediction, ...]]:
     """Run ``spec``, which has the lab's cameras, ``draws`` times; return the run of the estimates, and predictions.
 
-    InputError where fewer than FEWEST_DRAWS are asked for.
+    InputError for fewer than FEWEST_DRAWS draws.
     """
     if draws < FEWEST_DRAWS:
         raise InputError(f"--draws {draws}: {FEWEST_DRAWS} or more are wanted, or no interval can be told")
@@ -82,7 +82,7 @@ def drawn_spec(spec: Scenario, lab: LabTwin, draw: int) -> Scenario:
 
 
 def predicted(metric: str, unit: str, values: Sequence[float]) -> Prediction:
-    """Return what a further run will give, from the runs' values."""
+    """Return the prediction of a further run's value from the runs' values."""
     array = np.array(values)
     n = len(array)
     reach = float(student.ppf(0.5 + 0.5 * CONFIDENCE, n - 1)) * math.sqrt(1.0 + 1.0 / n)

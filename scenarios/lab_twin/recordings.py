@@ -1,4 +1,4 @@
-"""The recordings that a lab twin is fitted to: ``KIND:FOLDER`` each, and what each camera's images add up to."""
+"""The recordings to which a lab twin is fitted: ``KIND:FOLDER`` each, and sums over each camera's images."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -23,20 +23,20 @@ Progress = Callable[[int, int | None], None]
 
 @dataclass(frozen=True)
 class LabRecording:
-    """A recording and what it shows."""
+    """A recording and its kind."""
 
     kind: str
     folder: Path
 
     @property
     def given(self) -> str:
-        """As on the command line."""
+        """The recording as on the command line."""
         return f"{self.kind}:{self.folder}"
 
 
 @dataclass(eq=False)
 class CameraImages:
-    """What one camera's images of one recording add up to."""
+    """Sums over one camera's images of one recording."""
 
     info: CameraInfo
     pixels: PixelStatistics
@@ -66,9 +66,9 @@ def opened(one: LabRecording, rig: Rig | None, fps: float | None) -> Iterator[Fr
 def image_sums(
     one: LabRecording, rig: Rig | None, fps: float | None, bits: int | None, progress: Progress | None = None
 ) -> dict[str, CameraImages]:
-    """Return what the images of a recording add up to, by camera.
+    """Return the sums over the images of a recording, by camera.
 
-    ``bits``: significant bits of a pixel; None: as the recording states. InputError where it has no image.
+    ``bits``: significant bits of a pixel; None: those stated in the recording. InputError where it has no image.
     """
     with opened(one, rig, fps) as source:
         found = {

@@ -1,4 +1,4 @@
-"""Targets at rest: what a static recording tells of a camera's blur, the targets' brightness, and its shaking."""
+"""Targets at rest: a camera's blur, the targets' brightness and the camera's shake from a static recording."""
 
 import math
 from collections.abc import Mapping
@@ -24,10 +24,10 @@ from scenarios.lab_twin.recordings import CameraImages, LabRecording, Progress, 
 
 KEYS = ("errors.psf_sigma_px", "errors.marker_signal", "errors.background_e", "errors.body_px", "mount.vibration_px")
 CORNER = "corner_blur_px"
-"""For people: a scenario has one blur for the whole image, unless a lens is focused by optics.focus_m."""
+"""Key for information only: a scenario has one blur for all of the image, unless optics.focus_m focuses a lens."""
 NEEDS = f"needs a recording of {FEWEST_TARGETS} targets at rest or more, apart from each other: static:FOLDER"
 ROUNDS = 2
-"""Of displacements: the shake, once known, is taken out of the mean image's blur."""
+"""Rounds of estimating displacements: the shake, once known, is removed from the mean image's blur."""
 
 
 def still_estimates(
@@ -37,7 +37,7 @@ def still_estimates(
     fps: float | None,
     progress: Progress | None = None,
 ) -> dict[str, list[Told]]:
-    """Return what a recording of targets at rest tells of each camera; brightness in grey values, see ``in_well``."""
+    """Return the estimates for each camera from targets at rest; brightness is in grey values, see ``in_well``."""
     targets = {name: _targets(name, images.pixels) for name, images in sums.items()}
     seen = {name: found for name, found in targets.items() if len(found) >= FEWEST_TARGETS}
     told: dict[str, list[Told]] = {
@@ -94,7 +94,7 @@ def _rate_hz(info: CameraInfo, fps: float | None) -> float | None:
 
 
 def _optics(name: str, targets: list[FittedTarget], shake_px: float, shape: tuple[int, int]) -> list[Told]:
-    """Return blur and brightness of the targets; brightness and background in grey values, for ``in_well``."""
+    """Return blur and brightness of the targets; brightness and background are in grey values, for ``in_well``."""
     blur = np.array([sharper(one, shake_px) for one in targets])
     level = np.array([one.fit.level for one in targets])
     ground = np.array([one.fit.background for one in targets])
@@ -113,7 +113,7 @@ def _optics(name: str, targets: list[FittedTarget], shake_px: float, shape: tupl
 
 
 def _of_targets(name: str, key: str, values: np.ndarray, what: str) -> ParameterEstimate:
-    """Return the mean of targets, outliers left out, with the standard deviation of that mean by their scatter."""
+    """Return the mean over targets without outliers, and its standard deviation from their scatter."""
     middle = np.median(values)
     spread = SPREAD * np.median(np.abs(values - middle))
     good = values[np.abs(values - middle) <= 4.0 * spread + 1e-12]
@@ -125,8 +125,8 @@ def _of_targets(name: str, key: str, values: np.ndarray, what: str) -> Parameter
 def in_well(told: list[Told], bits: int) -> list[Told]:
     """Return estimates with brightness and background in a scenario's units, by black level and full well.
 
-    A marker's signal is its grey values over those of the full well; the background is in electrons. Both are not
-    told where the sensor is not.
+    A marker's signal is its grey values over those of the full well; the background is in electrons. Neither is
+    estimated where the sensor is not.
     """
     known = {one.key: one for one in told if isinstance(one, ParameterEstimate)}
     level, ground = known.pop("level_dn", None), known.pop("background_dn", None)

@@ -13,9 +13,9 @@ from scenarios.types import Score
 
 
 def acceptance_scores(spec: Scenario, folder: Path, tracks: Tracks) -> tuple[dict[str, Score], list[str]]:
-    """Return what the scenario's acceptance test finds in ``tracks``, and notes, a line each.
+    """Return the scores of the scenario's acceptance test on ``tracks``, and notes, one line each.
 
-    A share stands where every length or figure was measured; one that is missing is told of instead.
+    A share is given only where every length or figure was measured; otherwise a note names the missing one.
     """
     if spec.acceptance is None:
         return {}, []

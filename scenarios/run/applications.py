@@ -1,4 +1,4 @@
-"""What a scenario's sections make of its tracks: skeleton, labels, modes, a robot's model, virtual objects."""
+"""Results of a scenario's sections from its tracks: skeleton, labels, modes, a robot's model, virtual objects."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -36,7 +36,7 @@ class Applications:
     model: IdentifiedModel | None = None
     """[identification]"""
     model_scores: dict[str, Score] = field(default_factory=dict)
-    """Of the model."""
+    """Scores of the model."""
     shown: ShownPoses | None = None
     """[virtual]"""
 
@@ -53,10 +53,10 @@ def applications(
     timings: dict[str, float],
     log: RerunLog | None,
 ) -> Applications:
-    """Return what the sections of ``spec`` ask for.
+    """Return the results of the sections of ``spec``.
 
-    ``fit_inputs``: of the skeleton; ``poses`` of the rigid ``bodies`` in the tracks;
-    ``scene``: the twin's. ``log``: where virtual objects are shown.
+    ``fit_inputs``: those of the skeleton; ``poses``: those of the rigid ``bodies`` in the tracks;
+    ``scene``: that of the twin. ``log``: where virtual objects are shown.
     """
     person: Person | None = None
     named: Tracks | None = None

@@ -1,7 +1,7 @@
-"""The take to which a person's skeleton is fitted before the measurement: rendered, measured, labelled, kept.
+"""The take to which a person's skeleton is fitted before the measurement: rendered, measured, labelled, cached.
 
-Kept by the content of all that goes into it (``scenarios.run.kept_calibrations``): a take of 24 s before six cameras
-is rendered for minutes.
+It is cached by the content of all its inputs (``scenarios.run.kept_calibrations``): rendering a take of 24 s for six
+cameras takes minutes.
 """
 
 from contextlib import ExitStack
@@ -28,9 +28,9 @@ from scenarios.types import RunOptions
 from twin.cameras.virtual_camera import VirtualCamera
 
 TAKE_SEED = 0x7A4E
-"""Added to the scenario's seed: the take's shake and noise are not those of the measurement, the person is."""
+"""Added to the scenario's seed: the take has other shake and noise than the measurement, but the same person."""
 MOST_KEPT = 20
-"""Takes that are kept, the last used ones (15 MB each)."""
+"""Most takes that are cached, the last used ones (15 MB each)."""
 
 
 def calibration_take(
@@ -43,8 +43,8 @@ def calibration_take(
 ) -> MarkerFrames:
     """Return the labelled markers of the calibration take of ``spec``, measured with ``rig``.
 
-    The cameras are those of the measurement, with its disturbances from its beginning. InputError where the frames
-    of the measurement are not the twin's: then nobody has made that movement.
+    The cameras are those of the measurement, with its disturbances from its beginning. InputError where the frames of
+    the measurement are not the twin's: then there is no such take of the person.
     """
     assert spec.skeleton is not None
     if options.source != "twin":
@@ -59,7 +59,7 @@ def calibration_take(
 
 
 def take_of(spec: Scenario) -> Scenario:
-    """Return the scenario of the calibration take: another action and length, and nothing that only a score reads."""
+    """Return the scenario of the calibration take: another action and length, without keys that only scores use."""
     assert spec.skeleton is not None
     assert isinstance(spec.scene, ActorScene)
     return spec.model_copy(

@@ -1,4 +1,4 @@
-"""A scenario whose fault the clinic must name first: frames with the fault, the rig believed in, a verdict."""
+"""A scenario whose fault the clinic must name first: frames with the fault, the assumed rig, a verdict."""
 
 from contextlib import ExitStack
 
@@ -17,9 +17,9 @@ def clinic_report(
     spec: Scenario, source: FrameSource, twin: TruthSource | None, believed: Rig, settings: PipelineSettings,
     options: RunOptions, stack: ExitStack,
 ) -> ClinicReport:  # fmt: skip
-    """Return what the clinic finds in the frames of ``source``, with the faults of ``spec`` planted in them.
+    """Return the clinic's report on the frames of ``source``, with the faults of ``spec`` planted in them.
 
-    The clinic gets frames, the rig that is believed in, and what a person tells it; no truth.
+    The clinic gets frames, the assumed rig, and the input of a person, but no truth.
     """
     told = spec.clinic
     assert told is not None
@@ -32,7 +32,7 @@ def clinic_report(
 
 
 def verdict(spec: Scenario, report: ClinicReport) -> tuple[bool, str]:
-    """Return whether the right cause came first, and that in words."""
+    """Return whether the right cause ranks first, and the same in words."""
     told = spec.clinic
     assert told is not None
     codes = [one.code for one in report.causes]

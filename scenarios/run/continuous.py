@@ -1,4 +1,4 @@
-"""A scenario's frames through ``mosca.continuous``: tracks, counts and notes of the run."""
+"""Processing of a scenario's frames by ``mosca.continuous``: tracks, counts and notes of the run."""
 
 import time
 from collections.abc import Callable
@@ -76,7 +76,7 @@ def clock_line(clock: EstimatedClock) -> str:
 
 
 def record_clocks(found: Reconstructed) -> dict[str, Any]:
-    """Return offsets, drifts and their standard deviations, camera by camera, as the record has them."""
+    """Return offsets, drifts and their standard deviations, camera by camera, for the record."""
     return {
         one.camera: {
             "origin_ns": one.origin_ns,
@@ -92,7 +92,7 @@ def record_clocks(found: Reconstructed) -> dict[str, Any]:
 
 
 def lamp_notes(worn: Worn) -> dict[str, str]:
-    """Return in words how cameras and lamps were found."""
+    """Return notes on how cameras and lamps were found."""
     found = worn.reconstructed
     known = np.isfinite(worn.lamp_poses.centres).all(axis=2).mean(axis=0)
     shares = ", ".join(

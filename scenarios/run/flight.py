@@ -1,4 +1,4 @@
-"""The flight of a scenario in closed loop: what the page and the run folder show of it."""
+"""The flight of a scenario in closed loop: its data for the page and the run folder."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -22,7 +22,7 @@ _HEADER = "time_s,x,y,z,wanted_x,wanted_y,wanted_z,predicted_x,predicted_y,predi
 def flight_of(
     spec: Scenario, pilot: Pilot | None, scene: Scene | None, collected: Collected, own: SessionCalibration | None
 ) -> Flown | None:
-    """Return the flight of a run that is over, None where there was none; what there is to say goes into the notes.
+    """Return the flight of a finished run, None where there was none; remarks are added to the notes.
 
     ``own``: the calibration of the scenario's session.
     """
@@ -47,7 +47,7 @@ def flight_of(
 
 
 def flight_evidence(found: Flown) -> FlightEvidence:
-    """Return what the picture shows."""
+    """Return the data of the picture."""
     path, delay = found.path, found.delay
     words = found.delay_note or "not asked for"
     if delay is not None:
@@ -67,7 +67,7 @@ def flight_evidence(found: Flown) -> FlightEvidence:
 
 
 def flight_files(found: Flown) -> dict[str, Callable[[Path], object]]:
-    """Return name of each file of a run folder -> what writes it there."""
+    """Return name of each file of a run folder -> function that writes it there."""
     return {"flight.csv": lambda path: _write_path(found, path)}
 
 

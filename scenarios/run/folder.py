@@ -1,4 +1,4 @@
-"""The run folder: tried before a long run, and written with what can be written."""
+"""The run folder: tested before a long run, and written with all files that can be written."""
 
 import os
 import shutil
@@ -25,18 +25,18 @@ from scenarios.run.vibration import vibration_files
 
 
 def check_out(out: Path) -> None:
-    """Raise InputError where ``out`` cannot become a run folder; ask before a long run, not after it."""
+    """Raise InputError where ``out`` cannot become a run folder; to be called before a long run."""
     check_own_folder(out, RECORD_FILE)
-    # an earlier run folder is replaced by one that is made beside it
+    # an earlier run folder is replaced by a new one made beside it
     check_folder(out.parent)
 
 
 def write_run(result: RunResult, out: Path, rrd: Path | None = None) -> None:
-    """Write the run folder: the record first, the pages last; it appears when all was tried.
+    """Write the run folder: the record first, the pages last; it appears after all files were tried.
 
-    An earlier run folder there is replaced. Where a file cannot be written, the others are all the same; InputError
-    says then which there are, which not, and why. Without its record there is no run folder, and an earlier one
-    stays.
+    An earlier run folder there is replaced. Where a file cannot be written, the others still are; InputError then
+    names the files that exist, those that do not, and the reason. Without its record there is no run folder, and an
+    earlier one stays.
     """
     check_out(out)
     out.parent.mkdir(parents=True, exist_ok=True)
@@ -62,7 +62,7 @@ def write_run(result: RunResult, out: Path, rrd: Path | None = None) -> None:
 
 
 def _files(result: RunResult, rrd: Path | None) -> dict[str, Callable[[Path], object]]:
-    """Return name of each file of a run folder -> what writes it there; what cannot be made again comes first."""
+    """Return name of each file of a run folder -> function that writes it; files that cannot be remade come first."""
     own = result.calibration
     files: dict[str, Callable[[Path], object] | None] = {
         RECORD_FILE: lambda path: write_record(result.record, path),
@@ -74,7 +74,7 @@ def _files(result: RunResult, rrd: Path | None) -> dict[str, Callable[[Path], ob
         **({} if result.vibration is None else vibration_files(result.vibration)),
         **({} if result.flight is None else flight_files(result.flight)),
         "model.json": None if (model := result.model) is None else lambda path: write_model(model, path),
-        # of a refused calibration its page says why; nobody can measure with it
+        # a refused calibration has only its page, which states the reason; it cannot be used to measure
         RIG_FILE: None
         if own is None or own.calibration.refused
         else lambda path: write_rig(own.calibration.rig, path),
@@ -88,12 +88,12 @@ def _files(result: RunResult, rrd: Path | None) -> dict[str, Callable[[Path], ob
 
 
 def _raise_failed(failed: Mapping[str, Exception], out: Path) -> None:
-    """Raise InputError for files that the disk did not take; any other error is a bug, and comes out as it is."""
+    """Raise InputError for files that the disk did not accept; any other error is a bug, and is raised unchanged."""
     for error in failed.values():
         if not isinstance(error, InputError | OSError):
             raise error
     if failed:
-        # text of the first: one disk has one reason
+        # the text of the first error: one disk has one reason
         first = next(iter(failed.values()))
         cause = first.__cause__ if isinstance(first, InputError) else first
         reason = cause.strerror if isinstance(cause, OSError) else str(first)

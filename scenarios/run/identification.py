@@ -1,4 +1,4 @@
-"""The robot of a scenario: its linear model identified from the measured poses and the commands, and scored."""
+"""The robot of a scenario: its linear model, identified from the measured poses and the commands, and its scores."""
 
 from pathlib import Path
 
@@ -16,13 +16,13 @@ from scenarios.types import Score
 from twin.scenes.scene import Scene
 
 DRIVE_S = 60.0
-"""Length of one of the drives that the best linear model is fitted to: longer ones take no less time."""
+"""Length of each drive to which the best linear model is fitted: longer drives take no less time."""
 DRIVE_SEED = 0x1DE7
-"""Added to the scenario's seed, and the number of the drive; the first is the one that no model was fitted to."""
+"""Added to the scenario's seed, with the number of the drive; no model is fitted to the first drive."""
 
 
 def check_source(spec: Scenario, source: str) -> None:
-    """Raise InputError where a model is asked for of frames that are not the twin's."""
+    """Raise InputError where a model is requested from frames that are not the twin's."""
     if spec.identification is not None and source != "twin":
         raise InputError(
             f"--source {source}: [identification] is scored against drives of the twin; run a scenario without it, "
@@ -49,7 +49,7 @@ def identified(
 
 
 def _drive(spec: Scenario, folder: Path, number: int, duration_s: float) -> TrueDrive:
-    """Return a drive on other noise of the same kind; nothing of it is rendered."""
+    """Return a drive with other noise of the same kind; it is not rendered."""
     other = spec.model_copy(
         update={
             "seed": spec.seed + DRIVE_SEED + number,

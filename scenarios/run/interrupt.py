@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from types import FrameType
 
 EXIT_STOPPED = 130
-"""As shells have it: 128 and the number of the signal."""
+"""Exit code as in shells: 128 plus the number of the signal."""
 
 
 @contextmanager
@@ -39,8 +39,8 @@ def first_ctrl_c(on_first: Callable[[], None]) -> Iterator[None]:
 def between_steps() -> Iterator[Callable[[], None]]:
     """Hold Ctrl-C back until the yielded check is called; a second Ctrl-C interrupts at once.
 
-    An interruption inside compiled code or a callback of a C library comes out as another exception or is
-    swallowed there; between two frame sets it is clean, and what was recorded until then is whole.
+    An interruption inside compiled code or a callback of a C library appears as another exception or is lost there.
+    Between two frame sets it is clean, and data recorded until then are complete.
     """
     asked = threading.Event()
 
@@ -53,7 +53,7 @@ def between_steps() -> Iterator[Callable[[], None]]:
 
 
 def was_interrupted(error: BaseException | None) -> bool:
-    """True where ``error`` is what compiled code made of a Ctrl-C: an interruption down its chain of causes."""
+    """Return whether a Ctrl-C in compiled code caused ``error``: an interruption is in its chain of causes."""
     while error is not None:
         if isinstance(error, KeyboardInterrupt):
             return True

@@ -1,4 +1,4 @@
-"""Budgets that were made, kept by scenario, settings and commit, so that a run's page shows them."""
+"""Budgets cached by scenario, settings and commit, so that a run's page can show them."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -11,11 +11,11 @@ from reports.record import RunRecord
 from scenarios.run.kept_calibrations import cache_folder
 
 MOST_KEPT = 50
-"""Budgets that are kept, the last made ones (5 kB each)."""
+"""Most budgets that are cached, the last ones made (5 kB each)."""
 
 
 def keep_budget(budget: ErrorBudget, folder: Path | None = None) -> None:
-    """Keep a budget; where the folder cannot be written it is not kept."""
+    """Cache a budget; where the folder cannot be written, it is not cached."""
     folder = folder or _folder()
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -28,7 +28,7 @@ def keep_budget(budget: ErrorBudget, folder: Path | None = None) -> None:
 
 
 def kept_budget(record: RunRecord, folder: Path | None = None) -> ErrorBudget | None:
-    """Return the budget that a run's page shows: of the same scenario, settings and commit, where there is one."""
+    """Return the budget for a run's page, of the same scenario, settings and commit; None where there is none."""
     metric, parameters = budget_wanted(record), record.provenance.get("parameters")
     if metric is None or not isinstance(parameters, Mapping):
         return None

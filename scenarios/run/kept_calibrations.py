@@ -1,8 +1,8 @@
-"""Calibrations of sessions, and other results, kept by the content of all that goes into them.
+"""Calibrations of sessions, and other results, cached by the content of all their inputs.
 
-Scenarios whose cameras are the same at rest share one session, and later runs find it: in ``XDG_CACHE_HOME`` or
-``~/.cache``, under ``mosca-testbench/calibrations``. A file begins with the digest of what follows; one that was cut
-short is made again. The folder may be removed at any time.
+Scenarios whose cameras are the same at rest share one session, and later runs find it in ``XDG_CACHE_HOME`` or
+``~/.cache``, under ``mosca-testbench/calibrations``. A file begins with the digest of its remaining content; a
+truncated file is made again. The folder may be removed at any time.
 """
 
 import hashlib
@@ -27,15 +27,15 @@ from scenarios.session import estimated
 
 LOG = logging.getLogger(__name__)
 MOST_BYTES = 1 << 28
-"""Of a kept calibration that is read."""
+"""Most bytes of a cached calibration that is read."""
 MOST_KEPT = 200
-"""Calibrations that are kept, the last used ones (a megabyte each)."""
+"""Most calibrations that are cached, the last used ones (a megabyte each)."""
 SESSION_CODE = Path(estimated.__file__)
 Kept = TypeVar("Kept")
 
 
 def cache_folder(of: str = "calibrations") -> Path:
-    """Return the folder of the kept calibrations, or of other results that are kept."""
+    """Return the folder of the cached calibrations, or of other cached results."""
     base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     return Path(base) / "mosca-testbench" / of
 
@@ -48,12 +48,12 @@ def kept(
     code: Path = SESSION_CODE,
     most: int | None = None,
 ) -> Kept:
-    """Return the calibration of these inputs, from ``folder`` or ``made`` now and kept there.
+    """Return the calibration of these inputs, from ``folder``, or ``made`` now and cached there.
 
-    ``inputs``: all that decides it besides the code and the processor: numbers, texts, arrays, dataclasses, tables,
-    and tuples and mappings of these; ``code``: the source file that makes it, with all that it imports. A process
-    that makes the same one is waited for. Where the folder cannot be written a warning is logged. ``most`` are kept,
-    without it MOST_KEPT.
+    ``inputs``: all that it depends on besides the code and the processor: numbers, texts, arrays, dataclasses,
+    tables, and tuples and mappings of these; ``code``: the source file that makes it, with all that it imports.
+    Another process that makes the same calibration is waited for. Where the folder cannot be written, a warning is
+    logged. ``most``: number that are cached (None: MOST_KEPT).
     """
     folder = folder or cache_folder()
     path = folder / f"{key_of(inputs, code)}.calibration"
@@ -77,7 +77,7 @@ def kept(
 
 
 def key_of(inputs: object, code: Path = SESSION_CODE) -> str:
-    """Return a digest of the inputs, of the code and of what else decides last digits."""
+    """Return a digest of the inputs, of the code and of all else that affects last digits."""
     return digest_of((source_stamp(code), numerics(), inputs))
 
 
@@ -112,7 +112,7 @@ def _add(digest: Any, value: object) -> None:
 
 
 def read_kept(path: Path) -> Any:
-    """Return what is kept in a file; None where there is none, or where it is not whole."""
+    """Return the result cached in a file; None where there is no file, or where it is truncated."""
     try:
         content = read_bytes(path, MOST_BYTES)
     except OSError:
@@ -120,7 +120,7 @@ def read_kept(path: Path) -> Any:
     head, body = content[:32], content[32:]
     if hashlib.sha256(body).digest() != head:
         return None
-    with suppress(OSError):  # of a folder that may only be read
+    with suppress(OSError):  # the folder may be read-only
         os.utime(path)
     return pickle.loads(body)
 
@@ -141,7 +141,7 @@ def _remove_oldest(folder: Path, most: int) -> None:
 
 @contextmanager
 def _one_at_a_time(path: Path) -> Iterator[None]:
-    """Hold the lock file, once no other process holds it; without flock (Windows) there is no lock."""
+    """Hold the lock file as soon as no other process holds it; without flock (Windows) there is no lock."""
     try:
         import fcntl
     except ImportError:

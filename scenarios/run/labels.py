@@ -12,9 +12,9 @@ from scenarios.spec.scenario import Scenario
 
 
 def surface_labels(spec: Scenario, folder: Path, tracks: Tracks) -> Tracks:
-    """Return ``tracks`` with labels of the scenario's surface model, and with its fault, where it has one.
+    """Return ``tracks`` with labels of the scenario's surface model, and with the scenario's fault, if there is one.
 
-    The model's file is relative to ``folder``. InputError where it is none.
+    The model's file is relative to ``folder``. InputError where it is not such a file.
     """
     assert spec.labels is not None
     model = read_surface_model(FACE if spec.labels.model == "face" else beside(spec.labels.model, folder))

@@ -32,7 +32,7 @@ def run_scenario(
     changes
         Dotted key -> value, for example ``{"cameras.count": 8}``.
     options
-        Source of the frames, rendering threads and what is recorded; default: the twin, on all cores.
+        Source of the frames, rendering threads and recordings; default: the twin, on all cores.
     **overrides
         The same as ``changes``, with ``__`` in place of the dot: ``cameras__count=8``.
 

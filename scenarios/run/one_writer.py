@@ -1,4 +1,4 @@
-"""One run at a time writes into a folder: a lock beside it that says who holds it."""
+"""A lock beside a folder, so that one run at a time writes into it; the lock file names its holder."""
 
 import json
 import logging
@@ -16,15 +16,15 @@ from mosca.errors import InputError
 
 LOG = logging.getLogger(__name__)
 HOLDER_BYTES = 4096
-"""Of a lock file that are read: who holds it takes some hundred."""
+"""Most bytes of a lock file that are read: the text on the holder takes some hundred."""
 
 
 @contextmanager
 def one_writer(out: Path) -> Iterator[None]:
-    """Hold the lock of the folder ``out``; InputError names who holds it already.
+    """Hold the lock of the folder ``out``; InputError names a present holder.
 
-    The operating system gives the lock of a process that died free; it is taken over with a warning. The folders
-    above ``out`` are made, and removed again where nothing was written. Without flock (Windows) there is no lock.
+    The operating system releases the lock of a process that died; it is taken over with a warning. The folders above
+    ``out`` are made, and removed again where nothing was written. Without flock (Windows) there is no lock.
     """
     try:
         import fcntl  # noqa: F401
@@ -74,7 +74,7 @@ def _locked(path: Path, out: Path) -> TextIO:
             raise InputError(
                 f"{out}: process {_who(held)} writes there now; wait until it has ended, or choose another folder"
             ) from None
-        # its holder may have removed it between opening and locking: then it locks nothing
+        # the holder may have removed the file between opening and locking: then the lock has no effect
         if path.exists() and os.path.samestat(os.fstat(file.fileno()), path.stat()):
             return file
         file.close()

@@ -38,12 +38,12 @@ class Person:
     frame_rate_hz: float
 
     def scored(self, spec: Scenario) -> tuple[JointMotion, Tracks | None]:
-        """Return what is held against the truth: joints, and labels where they are not the truth's."""
+        """Return the data compared with the truth: joints, and labels where they are not those of the truth."""
         given = spec.skeleton is None or spec.skeleton.labels == "truth"
         return self.take.joints, None if given else self.labelled
 
     def files(self) -> dict[str, Callable[[Path], object]]:
-        """Return name of each file of a run folder -> what writes it there; no BVH file without a pose."""
+        """Return name of each file of a run folder -> function that writes it; no BVH file without a pose."""
         files: dict[str, Callable[[Path], object]] = {
             "joints.csv": lambda path: write_joints_csv(self.take.joints, path),
             "subject.npz": lambda path: write_subject(self.subject, path),
@@ -56,7 +56,7 @@ class Person:
 
 
 def show_person(log: RerunLog | None, joints: JointMotion, truth: Truth | None = None) -> None:
-    """Log a person's joints and bones, and the true ones where the truth knows them; without a log do nothing."""
+    """Log a person's joints and bones, and the true ones where the truth has them; without a log do nothing."""
     if log is None:
         return
     motions = [(joints, False)]
@@ -70,14 +70,14 @@ def show_person(log: RerunLog | None, joints: JointMotion, truth: Truth | None =
 
 @dataclass(frozen=True, eq=False)
 class FitInputs:
-    """The take to which a skeleton is fitted, None for the measurement itself, and the rig that measured both."""
+    """The take to which a skeleton is fitted (None: the measurement itself), and the rig that measured both."""
 
     movement: MarkerFrames | None
     rig: Rig
 
 
 def person_of(spec: Scenario, tracks: Tracks, truth: Truth, given: FitInputs) -> Person:
-    """Return the person in ``tracks``, fitted to what is given. InputError where too few markers have labels."""
+    """Return the person in ``tracks``, fitted to the take in ``given``. InputError if too few markers have labels."""
     labelled = with_labels(spec, tracks, truth)
     movement = given.movement
     if movement is None:
@@ -89,7 +89,7 @@ def person_of(spec: Scenario, tracks: Tracks, truth: Truth, given: FitInputs) ->
 
 
 def fitted(movement: MarkerFrames) -> FittedSubject:
-    """Return the built-in model fitted to labelled markers; those that it does not know are left out."""
+    """Return the built-in model fitted to labelled markers; markers that are not in the model are left out."""
     model = read_skeleton_model(HUMAN, movement.labels)
     return fit_subject(model, movement.of(model.labels), "the take that the skeleton is fitted to")
 

@@ -1,4 +1,4 @@
-"""From frames to tracks in a run: the pipeline to its end, and what record, page and viewer need of it."""
+"""Tracks from the frames of a run: the pipeline to its end, with the data for record, page and viewer."""
 
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
@@ -42,10 +42,10 @@ def collected_of(
     shown: RerunLog | None = None,
     attend: Callable[[Step], None] | None = None,
 ) -> Collected:
-    """Run the pipeline to its end and keep what the record, the page and the viewer need.
+    """Run the pipeline to its end and keep the data for the record, the page and the viewer.
 
-    ``twin``: the same source where it has ground truth; ``shown``: where each step is logged; ``attend``: called with
-    each step before the next frames are read.
+    ``twin``: the same source if it has ground truth; ``shown``: log for each step; ``attend``: called with each step
+    before the next frames are read.
     """
     assembly = Assembly()
     samples: list[Samples] = []
@@ -124,10 +124,10 @@ def rerun_log(path: Path | None, rig: Rig, spec: Scenario, stack: ExitStack) -> 
 def _step_log(
     log: RerunLog | None, twin: TruthSource | None, pulses: int, most_images: int
 ) -> Callable[[Step], None]:
-    """Return what writes a step's images, detections and truth into a Rerun log; without one it does nothing.
+    """Return a function that writes a step's images, detections and truth into a Rerun log; without a log, a no-op.
 
-    Detections are shown with the images that they are of: an image stays until the next one. Points follow at the end
-    of the run, when their errors are known.
+    Detections are shown with their images, since an image stays until the next one. Points follow at the end of the
+    run, when their errors are known.
     """
     if log is None:
         return lambda step: None

@@ -1,4 +1,4 @@
-"""What errors the poses of a scenario's rig have, from a few rendered frames and the rig's calibration."""
+"""Errors of the poses of a scenario's rig, from a few rendered frames and the rig's calibration."""
 
 from dataclasses import replace
 from itertools import islice
@@ -19,9 +19,9 @@ from scenarios.session.estimated import SessionCalibration, calibrate_in_session
 from scenarios.spec.scenario import Scenario
 
 SETS = 24
-"""Frame sets rendered, over the whole flight."""
+"""Number of frame sets rendered, over the whole flight."""
 NEAR_PX = 3.0
-"""A detection within this of a marker's true image is its."""
+"""Largest distance of a marker's detection from its true image."""
 
 
 def shared_error_m2(spec: Scenario, own: SessionCalibration | None) -> Array:
@@ -33,11 +33,11 @@ def shared_error_m2(spec: Scenario, own: SessionCalibration | None) -> Array:
 
 
 def pose_noise(spec: Scenario, folder: Path, workers: int) -> PoseNoise:
-    """Return what errors the scenario's poses have: its rig is calibrated, and a few frame sets are rendered.
+    """Return the errors of the scenario's poses: its rig is calibrated, and a few frame sets are rendered.
 
-    The standard deviation of a marker's image is what detection states for it (median of the sets), infinite where it
-    was detected in less than half of them. What a camera's images share is what the pipeline learned of its errors
-    besides detection noise (``mosca.diagnostics.noise_model``).
+    The standard deviation of a marker's image is that stated by detection (median of the sets), and infinite where it
+    was detected in less than half of them. The error that a camera's images share is the pipeline's estimate of
+    errors besides detection noise (``mosca.diagnostics.noise_model``).
     """
     cameras = virtual_cameras(spec, true_rig(spec, folder))
     known, own = calibrated(spec, cameras), None

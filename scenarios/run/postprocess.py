@@ -1,4 +1,4 @@
-"""What is done with tracks once they are measured: smoothed on the way, labelled, their gaps filled."""
+"""Postprocessing of measured tracks: smoothing during the run, labelling, gap filling."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,10 +16,10 @@ from mosca.smoothing.rts import SmoothSettings
 
 @dataclass(frozen=True)
 class Postprocessing:
-    """What is done with measured tracks; None: not."""
+    """Steps of postprocessing; None: the step is left out."""
 
     lag: int | None = None
-    """Frames by which smoothing waits."""
+    """Lag of smoothing [frames]."""
     labels: Path | None = None
     """File of a marker model that names the tracks."""
     fill_s: float | None = None
@@ -30,7 +30,7 @@ NONE = Postprocessing()
 
 
 class Postprocessor:
-    """Takes samples as they leave the tracker, gives processed tracks; InputError at once for wrong settings."""
+    """Takes samples from the tracker and returns processed tracks; InputError at once for wrong settings."""
 
     def __init__(self, settings: Postprocessing) -> None:
         if settings.fill_s is not None and not 0 < settings.fill_s < float("inf"):
@@ -42,7 +42,7 @@ class Postprocessor:
         self._smoothed: list[Samples] = []
 
     def take(self, frame: int, samples: Samples) -> None:
-        """Take what left the tracker at ``frame``."""
+        """Take the samples that the tracker returned at ``frame``."""
         self._measured.append(samples)
         if self._smoother is not None:
             self._smoothed.append(self._smoother.step(frame, samples))
@@ -55,7 +55,7 @@ class Postprocessor:
             tracks = table([*self._smoothed, self._smoother.rest()])
             lines.append(f"positions are smoothed with a lag of {self._settings.lag} frames")
         if self._model is not None:
-            # names come from distances as they were measured
+            # names are found from the measured distances
             labelled = label_tracks(measured, self._model)
             found = dict(zip(labelled.track.tolist(), labelled.label.tolist(), strict=True))
             label = np.array([found.get(track, "") for track in tracks.track.tolist()], dtype=np.str_)
@@ -63,7 +63,7 @@ class Postprocessor:
             names = {name for name in found.values() if name}
             lines.append(f"{len(names)} of {len(self._model.names)} markers of {self._settings.labels} found")
         if self._settings.fill_s is not None:
-            # what is missing is estimated from the measured positions: the smoothed ones' errors hang together
+            # gaps are filled from the measured positions, since the errors of smoothed ones are correlated
             fills = gaps_filled(measured, self._settings.fill_s)
             tracks = _joined(tracks, fills)
             lines.append(filled_line(fills, self._settings.fill_s))
@@ -71,7 +71,7 @@ class Postprocessor:
 
 
 def gaps_filled(tracks: Tracks, fill_s: float) -> Tracks:
-    """Return the samples of status ``filled`` that close gaps of ``tracks`` up to ``fill_s`` [s]; those alone."""
+    """Return only the samples of status ``filled`` that close gaps of ``tracks`` up to ``fill_s`` [s]."""
     together = filled(tracks, SmoothSettings(longest_gap_s=fill_s))
     return together.select(together.status == "filled")
 

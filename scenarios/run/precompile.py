@@ -1,4 +1,4 @@
-"""The first run after an installation or an update compiles kernels: the twin's and the pipeline's side by side."""
+"""Compilation of kernels in the first run after an installation or an update: twin and pipeline in parallel."""
 
 import subprocess
 import sys
@@ -12,7 +12,7 @@ from scenarios.build.scene import build_scene
 from scenarios.spec.scenario import load_scenario
 
 PIPELINE = tuple(("mosca.precompile", part) for part in ("points", "windows", "look"))
-"""What a run compiles beside itself; meanwhile it compiles the twin and the calibration, a third of the work."""
+"""Programs that compile beside a run, which meanwhile compiles the twin and the calibration, a third of the work."""
 TWIN = (("scenarios.run.precompile",),)
 TESTS = tuple(("mosca.precompile", part) for part in ("look_twice", "points", "windows", "calibration"))
 RICH = Path(__file__).parents[1] / "library" / "light" / "actor_in_context.toml"
@@ -20,17 +20,17 @@ RICH = Path(__file__).parents[1] / "library" / "light" / "actor_in_context.toml"
 
 
 def compile_beforehand() -> None:
-    """Compile what processes that start afterwards would each compile for themselves, where none is kept yet."""
+    """Compile kernels that processes started later would each compile for themselves, where none are cached yet."""
     with compiling(TESTS + TWIN) as compiled:
         compiled()
 
 
 @contextmanager
 def compiling(programs: Sequence[tuple[str, ...]]) -> Iterator[Callable[[], None]]:
-    """Run programs that compile, where their kernels are not kept yet; the value of the block is a function that
-    waits for them. Those that still run when the block is left are ended.
+    """Run programs that compile, where their kernels are not cached yet; the value of the block is a function that
+    waits for them.
 
-    Numba compiles one function at a time in a process.
+    Programs that still run at the end of the block are ended. Numba compiles one function at a time in a process.
     """
     from mosca.correspondence.match import match_rays
     from mosca.detection.cut_targets.window_fits import fit_windows
@@ -63,7 +63,7 @@ def compiling(programs: Sequence[tuple[str, ...]]) -> Iterator[Callable[[], None
 
 
 def first_frames() -> int:
-    """Render the first frames of a rich scenario, small; returns how many."""
+    """Render the first frames of a rich scenario at small size; return their number."""
     spec = load_scenario(RICH, ("cameras.size_px=[164, 122]", "cameras.pixel_pitch_mm=0.04"))
     scene, cameras = build_scene(spec, RICH.parent), virtual_cameras(spec, true_rig(spec, RICH.parent))
     with twin_source(spec, scene, cameras, workers=1) as source:

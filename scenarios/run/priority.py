@@ -1,4 +1,4 @@
-"""What is live goes before what else the machine does, where the system lets it, and does not wait for itself."""
+"""Priority of live work over other work of the machine, where the system permits it, and short waits for threads."""
 
 import gc
 import os
@@ -9,17 +9,18 @@ from pathlib import Path
 
 NICE = -10
 SWITCH_S = 5e-4
-"""A thread that has something to do waits so long, at most, for one that computes in Python; usually 5 ms."""
+"""Longest time that a ready thread waits for one that computes in Python; usually 5 ms."""
 SESSION = Path("/proc/self/autogroup")
-"""Linux divides its time among sessions (terminals) first: how nice a program is counts within its own alone."""
+"""Nice value of the session. Linux divides time among sessions (terminals) first; a program's own nice value counts
+only within its session."""
 
 
 @contextmanager
 def before_others() -> Iterator[bool]:
     """Raise the priority of this thread, and of those that it starts, for the block; yield whether that was allowed.
 
-    Linux allows it to root and to those whom limits.conf gives ``nice``; macOS to root; Windows has no such call. On
-    Linux the session of this program goes before other sessions too.
+    Linux allows it to root and to users with ``nice`` in limits.conf, macOS to root; Windows has no such call. On
+    Linux the priority of this program's session is raised too.
     """
     try:
         usual = os.getpriority(os.PRIO_PROCESS, 0)
@@ -28,7 +29,7 @@ def before_others() -> Iterator[bool]:
         yield False
         return
     session = _session_nice()
-    raises = session is not None and session > NICE  # else another program of the session did, and takes it back
+    raises = session is not None and session > NICE  # else another program of the session did, and will reset it
     if raises:
         _set_session_nice(NICE)
     try:
@@ -48,7 +49,7 @@ def _session_nice() -> int | None:
 
 
 def _set_session_nice(nice: int) -> None:
-    """Set it where that is allowed: it takes the same rights, and is refused where it was set just before."""
+    """Set the session's nice value if allowed: it takes the same rights, and is refused just after another change."""
     try:
         SESSION.write_text(str(nice))
     except OSError:
@@ -59,8 +60,8 @@ def _set_session_nice(nice: int) -> None:
 def prompt() -> Iterator[None]:
     """For the block, shorten the thread switch interval and freeze existing objects for the garbage collector.
 
-    Modules and compiled code are some hundred thousand objects that stay; scanning them for garbage takes
-    tens of milliseconds.
+    Modules and compiled code are some hundred thousand permanent objects; scanning them for garbage takes tens of
+    milliseconds.
     """
     usual = sys.getswitchinterval()
     sys.setswitchinterval(SWITCH_S)

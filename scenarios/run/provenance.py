@@ -1,4 +1,4 @@
-"""What made a result: versions, platform, commit."""
+"""Provenance of a result: versions, platform, commit."""
 
 import os
 import platform
@@ -12,12 +12,12 @@ from llvmlite.binding import get_host_cpu_name
 
 
 def provenance() -> dict[str, Any]:
-    """Return what made a result: versions, platform, git commit."""
+    """Return the provenance of a result: versions, platform, git commit."""
     return {**numerics(), "git": _git()}
 
 
 def numerics() -> dict[str, Any]:
-    """Return what decides last digits besides the code: versions, platform, processor."""
+    """Return all that affects last digits besides the code: versions, platform, processor."""
     packages = ("mujoco", "numpy", "scipy", "numba", "opencv-python-headless")
     return {
         "versions": {"mosca": version("mosca-testbench"), "python": platform.python_version()}
@@ -28,7 +28,7 @@ def numerics() -> dict[str, Any]:
 
 
 def _processor() -> str:
-    """Return the processor as compiled code sees it: last digits, and noise with them, differ between such."""
+    """Return the processor as seen by compiled code: last digits, and with them noise, differ between processors."""
     simd = np.show_config(mode="dicts")["SIMD Extensions"]
     name = os.environ.get("NUMBA_CPU_NAME") or get_host_cpu_name()
     return " ".join([name, *simd.get("found", ())])

@@ -1,4 +1,4 @@
-"""What a run leaves behind: its record, and what the page shows beside it."""
+"""The record of a run, and the further data for its page."""
 
 import math
 from collections.abc import Mapping
@@ -91,7 +91,7 @@ def record_of(
 
 
 def position_limit_mm(spec: Scenario) -> float | None:
-    """Return the limit of the rms position error [mm], stated as such or as a share of the space's longest edge."""
+    """Return the limit of the rms position error [mm], stated itself or as a share of the space's longest edge."""
     given = {"position_rms": 1e3, "relative_accuracy": 1e3 * max(spec.working_space.size_m)}
     known = [(name, spec.limits[name], scale) for name, scale in given.items() if name in spec.limits]
     ends = [scale * (end_of(name, one) if isinstance(one, tuple) else one) for name, one, scale in known]
@@ -99,7 +99,7 @@ def position_limit_mm(spec: Scenario) -> float | None:
 
 
 def with_changed(record: RunRecord, changed: Mapping[str, tuple[Any, Any]]) -> RunRecord:
-    """Return ``record`` with what differs from the scenario's file: key -> (value there, value of this run)."""
+    """Return ``record`` with the differences from the scenario's file: key -> (value there, value of this run)."""
     if not changed:
         return record
     return replace(record, provenance={**record.provenance, "changed": {key: list(v) for key, v in changed.items()}})
@@ -110,7 +110,7 @@ def _rig_words(spec: Scenario) -> str:
 
 
 def _limits(spec: Scenario, worth: Scored) -> dict[str, float | tuple[float, float]]:
-    """Return the scenario's limits; all frame sets, or frames, must have come but for the losses that it states."""
+    """Return the scenario's limits; all frame sets, or frames, must have come except for the stated losses."""
     if "frames_complete" in worth.scores:
         return {"frames_complete": weakest(worth.collected.frames).least} | spec.limits
     if "sets_complete" not in worth.scores:
@@ -121,12 +121,12 @@ def _limits(spec: Scenario, worth: Scored) -> dict[str, float | tuple[float, flo
 
 
 def _pulses(spec: Scenario, collected: Collected) -> int:
-    """Return of how many pulses there must be frame sets."""
+    """Return the number of pulses for which there must be frame sets."""
     return expected_sets(collected.assembly, spec.capture.pulses, collected.account)
 
 
 def _missing(spec: Scenario, collected: Collected) -> str:
-    """Return in words which frames are missing."""
+    """Return a description of the missing frames."""
     if collected.frames:
         return frame_losses(collected.frames)
     return losses(collected.assembly, _pulses(spec, collected), spec.capture.frame_rate_hz)
@@ -149,7 +149,7 @@ def _metric(
 
 
 def _verdict(spec: Scenario, broken: list[str], not_judged: tuple[str, ...]) -> tuple[bool, str]:
-    """Return whether the run is as claimed, and in words. What could not be judged does not pass."""
+    """Return whether the run is as claimed, and the same in words. A limit that could not be judged does not pass."""
     found = "every limit is met" if not broken else f"broken: {', '.join(broken)}"
     if not_judged:
         rest = [name for name in spec.limits if name not in not_judged and name not in broken]
@@ -186,7 +186,7 @@ def _counts(spec: Scenario, collected: Collected) -> dict[str, Any]:
 
 
 def _cameras(collected: Collected) -> dict[str, dict[str, Any]]:
-    """Return each camera's health, and what became of its frames; of a continuous run these alone."""
+    """Return each camera's health, and the account of its frames; for a continuous run only the latter."""
     if collected.frames:
         return {name: asdict(one) | {"complete": one.share} for name, one in collected.frames.items()}
     counts = collected.assembly.cameras
@@ -200,9 +200,9 @@ def _cameras(collected: Collected) -> dict[str, dict[str, Any]]:
 
 
 def sensor_record(one: LearnedSensor, stated: StatedSensor | None = None) -> dict[str, Any]:
-    """Return for the record what a camera's images tell of its sensor; an interval is [value, low, high].
+    """Return the estimates of a sensor from the camera's images, for the record; an interval is [value, low, high].
 
-    ``stated``: what a data sheet states of it, where that is known.
+    ``stated``: the sensor's values from a data sheet, where known.
     """
     values = {
         key: [float(f"{part:.5g}") for part in astuple(value)] if isinstance(value, Estimate) else value
@@ -213,7 +213,7 @@ def sensor_record(one: LearnedSensor, stated: StatedSensor | None = None) -> dic
 
 
 def health_record(one: CameraHealth) -> dict[str, Any]:
-    """Return a camera's health for the record; what is not known is None."""
+    """Return a camera's health for the record; unknown values are None."""
     values = {key: value for key, value in asdict(one).items() if key != "name"}
     values["residuals_px"] = [round(value, 4) for value in one.residuals_px]
     return {
@@ -229,9 +229,9 @@ def evidence_of(
     vibration: Vibration | None = None,
     shown: ShownPoses | None = None,
 ) -> Evidence:
-    """Return what the page shows; without a truth the tracks alone.
+    """Return the data for the page; without a truth these are only the tracks.
 
-    ``person`` and ``vibration``: the scene's; ``shown``: virtual objects, drawn where their errors are known.
+    ``person`` and ``vibration``: those of the scene; ``shown``: virtual objects, drawn where their errors are known.
     """
     collected, truth, pairs = worth.collected, worth.truth, worth.pairs
     base = Evidence(
@@ -261,7 +261,7 @@ def evidence_of(
         truth_names=truth.names,
         errors=ErrorTable(pairs.frame, time_s[pairs.frame], pairs.marker, pairs.error_m, pairs.row),
     )
-    if not truth.cameras:  # a user's own reference: who could see what is not known
+    if not truth.cameras:  # a user's own reference: the visibility of markers is unknown
         return beside
     return replace(
         beside,
@@ -273,7 +273,7 @@ def evidence_of(
 
 
 def _could_see(truth: Truth, rig: Rig) -> Array | None:
-    """Return which of the rig's cameras could see each marker (t, m, c); None where a camera has no truth."""
+    """Return whether each marker was visible to each of the rig's cameras (t, m, c); None if one has no truth."""
     if not set(rig.names) <= set(truth.cameras):
         return None
     seen: Array = truth.visible[:, :, [truth.cameras.index(name) for name in rig.names]] >= SEEN_SHARE

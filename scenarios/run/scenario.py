@@ -71,16 +71,16 @@ LOG = logging.getLogger(__name__)
 
 @dataclass(frozen=True, eq=False)
 class RunResult:
-    """What a run gave."""
+    """Results of a run."""
 
     record: RunRecord
     evidence: Evidence
-    """What the page shows beside the record."""
+    """Data for the page besides the record."""
     tracks: Tracks
     truth: Truth | None
-    """None where there is none."""
+    """The truth; None where there is none."""
     commands: Commands | None = None
-    """What drove the subject."""
+    """Commands that drove the subject."""
     calibration: SessionCalibration | None = None
     """The calibration of the scenario's own session."""
     poses: BodyPoses | None = None
@@ -88,11 +88,11 @@ class RunResult:
     person: Person | None = None
     """The scene's person, where the scenario has a skeleton."""
     vibration: Vibration | None = None
-    """Of the scene's panel."""
+    """Vibration of the scene's panel."""
     model: IdentifiedModel | None = None
-    """Of the driven robot, where the scenario identifies one."""
+    """Model of the driven robot, where the scenario identifies one."""
     flight: Flown | None = None
-    """In closed loop."""
+    """Flight in closed loop."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,9 +105,9 @@ class _Built:
     settings: PipelineSettings
     scene: Scene | None
     riding: tuple[VirtualCamera, ...]
-    """All cameras, that of [self_orientation] among them."""
+    """All cameras, including that of [self_orientation]."""
     pilot: Pilot | None = None
-    """What steers the scene's drone by the poses, as they come."""
+    """Pilot that steers the scene's drone by the arriving poses."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,7 +140,7 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
         opened = _opened(spec, built, options, survey)
         stack.enter_context(opened.source)
         with timed(timings, "compile"):
-            next(iter(opened.twin or ()), None)  # the twin's kernels meanwhile
+            next(iter(opened.twin or ()), None)  # compiles the twin's kernels meanwhile
             pipeline_compiled()
         if spec.clinic is not None:
             return _diagnosed(spec, name, options, built, opened, believed, own, timings, stack)
@@ -152,7 +152,7 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
             collected = _with_frames(collected, spec, built, opened, continuous)
         if options.source.startswith("hardware:"):
             collected.assembly.notes.update(device_notes(opened.source))
-        # the scenario defines where its markers are on a body, whatever the source of the frames
+        # the scenario defines the positions of markers on a body, for any source of frames
         bodies = rigid_bodies(built.scene or build_scene(spec, folder)) if spec.pipeline.bodies else ()
         poses = None
         if bodies:
@@ -187,7 +187,7 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
                 scores, worth = scores | oriented.scores, oriented.added_to(worth)
         evidence = evidence_of(spec, believed, worth, done.person, done.vibration, done.shown)
         log_result(shown, evidence, position_limit_mm(spec))
-        # identities are scored as the tracker gave them; a label may have split a track
+        # identities are scored as given by the tracker, since a label may have split a track
         written = _filled(spec, collected, collected.tracks if done.named is None else done.named)
     timings |= collected.seconds
     record = record_of(spec, name, options.source, replace(worth, scores=scores), timings, built.known)
@@ -202,7 +202,7 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
 
 
 def _given_truth(options: RunOptions) -> Truth | ReferenceTrajectories | None:
-    """Return the truth that goes with other frames than the twin's; InputError where one is given for the twin's."""
+    """Return the truth for frames from other sources than the twin; InputError where one is given for the twin."""
     if options.source != "twin":
         return requested_truth(options)
     if options.truth is not None:
@@ -211,7 +211,7 @@ def _given_truth(options: RunOptions) -> Truth | ReferenceTrajectories | None:
 
 
 def _filled(spec: Scenario, collected: Collected, tracks: Tracks) -> Tracks:
-    """Return the tracks that are written: scored and counted is what was measured, these have gaps filled as well."""
+    """Return the tracks to write, with filled gaps; scores and counts are of the measured samples only."""
     if spec.pipeline.fill_s is None:
         return tracks
     tracks, collected.assembly.notes["filled"] = with_gaps_filled(tracks, spec.pipeline.fill_s)
@@ -225,9 +225,9 @@ def _warnings(own: SessionCalibration | None) -> dict[str, str]:
 
 
 def _attending(spec: Scenario, built: _Built, rig: Rig) -> Callable[[Step], None] | None:
-    """Return what takes the pipeline's steps to the pilot of a flight in closed loop; None where there is none.
+    """Return a function that passes the pipeline's steps to the pilot of a flight in closed loop; None without one.
 
-    ``rig``: what the steps are measured with.
+    ``rig``: the rig that measures the steps.
     """
     if built.scene is None or built.pilot is None:
         return None
@@ -237,7 +237,7 @@ def _attending(spec: Scenario, built: _Built, rig: Rig) -> Callable[[Step], None
 def _with_frames(
     collected: Collected, spec: Scenario, built: _Built, opened: _Opened, continuous: Reconstructed | Worn
 ) -> Collected:
-    """Return what was collected with the account of each free-running camera's frames."""
+    """Return the collected results with the account of each free-running camera's frames."""
     gathered = (continuous.reconstructed if isinstance(continuous, Worn) else continuous).gathered
     frames = camera_frames(spec, gathered, built.cameras, opened.twin is not None, collected.account)
     return replace(collected, frames=frames)
@@ -262,7 +262,7 @@ def _built(spec: Scenario, folder: Path, options: RunOptions) -> _Built:
 
 
 def _write_beside(frames: Path, believed: Rig, truth: object) -> None:
-    """Write the rig that the pipeline believed in, and the twin's truth, beside recorded frames."""
+    """Write the rig that the pipeline used, and the twin's truth, beside recorded frames."""
     write_rig(believed, frames / "rig.toml")
     if isinstance(truth, Truth):
         write_truth(truth, frames / "truth.npz")
@@ -271,7 +271,7 @@ def _write_beside(frames: Path, believed: Rig, truth: object) -> None:
 def _fit_inputs(
     spec: Scenario, folder: Path, built: _Built, believed: Rig, options: RunOptions, timings: dict[str, float]
 ) -> FitInputs | None:
-    """Return what the skeleton is fitted to; None where the scenario has none."""
+    """Return the inputs of the skeleton's fit; None where the scenario has no skeleton."""
     if spec.skeleton is None:
         return None
     if spec.skeleton.fit_to == "take":
@@ -286,8 +286,8 @@ def _own_calibration(
 ) -> tuple[SessionCalibration | None, tuple[tuple[str, str], ...]]:
     """Return the calibration of the scenario's own session, and codes and messages of its findings.
 
-    CalibrationError where it is refused and the scenario does not expect that it is; where it does, the refusal is
-    the finding.
+    CalibrationError where it is refused and the scenario does not expect this; where it does, the refusal is the
+    finding.
     """
     try:
         inputs = inputs_of(spec, built.cameras, built.known.rig)
@@ -303,9 +303,9 @@ def _own_calibration(
 
 
 def _beside_data_sheets(collected: Collected, spec: Scenario, built: _Built) -> Collected:
-    """Return the learned sensors beside what the scenario states of them; what does not fit goes into the notes.
+    """Return the estimated sensors with the values that the scenario states; disagreements are added to the notes.
 
-    A scenario states the sensors of its virtual cameras, of real ones only those that it names.
+    A scenario states the sensors of its virtual cameras; of real cameras it states only those that it names.
     """
     named = {one.name for one in spec.camera if one.sensor.name is not None}
     sheets = {
@@ -355,7 +355,7 @@ def _all_scores(
     timings: Mapping[str, float],
     own: SessionCalibration | None,
 ) -> dict[str, Score]:
-    """Return the scores with and without truth, of acceptance test and session; notes go into the assembly's."""
+    """Return the scores with and without truth, and those of acceptance test and session; notes are added."""
     collected = worth.collected
     seconds = {**timings, **collected.seconds}
     without_truth, notes = self_checks(spec, collected.tracks, poses, seconds, collected.assembly.sets)
@@ -369,12 +369,12 @@ def _all_scores(
     else:
         expected = expected_sets(collected.assembly, spec.capture.pulses, collected.account)
         complete = {"sets_complete": sets_complete(collected.assembly, expected)}
-    # with a truth, ray residuals are of the points that exist, not of ghosts: the later mapping wins
+    # with a truth, ray residuals are those of existing points, not of ghosts: the later mapping wins
     return {**complete, **without_truth, **accepted, **worth.scores, **({} if own is None else own.scores())}
 
 
 def _with_bodies(collected: Collected, bodies: tuple[RigidBody, ...]) -> tuple[Collected, BodyPoses]:
-    """Return the tracks labelled by the rigid bodies that they belong to, and the bodies' poses."""
+    """Return the tracks labelled by the rigid bodies to which they belong, and the bodies' poses."""
     check_bodies(bodies)
     poses = body_poses(collected.tracks, bodies)
     return replace(collected, tracks=labelled_by_bodies(collected.tracks, bodies)), poses
@@ -413,7 +413,7 @@ def _refused(
     reported: tuple[tuple[str, str], ...],
     own: SessionCalibration | None,
 ) -> RunResult:
-    """Return the result of a scenario whose calibration must be refused or warned of; nothing is measured.
+    """Return the result of a scenario whose calibration must be refused or give a warning; nothing is measured.
 
     ``reported``: codes and messages of the calibration's findings.
     """

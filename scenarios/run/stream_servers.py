@@ -1,4 +1,4 @@
-"""The servers of a stream, one for each protocol that is asked for."""
+"""The servers of a stream, one for each requested protocol."""
 
 from collections.abc import Sequence
 from contextlib import ExitStack
@@ -18,9 +18,9 @@ StreamSettings = NatNetSettings | LslSettings | FoxgloveSettings
 def opened_streams(
     settings: Sequence[StreamSettings], model: StreamModel, names: StreamNames, rate_hz: float
 ) -> StreamServer:
-    """Return a server of all protocols in ``settings``, of which there is one at least.
+    """Return a server of all protocols in ``settings`` (at least one).
 
-    Raises InputError where one of them cannot be had; then none stays open.
+    Raises InputError where one of them cannot be opened; then none stays open.
     """
     made: list[StreamServer] = []
     with ExitStack() as stack:
@@ -39,6 +39,6 @@ def opened_streams(
 
 
 def check_wait(settings: Sequence[StreamSettings], wait: int) -> None:
-    """Raise InputError where more clients are waited for than the protocols can count."""
+    """Raise InputError where the number of clients to wait for is larger than the protocols can count."""
     if wait > 1 and all(isinstance(one, LslSettings) for one in settings):
         raise InputError(f"--wait {wait}: LSL shows whether somebody listens, not how many; 0 or 1 is wanted")

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def check_source(spec: Scenario, source: str) -> None:
-    """Raise InputError where a self-orientation is asked for of frames that are not the twin's."""
+    """Raise InputError where a self-orientation is requested from frames that are not the twin's."""
     if spec.self_orientation is not None and source != "twin":
         raise InputError(
             f"--source {source}: [self_orientation] is scored against the twin's flight; run a scenario without it, "

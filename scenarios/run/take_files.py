@@ -14,7 +14,7 @@ JOINTS_FILE, ANGLES_FILE = "joints.csv", "angles.csv"
 
 @dataclass(frozen=True)
 class TakeFiles:
-    """``tracks``; the others: None where the folder has none, or a file was given."""
+    """``tracks``, and other files: None where the folder does not have them, or a file was given."""
 
     tracks: Path
     bodies: Path | None = None
@@ -24,7 +24,7 @@ class TakeFiles:
 
 
 def take_files(path: Path) -> TakeFiles:
-    """Return the files of a take. InputError where there is nothing, or a folder without tracks."""
+    """Return the files of a take. InputError where the path does not exist, or is a folder without tracks."""
     if not path.exists():
         raise InputError(f"{path}: no such file or folder; a file of tracks or a run folder is wanted")
     if not path.is_dir():

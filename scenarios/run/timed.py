@@ -5,7 +5,7 @@ import time
 from collections.abc import Callable
 
 LOG = logging.getLogger("scenarios.run.scenario")
-"""A run's stages are logged under one name."""
+"""The stages of a run are logged under one name."""
 
 
 class StageTimes(dict[str, float]):

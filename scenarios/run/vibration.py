@@ -1,4 +1,4 @@
-"""The vibration of a scenario's panel: found in its tracks, and what the page and the run folder show of it."""
+"""The vibration of a scenario's panel, from its tracks, and its data for the page and the run folder."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -21,7 +21,7 @@ _LARGEST = 3
 def vibration_of(spec: Scenario, collected: Collected) -> Vibration | None:
     """Return the modes in the tracks; None where too little was measured.
 
-    What is wanting then goes into the notes, and no limit of a mode is met.
+    The missing data are then named in the notes, and no limit of a mode is met.
     """
     assert spec.vibration is not None
     rate_hz = spec.capture.frame_rate_hz
@@ -41,7 +41,7 @@ def vibration_of(spec: Scenario, collected: Collected) -> Vibration | None:
 
 
 def vibration_evidence(found: Vibration) -> VibrationEvidence:
-    """Return what the pictures show; a shape along several directions by the first of them."""
+    """Return the data of the pictures; a shape along several directions is shown along the first."""
     record, averaged = found.displacements, found.spectra
     every = len(record.direction)
     shapes = np.array([mode.shape[::every] for mode in found.modes]).reshape(len(found.modes), len(record.names))
@@ -61,5 +61,5 @@ def vibration_evidence(found: Vibration) -> VibrationEvidence:
 
 
 def vibration_files(found: Vibration) -> dict[str, Callable[[Path], object]]:
-    """Return name of each file of a run folder -> what writes it there."""
+    """Return name of each file of a run folder -> function that writes it there."""
     return {"modes.json": lambda path: write_modes(found, path)}

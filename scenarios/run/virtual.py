@@ -1,4 +1,4 @@
-"""Virtual objects of a scenario: shown at simulated displays from the poses that were known by then."""
+"""Virtual objects of a scenario, shown at simulated displays from the poses known by then."""
 
 from pathlib import Path
 
@@ -22,7 +22,7 @@ def virtual_objects(
 ) -> ShownPoses:
     """Return the objects at each display of the take.
 
-    The poses are those that a live run would have: found forwards only, each known ``latency_s`` after its exposure.
+    The poses are those of a live run: found forwards in time only, each known ``latency_s`` after its exposure.
     """
     assert spec.virtual is not None
     given = spec.virtual
@@ -53,7 +53,7 @@ def virtual_objects(
 
 
 def virtual_evidence(shown: ShownPoses, errors: ObjectErrors) -> VirtualEvidence:
-    """Return what the picture shows."""
+    """Return the data of the picture."""
     return VirtualEvidence(
         1e-9 * shown.time_ns,
         shown.age_s,
@@ -65,7 +65,7 @@ def virtual_evidence(shown: ShownPoses, errors: ObjectErrors) -> VirtualEvidence
 
 
 def _forwards(tracks: Tracks, bodies: tuple[RigidBody, ...]) -> list[BodyPoses]:
-    """Return the poses of each frame, found from that frame and those before it."""
+    """Return the poses of each frame, found from that frame and earlier ones."""
     tracker = BodyTracker(bodies)
     measured = tracks.select(np.asarray(tracks.status) == "measured")
     measured = measured.select(np.argsort(measured.frame, kind="stable"))

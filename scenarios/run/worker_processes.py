@@ -1,4 +1,4 @@
-"""Pools of worker processes; workers that leave Ctrl-C to the process that began them, and end with it."""
+"""Pools of worker processes. Workers leave Ctrl-C to the process that started them, and end with it."""
 
 import multiprocessing
 import os
@@ -15,7 +15,7 @@ def spawned_pool(jobs: int, initializer: Callable[[], object] | None = None) -> 
     """Return a pool of ``jobs`` processes that are spawned.
 
     A forked child would inherit threads of its parent's libraries in unknown states. Raises InputError where this
-    system gives processes no locks: on Linux these are files in /dev/shm.
+    system has no locks for processes: on Linux these are files in /dev/shm.
     """
     context = multiprocessing.get_context("spawn")
     try:
@@ -30,9 +30,9 @@ def spawned_pool(jobs: int, initializer: Callable[[], object] | None = None) -> 
 
 @contextmanager
 def ctrl_c_held_back() -> Iterator[None]:
-    """Hold Ctrl-C back from this thread and for good from processes begun here: this process alone decides.
+    """Block Ctrl-C in this thread, and permanently in processes started here, so that only this process handles it.
 
-    The terminal sends it to all of them; where signals cannot be held back (Windows), workers end by themselves.
+    The terminal sends it to all of them; where signals cannot be blocked (Windows), workers end by themselves.
     """
     if not hasattr(signal, "pthread_sigmask"):
         yield
@@ -45,14 +45,14 @@ def ctrl_c_held_back() -> Iterator[None]:
 
 
 def begin_worker() -> None:
-    """Prepare a worker: it ends with the process that began it, and SIGTERM ends no idle one."""
+    """Prepare a worker: it ends with the process that started it, and SIGTERM does not end an idle worker."""
     # between two tasks there is nothing to end
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
 
 def _end_with_parent() -> None:
-    """End this worker when the process that began it was killed: nobody would wait for its work."""
+    """End this worker when the process that started it was killed: its work would not be used."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()

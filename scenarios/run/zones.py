@@ -1,4 +1,4 @@
-"""Zones of a scenario, and tracks files of zones: run side by side and stitched into one set."""
+"""Zones of a scenario: reconstruction of each zone, and stitching of their tracks into one set."""
 
 from collections.abc import Iterator, Sequence
 
@@ -20,7 +20,7 @@ from scenarios.spec.scenario import Scenario
 
 
 def zones_of(spec: Scenario, rig: Rig) -> tuple[Zone, ...]:
-    """Return the scenario's zones with the cameras of ``rig``, none where it has none; InputError for one unknown."""
+    """Return the scenario's zones (maybe none) with the cameras of ``rig``; InputError for an unknown camera."""
     zones = []
     for one in spec.zone:
         unknown = [name for name in one.cameras if name not in rig.names]
@@ -45,7 +45,7 @@ def zone_steps(
     healths: Sequence[Health],
     sensors: Sensors,
 ) -> Iterator[Step]:
-    """Reconstruct tracks from a source's frames, zone by zone; ``rig``: of all cameras."""
+    """Reconstruct tracks from a source's frames, zone by zone; ``rig``: that of all cameras."""
     check_source(source, rig)
     sets = assemble(source, source.cameras, settings.assembly, assembly)
     look = FrameSetDetector(settings.detection, {info.name: info.bit_depth for info in source.cameras})
@@ -54,7 +54,7 @@ def zone_steps(
 
 
 def tracks_of_all(tracks: Tracks, zones: Sequence[Zone], assembly: Assembly) -> Tracks:
-    """Return the tracks of ``run_zones`` as one set; what must be known of the zones goes into the notes."""
+    """Return the tracks of ``run_zones`` as one set; remarks on the zones are added to the notes."""
     result = stitched(of_zones(tracks, zones))
     assembly.notes["zones"] = stitching_line(result.handed_over, result.merged)
     for k, note in enumerate(result.notes):
@@ -63,5 +63,5 @@ def tracks_of_all(tracks: Tracks, zones: Sequence[Zone], assembly: Assembly) -> 
 
 
 def stitching_line(handed_over: int, merged: int) -> str:
-    """Return how many targets and samples were stitched, in words."""
+    """Return the numbers of stitched targets and samples in words."""
     return f"{handed_over} targets handed over between zones, {merged} samples merged from two zones or more"

@@ -1,1 +1,1 @@
-"""Tracks and bodies against the truth, or against what is certified."""
+"""Scores of tracks and bodies against the truth, or against certified values."""

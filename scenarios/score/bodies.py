@@ -1,4 +1,4 @@
-"""The scene's rigid bodies as a lab would define them, and how well their poses were measured."""
+"""The scene's rigid bodies as a lab would define them, and the scores of their measured poses."""
 
 import numpy as np
 
@@ -30,7 +30,7 @@ def rigid_bodies(scene: Scene) -> tuple[RigidBody, ...]:
 def body_scores(poses: BodyPoses, bodies: tuple[RigidBody, ...], truth: Truth) -> dict[str, Score]:
     """Return errors of position (rms 3D distance) and attitude (rms angle), and the share of poses found.
 
-    A body counts as seen where three of its markers do. The true pose is the motion that carries the body's
+    A body counts as seen where three of its markers count as seen. The true pose is the motion that maps the body's
     definition onto its true markers.
     """
     frames = len(truth.time_ns)
@@ -62,7 +62,7 @@ def body_scores(poses: BodyPoses, bodies: tuple[RigidBody, ...], truth: Truth) -
 
 
 def _angle(rotation: Array) -> float:
-    """Return the angle of a rotation [rad]; exact for small ones too."""
+    """Return the angle of a rotation [rad]; exact for small angles too."""
     axis = np.array(
         [rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]]
     )

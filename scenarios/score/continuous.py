@@ -1,4 +1,4 @@
-"""Scores of a continuous reconstruction: its clocks, and its error against the synchronous pipeline's."""
+"""Scores of a continuous reconstruction: its clocks, and its error compared with that of the synchronous pipeline."""
 
 from dataclasses import replace
 
@@ -21,7 +21,7 @@ from twin.scenes.scene import Scene
 def scored_apart(
     spec: Scenario, collected: Collected, found: Reconstructed | Worn, truth: Truth, scene: Scene | None
 ) -> tuple[Collected, Truth, dict[str, Score]]:
-    """Return what is left to be scored as all runs are, and the scores of clocks and, where they are worn, lamps."""
+    """Return the tracks and truth to be scored as in all runs, and the scores of clocks and lamps of worn cameras."""
     assert spec.continuous is not None
     if isinstance(found, Worn):
         from scenarios.score.worn_cameras import moving_scores
@@ -39,23 +39,23 @@ def scored_apart(
 
 
 def clock_scores(found: Reconstructed, truth: Truth) -> dict[str, Score]:
-    """Return how far the clocks of free-running cameras are off, the worst one of them.
+    """Return the clock errors of free-running cameras, each for the worst camera.
 
-    ``clock_frames``: of the camera's own frame period, the larger error of its run's two ends. The first camera's
-    clock, to which all times refer, has none.
+    ``clock_frames``: the larger of the errors at the two ends of the camera's run, as a share of its frame period.
+    The first camera's clock, to which all times refer, has no error.
     """
     if truth.frames is None:
         return {}
     true = {}
     for c, name in enumerate(truth.cameras):
         rows = truth.frames.camera == c
-        # per frame these exist only for free-running cameras
+        # such values for each frame exist only for free-running cameras
         if rows.sum() >= 2 and name in found.rig.names:
             true[name] = (truth.frames.stamp_ns[rows], truth.frames.exposure_mid_ns[rows])
     first = found.clocks[0]
     offsets, drifts = [], []
     seen = found.gathered.seen
-    session = (first.origin_ns * 1e-9, 1.0)  # a triggered camera stamps by the session's clock
+    session = (first.origin_ns * 1e-9, 1.0)  # the stamps of a triggered camera are on the session's clock
     if first.camera in true:
         session = _line(first, seen[0].frame_ns[0], *true[first.camera])
     for one, clock in zip(seen[1:], found.clocks[1:], strict=True):
@@ -75,7 +75,7 @@ def clock_scores(found: Reconstructed, truth: Truth) -> dict[str, Score]:
 
 
 def _line(clock: EstimatedClock, first_ns: int, stamp_ns: Array, true_ns: Array) -> tuple[float, float]:
-    """Return session time as offset and rate of a camera's own seconds since its origin: truth for its time stamps.
+    """Return true session time as offset and rate over a camera's own seconds since its origin.
 
     ``first_ns``: mid-exposure of its first frame by its own stamp.
     """
@@ -87,9 +87,9 @@ def _line(clock: EstimatedClock, first_ns: int, stamp_ns: Array, true_ns: Array)
 
 
 def as_worn(evidence: Evidence, spec: Scenario, found: Reconstructed | Worn) -> Evidence:
-    """Return what the page shows in the frame of the body that cameras are worn on, where they are.
+    """Return the data for the page, for worn cameras in the frame of the body that carries them.
 
-    Cameras that move are drawn as they are in the middle of the recording.
+    Moving cameras are drawn at their poses in the middle of the recording.
     """
     assert spec.continuous is not None
     if spec.continuous.worn_on is None:
@@ -104,7 +104,7 @@ def as_worn(evidence: Evidence, spec: Scenario, found: Reconstructed | Worn) -> 
 
 
 def over_synchronous(ours: TruthPairs, synchronous: Tracks, truth: Truth, working_space_m: float) -> dict[str, Score]:
-    """Return our error over the synchronous pipeline's, rms over rms, of markers and instants that both measured."""
+    """Return our rms error over that of the synchronous pipeline, for markers and instants that both measured."""
     theirs = pair(synchronous, truth, working_space_m)
     known = {(f, m): k for k, (f, m) in enumerate(zip(theirs.frame.tolist(), theirs.marker.tolist(), strict=True))}
     at = np.array([known.get(key, -1) for key in zip(ours.frame.tolist(), ours.marker.tolist(), strict=True)], int)

@@ -1,4 +1,4 @@
-"""Whether a control fails as it must: its fault shows where it was derived to, and all else holds."""
+"""Verdict on a control: its fault must show in the derived ranges, and all other limits must hold."""
 
 from collections.abc import Mapping
 
@@ -14,10 +14,10 @@ def control_verdict(
     met: Mapping[str, bool],
     breaks: Mapping[str, tuple[float, float]],
 ) -> tuple[bool, str]:
-    """Return whether a control fails as it must, and in words.
+    """Return whether a control fails as it must, and the same in words.
 
-    ``limits``, ``met``: of each limited metric its limit and whether that is met; ``breaks``: the ranges in which the
-    broken metrics must lie, in their units. What has no value lies nowhere.
+    ``limits``, ``met``: the limit of each limited metric, and whether it is met; ``breaks``: the ranges in which the
+    broken metrics must lie, in their units. A metric without a value lies in no range.
     """
     wrong = []
     found = []

@@ -1,15 +1,15 @@
 """Cramer-Rao bounds of a run's frames, from the twin's noise-free images, propagated into space.
 
-Of each image: the Fisher information of a target's position, brightness and background under its pixels' noise, from
-images rendered without noise and with the image shifted (Kay 1993, section 3.9 for a Gaussian of known variance). To
-the bound of the image are added the random errors that belong to the scenario, not to the pipeline:
-the shake of the camera's body and the trigger's jitter times the target's speed. In space: ``(sum J' S^-1 J)^-1``
-over the cameras, where all that see the target see it whole. The target's diameter, which an estimator must find
-too, has no information on the position of a round image.
+For each image, the Fisher information of a target's position, brightness and background under its pixels' noise is
+computed from images rendered without noise and with the image shifted (Kay 1993, section 3.9 for a Gaussian of known
+variance). Random errors of the scenario, which are not the pipeline's, are added to the bound of the image: the shake
+of the camera's body, and the trigger's jitter times the target's speed. In space the bound is ``(sum J' S^-1 J)^-1``
+over the cameras, where all that see the target see it whole. The target's diameter, which an estimator must find too,
+has no information on the position of a round image.
 
-Lens errors of the calibration are no random errors and not part of the bound. Nor is it an error of detection that
-the centre of a ball's image is not the image of the ball's centre (geometry gives the difference, and triangulation
-corrects it): detections are compared with the centroid of the light that was really there.
+Lens errors of the calibration are not random and not part of the bound. The difference between the centre of a ball's
+image and the image of the ball's centre is no error of detection either (geometry gives it, and triangulation
+corrects it): detections are compared with the centroid of the true light.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -29,16 +29,16 @@ from twin.cameras.exposure.mount import Mount
 from twin.cameras.exposure.shutter import Timing
 
 WHOLE = 0.99
-"""Share of its disc from which on a target is seen whole."""
+"""Visible share of its disc from which a target counts as seen whole."""
 MARGIN_PX = 6.0
-"""How far beyond its rim a target's light is followed: the wings of the blur."""
+"""Distance beyond a target's rim up to which its light is included: the wings of the blur."""
 APART_PX = 3.0
-"""Rim to rim, images nearer to each other than this are merged: no bound is given for them."""
+"""Distance from rim to rim below which images count as merged: no bound is given for them."""
 PAIRED_PX = 1.0
-"""How far a detection may lie from a target's true image to be taken for it."""
+"""Largest distance of a detection from the true image of its target."""
 PULSES = 400
-"""Frame sets whose bound is computed, at most. Bodies' shakes move all points of a set together, 3 numbers a
-set: of 40 sets the efficiency scatters by 6 %, of 120 by 4, of 300 by 2."""
+"""Most frame sets whose bound is computed. Shakes of the bodies move all points of a set together, by 3 numbers per
+set: with 40 sets the efficiency scatters by 6 %, with 120 by 4, with 300 by 2."""
 EFFICIENCIES = frozenset({"efficiency", "efficiency_detection"})
 """Metrics that need the bound, which takes seconds: they are scored where a scenario limits them."""
 
@@ -50,11 +50,11 @@ class Bound:
     pulses: Array
     """(p,)"""
     image_px2: Array
-    """(p, m, c, 2, 2) of each image, NaN where a target is not seen whole and apart from others."""
+    """(p, m, c, 2, 2) bound of each image, NaN where a target is not seen whole and apart from others."""
     light_px: Array
     """(p, m, c, 2) centroid of each image's light, NaN where others are near."""
     point_m2: Array
-    """(p, m, 3, 3), NaN where fewer than two cameras see it so or another one sees it otherwise."""
+    """(p, m, 3, 3), NaN where fewer than two cameras see the target whole, or another camera sees a part of it."""
 
 
 def needs_bound(limits: Iterable[str]) -> bool:
@@ -63,7 +63,7 @@ def needs_bound(limits: Iterable[str]) -> bool:
 
 
 def pulses_asked(count: int) -> Array:
-    """Return which of ``count`` pulses are sampled: evenly spaced, without first and last where there are more."""
+    """Return the numbers of the sampled pulses of ``count``: all, or evenly spaced ones without first and last."""
     if count <= PULSES:
         return np.arange(count)
     return np.unique(np.linspace(1, count - 2, PULSES).round().astype(int))
@@ -99,7 +99,7 @@ def bound(
         information[seen] += np.einsum("nki,nkl,nlj->nij", jacobian, np.linalg.inv(total[seen]), jacobian)
         views += seen
     point = np.full(information.shape, np.nan)
-    # elsewhere images without a bound carry information too, which would make the bound invalid
+    # elsewhere images without a bound carry information too, so that the bound would be invalid
     whole = views == (truth.visible[pulses] > 0).sum(axis=2)
     bounded = (views >= 2) & whole
     point[bounded] = np.linalg.inv(information[bounded])
@@ -109,9 +109,9 @@ def bound(
 def efficiencies(
     bounds: Bound, matched: TruthPairs, truth: Truth, detections: Mapping[int, Mapping[str, Detections]], blocks: int
 ) -> dict[str, Score]:
-    """Return what the bounds are of the errors reached, rms over rms: of points in space, and of their images.
+    """Return the efficiencies, rms bound over rms error, of points in space and of their images.
 
-    ``detections``: pulse -> camera -> what was detected. Intervals by the bootstrap over ``blocks`` of pulses.
+    ``detections``: pulse -> camera -> detections. Intervals are by the bootstrap over ``blocks`` of pulses.
     """
     block = np.arange(len(bounds.pulses)) * blocks // max(1, len(bounds.pulses))
     row_of = {int(pulse): k for k, pulse in enumerate(bounds.pulses)}
@@ -143,7 +143,7 @@ def _efficiency(least: Array, reached: Array, block: Array, blocks: int) -> Scor
 
 
 def _image_errors(bounds: Array, true_xy: Array, found_xy: Array) -> tuple[Array, Array]:
-    """Return the bounds' traces (k,) and squared errors (k,) [px^2] of the targets seen whole that were detected."""
+    """Return the bounds' traces (k,) and squared errors (k,) [px^2] of the detected targets that are seen whole."""
     rows = np.flatnonzero(np.isfinite(bounds).all(axis=(1, 2)) & np.isfinite(true_xy).all(axis=1))
     if not len(rows) or not len(found_xy):
         return np.empty(0), np.empty(0)
@@ -155,7 +155,8 @@ def _image_errors(bounds: Array, true_xy: Array, found_xy: Array) -> tuple[Array
 def _image_bounds(frame: Expected, xy_px: Array, diameter_px: Array, visible: Array) -> tuple[Array, Array]:
     """Return the bound (m, 2, 2) [px^2] of each target's position, and the centroid (m, 2) [px] of its light.
 
-    NaN where it is not seen whole and apart; the centroid also where other light is within 1.5 margins.
+    NaN where the target is not seen whole and apart from others; the centroid is also NaN where other light is within
+    1.5 margins.
     """
     bounds, light = np.full((len(xy_px), 2, 2), np.nan), np.full((len(xy_px), 2), np.nan)
     there = np.isfinite(xy_px).all(axis=1) & (visible > 0)
@@ -192,7 +193,7 @@ def _image_bounds(frame: Expected, xy_px: Array, diameter_px: Array, visible: Ar
 
 
 def _speed_px(truth: Truth, camera: int) -> Array:
-    """Return how fast images move (t, m, 2) [px/s], NaN where they are not seen before and after."""
+    """Return the velocities of images (t, m, 2) [px/s], NaN where they are not seen before and after."""
     xy: Array = truth.image_xy_px[:, :, camera]
     seconds = truth.time_ns * 1e-9
     if len(xy) < 2:
@@ -202,8 +203,8 @@ def _speed_px(truth: Truth, camera: int) -> Array:
 
 
 def _by_turn(camera: Camera, xyz: Array) -> Array:
-    """Return the covariances (..., 2, 2) of images of ``xyz`` (..., 3) where the body's shake, a rotation, moves the
-    middle of the image by 1 px an axis (the rim more).
+    """Return the covariances (..., 2, 2) of images of ``xyz`` (..., 3) for a shake of the body, a rotation, that
+    moves the middle of the image by 1 px on each axis (the rim moves more).
     """
     turned = project_with_jacobians(camera, xyz.reshape(-1, 3)).by_pose[:, :, 1::-1]
     turned = turned / np.array(principal_distances_px(camera.lens))

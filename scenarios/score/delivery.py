@@ -1,4 +1,4 @@
-"""Whether a run measured what it claims: complete frame sets of its pulses, or all frames of free-running cameras."""
+"""Completeness of a run: complete frame sets of its pulses, or all frames of free-running cameras."""
 
 from collections.abc import Iterable, Mapping
 from typing import Any
@@ -14,27 +14,28 @@ from twin.cameras.exposure.shutter import Timing, numbers_in
 from twin.cameras.virtual_camera import VirtualCamera
 
 LOSS_SIGMAS = 4.0
-"""Random losses that a scenario states may exceed their expectation by so many standard deviations: once in 30,000
-runs. At half one run in 44 would fail by chance; at double twice as large an excess over the stated losses passes."""
+"""Standard deviations by which random losses may exceed the expectation that a scenario states: exceeded once in
+30,000 runs. At half one run in 44 would fail by chance; at double twice as large an excess over the stated losses
+passes."""
 LONGER = 1
-"""Frames by which a take may be longer than its scenario without being held to its own length: a free-running camera
-begins and ends between pulses."""
+"""Frames by which a take may be longer than its scenario before its own length counts: a free-running camera begins
+and ends between pulses."""
 CLOCK_ERROR = 1e-4
-"""Largest error of a camera's oscillator (data sheets state 20 to 100 ppm), by which a take of one that runs free may
-hold fewer frames than its nominal rate gives, or seem longer than it was."""
+"""Largest error of a camera's oscillator (data sheets state 20 to 100 ppm). By this share, a take of a free-running
+camera may have fewer frames than at its nominal rate, or appear longer than it was."""
 
 
 def expected_sets(assembly: Assembly, pulses: int, account: Mapping[str, Any]) -> int:
-    """Return of how many pulses a take must have frame sets: the scenario's, or the take's own where those are more.
+    """Return the number of pulses for which a take must have frame sets: the scenario's, or its own if larger.
 
     Parameters
     ----------
     assembly
-        Counts of the take; its sets are as many pulses as the frames' stamps span.
+        Counts of the take; its number of sets is that of the pulses spanned by the frames' stamps.
     pulses
-        Of the scenario.
+        Number in the scenario.
     account
-        The source's own; its ``pulses`` are those that were triggered.
+        The source's own account; its ``pulses`` is the number triggered.
     """
     triggered = account.get("pulses")
     if triggered is None:
@@ -54,7 +55,7 @@ def camera_frames(
     nominal_clocks: bool,
     account: Mapping[str, Any],
 ) -> dict[str, CameraFrames]:
-    """Return what each camera of a continuous run should have delivered, and what arrived.
+    """Return the frames that each camera of a continuous run should have delivered, and those that arrived.
 
     Parameters
     ----------
@@ -63,10 +64,10 @@ def camera_frames(
     gathered
         The frames that were seen.
     nominal_clocks
-        Whether they open exactly when the scenario says, as the twin's do; real ones that run free begin when they
-        like, at a rate that is nominal.
+        Whether they open exactly at the scenario's times, as in the twin; real free-running cameras begin at any
+        time, at a rate that is nominal.
     account
-        The source's own; its ``frames`` are how many of each camera it states that it holds.
+        The source's own account; its ``frames`` are the numbers of each camera's frames that it states to hold.
     """
     capture, timing = spec.capture, {v.camera.name: v.timing for v in cameras}
     span_s = {one.info.name: float(one.frame_ns[-1] - one.frame_ns[0]) * 1e-9 for one in gathered.seen}
@@ -95,32 +96,32 @@ def camera_frames(
 
 
 def frames_of(timing: Timing, pulses: int, frame_rate_hz: float) -> int:
-    """Return how many frames a camera takes from the first of so many pulses until one period after the last."""
+    """Return the number of frames of a camera from the first of ``pulses`` pulses until one period after the last."""
     first, end = (numbers_in(timing, pulse, frame_rate_hz).start for pulse in (0, pulses))
     return end - first
 
 
 def weakest(frames: Mapping[str, CameraFrames]) -> CameraFrames:
-    """Return the camera with the least share, of those below what they should have delivered where there are such."""
+    """Return the camera with the least share; where cameras delivered less than they should, one of these."""
     return min(frames.values(), key=lambda one: (one.share >= one.least, one.share))
 
 
 def frames_complete(frames: Mapping[str, CameraFrames]) -> Score:
-    """Return the share of the weakest camera's frames that arrived, usable."""
+    """Return the share of the weakest camera's frames that arrived and are usable."""
     return Score(weakest(frames).share, sum(one.expected for one in frames.values()))
 
 
 def expected_share(deliveries: Mapping[str, Delivery], pulses: int, duration_s: float, begin_s: float = 0.0) -> float:
-    """Return the least share of complete sets that the losses which a scenario states leave; 1 where it states none.
+    """Return the least share of complete sets for the losses that a scenario states; 1 where it states none.
 
     Parameters
     ----------
     deliveries
-        Of each camera of the rig.
+        Delivery of each camera of the rig.
     pulses, duration_s
         Length of the take.
     begin_s
-        When the first frame opens: a free-running camera begins later than the take.
+        Opening of the first frame: a free-running camera begins later than the take.
     """
     share, burst = 1.0, 1
     for one in deliveries.values():
@@ -129,7 +130,7 @@ def expected_share(deliveries: Mapping[str, Delivery], pulses: int, duration_s: 
             burst = max(burst, one.burst_frames)
         for part in lost:
             share *= 1.0 - part
-    # random losses: binomial, of bursts instead of frames where there are some
+    # random losses: binomial; where there are bursts, of bursts instead of frames
     spread = (share * (1.0 - share) * burst / pulses) ** 0.5
     alive = 1.0
     for one in deliveries.values():
@@ -139,13 +140,13 @@ def expected_share(deliveries: Mapping[str, Delivery], pulses: int, duration_s: 
             alive *= 1.0 - max(0.0, until - since) / (duration_s - begin_s)
     if share == alive == 1.0:
         return 1.0
-    # at the ends of an interval one set each is lost or not, by rounding
+    # rounding decides whether one set at each end of an interval is lost
     ends = 2.0 / pulses if alive < 1.0 else 0.0
     return max(0.0, float(alive * share - LOSS_SIGMAS * spread - ends))
 
 
 def losses(assembly: Assembly, pulses: int, rate_hz: float) -> str:
-    """Return in words what is missing: of all cameras, then of each that lacks frames."""
+    """Return a description of the missing frames: of all cameras, then of each that lacks frames."""
     lines = [f"{assembly.complete_sets} of {pulses} pulses gave a complete set"]
     if assembly.sets < pulses:
         lines.append(f"frames ended after {assembly.sets} pulses")
@@ -160,7 +161,7 @@ def losses(assembly: Assembly, pulses: int, rate_hz: float) -> str:
 
 
 def frame_losses(frames: Mapping[str, CameraFrames]) -> str:
-    """Return in words what free-running cameras lack that fall short of what they should have delivered."""
+    """Return a description of the missing frames of free-running cameras that delivered less than they should."""
     return "; ".join(
         f"camera {name}: {one.expected - one.arrived} of {one.expected} frames missing"
         + (f" ({one.unusable} corrupt)" if one.unusable else "")

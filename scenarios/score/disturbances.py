@@ -1,7 +1,7 @@
-"""Whether the disturbances that a scenario states were really there: jitter, shake and lens gap, from the truth.
+"""Test, from the truth, of whether the disturbances that a scenario states were present: jitter, shake and lens gap.
 
-An accuracy claim rests on them. What is stated of a random one is held against its rms in the truth by the
-chi-square distribution; nothing here is made by the twin's own formulas.
+An accuracy claim depends on them. The stated rms of a random disturbance is compared with its rms in the truth by the
+chi-square distribution. The twin's own formulas are not used here.
 """
 
 from dataclasses import dataclass, replace
@@ -25,15 +25,16 @@ FALSE_ALARM = 1e-6
 LEAST_JITTER_S = 1e-8
 """Jitter below which it is not judged: times are whole nanoseconds."""
 GAP_FRAMES = 25
-"""Frames of each camera, all over the run, by which the gap is measured."""
+"""Number of frames of each camera, spread over the run, from which the gap is measured."""
 MOTION_FACTOR = 2.0
-"""What the rms of a camera's motion may be over what is stated, and under: a short run holds few of its periods."""
+"""Largest factor by which the rms of a camera's motion may be above or below the stated one: a short run has few of
+its periods."""
 GAPS_PX = {"none": (0.0, 0.01), "measured": (0.01, np.inf), "stress": (0.05, np.inf)}
-"""Median distance of true images from the pipeline's lens model that each ``model_gap`` must and may have: half the
-least rms that is stated of it, since targets fill a part of the image alone."""
+"""Least and largest median distance of true images from the pipeline's lens model for each ``model_gap``: half of the
+least rms that is stated for it, since targets fill only a part of the image."""
 FEWEST_PLACES = 20
-"""Targets times cameras from which the gap is judged: with a median of fewer places it may be less than half by
-chance (one lamp before four cameras: one seed of five; of 20 independent places one in 300)."""
+"""Least number of targets times cameras for which the gap is judged: the median of fewer places may be less than half
+by chance (one lamp before four cameras: one seed of five; of 20 independent places one in 300)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,10 +51,10 @@ class _Frames:
 def disturbances(
     truth: Truth, cameras: tuple[VirtualCamera, ...], nominal: Rig, model_gap: str
 ) -> dict[str, dict[str, Any]]:
-    """Return each disturbance that is stated: its value in the truth, and between what it must lie.
+    """Return each stated disturbance: its value in the truth, and the range in which it must lie.
 
     ``nominal``: the calibration of ``cameras`` whose lenses are the pipeline's model fitted to the true ones.
-    Cameras that are not in it, since they ride on bodies, are judged by their jitter alone.
+    Cameras that are not in it, since they are on bodies, are judged only by their jitter.
     """
     stated = {one.camera.name: one for one in cameras}
     jitter, shake, motion, gap = [], [], [], []
@@ -61,7 +62,7 @@ def disturbances(
         virtual, frames = stated[name], _frames_of(truth, c)
         if virtual.timing.strobe_s is None or virtual.timing.strobe == "own":  # else the rig's light sets the instant
             jitter.append(_jitter(frames, virtual.timing.jitter_s))
-        if name not in nominal.names or len(frames.number) < 2:  # it rides on a body, or took no frames
+        if name not in nominal.names or len(frames.number) < 2:  # it is on a body, or took no frames
             continue
         shift = _shift_px(frames, virtual.camera)
         still, moving = virtual.mount.body_px, _motion_px(virtual.mount, frames.middle_ns * 1e-9)
@@ -81,7 +82,7 @@ def disturbances(
 
 
 def _random(name: str, parts: list[tuple[float, int, float]]) -> dict[str, dict[str, Any]]:
-    """Return the rms of a random disturbance, of cameras' sums of squares, degrees of freedom and stated rms."""
+    """Return the rms of a random disturbance from cameras' sums of squares, degrees of freedom and stated rms."""
     given = [one for one in parts if one[1] > 0 and one[2] > 0.0]
     if not given:
         return {}
@@ -111,7 +112,7 @@ def _frames_of(truth: Truth, c: int) -> _Frames:
 
 
 def _jitter(frames: _Frames, stated_s: float) -> tuple[float, int, float]:
-    """Return the squares of mid-exposures about even spacing [s^2], their degrees of freedom, and the stated rms."""
+    """Return the sum of squares of mid-exposures about even spacing [s^2], degrees of freedom, and the stated rms."""
     n = len(frames.number)
     if n < 3 or stated_s < LEAST_JITTER_S:
         return 0.0, 0, stated_s
@@ -122,12 +123,12 @@ def _jitter(frames: _Frames, stated_s: float) -> tuple[float, int, float]:
 
 
 def _shift_px(frames: _Frames, camera: Camera) -> Array:
-    """Return how far the camera's rotations move its image about their mean (n, 2) [px]."""
+    """Return the image shifts by the camera's rotations about their mean (n, 2) [px]."""
     turned = Rotation.from_matrix(camera.world_from_camera.rotation.T @ frames.rotation).as_rotvec()[:, :2]
     ahead = replace(camera, world_from_camera=Pose(np.eye(3), np.zeros(3)))
     small = 1e-4
     xy = project(ahead, np.array([[0.0, 0.0, 1.0], [small, 0.0, 1.0], [0.0, small, 1.0]]))
-    per_rad = np.linalg.norm(xy[1:] - xy[0], axis=1)[::-1] / small  # about x the image moves along y
+    per_rad = np.linalg.norm(xy[1:] - xy[0], axis=1)[::-1] / small  # a rotation about x moves the image along y
     shift: Array = turned * per_rad
     about_mean: Array = shift - shift.mean(axis=0)
     return about_mean
@@ -143,9 +144,9 @@ def _motion_px(mount: Mount, time_s: Array) -> float:
 
 
 def _misfit_px(truth: Truth, frames: _Frames, virtual: VirtualCamera, believed: Camera) -> Array:
-    """Return how far true images are from where the believed lens has them [px], of all images (k,).
+    """Return the distances of true images from those by the assumed lens [px], for all images (k,).
 
-    Markers are taken at the instant of each image, between the truth's instants by a cubic spline.
+    Markers are taken at the instant of each image, by a cubic spline between the truth's instants.
     """
     if len(truth.time_ns) < 4 or not len(truth.names):
         return np.empty(0)

@@ -24,9 +24,9 @@ class FlownPath:
     estimated: Array
     """(n, 3) predicted for each instant [m]; NaN before the first pose."""
     covariance: Array
-    """(n, 3, 3) of that [m^2]."""
+    """(n, 3, 3) covariance of ``estimated`` [m^2]."""
     pose_age_s: Array
-    """(n,) of the newest pose fused."""
+    """(n,) age of the newest fused pose."""
     calibration_m2: Array
     """(3, 3) covariance of the error of the calibration, which all poses share [m^2]."""
     pose_sigma_m: float
@@ -34,13 +34,13 @@ class FlownPath:
     true_delay_s: float
     believed_delay_s: float
     crash: str
-    """In words; "" where there was none."""
+    """The crash in words; "" where there was none."""
     crashed_s: float
     scored_from_s: float
 
     @property
     def scored(self) -> Array:
-        """Which steps are scored (n,)."""
+        """Whether each step is scored (n,) bool."""
         mask: Array = (self.time_s >= self.scored_from_s) & (self.time_s < self.crashed_s)
         return mask
 
@@ -75,7 +75,10 @@ def flight_scores(path: FlownPath, delay: DelayEstimate | None) -> dict[str, Sco
 
 
 def joined(steps: Sequence[Any], **rest: Any) -> FlownPath:
-    """Return the path of control steps with the fields of ``FlownPath`` that are one a step; ``rest``: the others."""
+    """Return the path of control steps, which have the fields of ``FlownPath`` with one value per step.
+
+    ``rest``: the other fields.
+    """
     names = ("time_s", "position", "wanted", "estimated", "covariance", "pose_age_s")
     columns: dict[str, Any] = {name: np.array([getattr(step, name) for step in steps]) for name in names}
     return FlownPath(**columns, **rest)

@@ -1,8 +1,8 @@
-"""An identified model of a robot compared with what the robot really did, and with the best linear model of that.
+"""An identified model of a robot compared with the robot's true motion, and with the best linear model of that.
 
-The best linear model has the identified one's orders, and is fitted by the same least squares to the true mean
-velocities of long drives on noise of the same kind (Pintelon and Schoukens 2012, chapter 3: the best linear
-approximation, which depends on the kind of input). Both answer to the commands of a drive that neither was fitted to.
+The best linear model has the orders of the identified model. It is fitted by the same least squares to the true mean
+velocities of long drives with noise of the same kind (Pintelon and Schoukens 2012, chapter 3: the best linear
+approximation, which depends on the kind of input). Both models are compared on a drive to which neither was fitted.
 """
 
 from collections.abc import Sequence
@@ -22,13 +22,13 @@ from twin.scenes.robot import DECK_CENTRE_M
 from twin.scenes.scene import Scene
 
 SETTLED_S = 0.5
-"""Of each of the joined drives, left out: the motion goes on from the drive before, the robot's own from rest."""
+"""Part of each joined drive that is left out: the motion continues from the drive before, the robot's from rest."""
 MOST_DELAY_S = 0.2
 
 
 @dataclass(frozen=True, eq=False)
 class TrueDrive:
-    """A drive from rest: the inputs that were held, and the true mean v_x and yaw rate (n, 2) over ``grid``."""
+    """A drive from rest: the held inputs, and the true mean v_x and yaw rate (n, 2) over ``grid``."""
 
     grid: IntervalGrid
     inputs: HeldInputs
@@ -39,14 +39,14 @@ class TrueDrive:
 
 
 def driven_inputs(scene: Scene, delay_s: float = 0.0) -> HeldInputs:
-    """Return the PWM of the left and the right side, believed to be given ``delay_s`` earlier than they were."""
+    """Return the PWM of the left and the right side, with times that are ``delay_s`` too early."""
     assert scene.commands is not None
     sides = [scene.commands.names.index(name) for name in ("pwm_left", "pwm_right")]
     return HeldInputs(("left", "right"), scene.commands.time_ns * 1e-9 - delay_s, scene.commands.values[:, sides])
 
 
 def true_drive(scene: Scene, frame_rate_hz: float) -> TrueDrive:
-    """Return what a robot did, at a frame rate."""
+    """Return a robot's true drive at a frame rate."""
     grid = IntervalGrid(0.0, 1.0 / frame_rate_hz, int(scene.duration_s * frame_rate_hz))
     at = grid.instants()
     means = true_velocities(scene.configuration_at, at[:-1], at[1:], np.array(DECK_CENTRE_M))
@@ -54,7 +54,7 @@ def true_drive(scene: Scene, frame_rate_hz: float) -> TrueDrive:
 
 
 def best_linear(drives: Sequence[TrueDrive], output: int, start: OutputModel) -> OutputModel:
-    """Return the model of one output, of the poles of ``start`` in number, that fits the true ``drives`` best."""
+    """Return the model of one output, with as many poles as ``start``, that fits the true ``drives`` best."""
     period = drives[0].grid.period_s
     ends = np.cumsum([drive.grid.n for drive in drives])
     values, times, commands = [], [], []

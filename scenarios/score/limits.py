@@ -1,4 +1,4 @@
-"""Limits that are met so easily that they may be in another unit than was meant."""
+"""Limits that are met so easily that their unit may be wrong."""
 
 from collections.abc import Iterable
 
@@ -7,12 +7,12 @@ from reports.record import Metric
 from reports.units import figure, shown
 
 UNSEEN_COUNT = 3.0
-"""Upper 95 % bound of a Poisson count of which none was seen (the rule of three, -ln 0.05): a count of 0 is taken as
-no more than this many."""
+"""Upper 95 % bound of a Poisson count with no event observed (the rule of three, -ln 0.05): a count of 0 is taken as
+at most this number."""
 
 
 def times_looser(metric: Metric) -> float:
-    """Return how many times a met limit could be tightened to the measured value; 0 where that says nothing."""
+    """Return the factor by which a met limit is looser than the measured value; 0 where this is not meaningful."""
     value = metric.value
     if metric.limit is None or not metric.passed:
         return 0.0
@@ -24,7 +24,7 @@ def times_looser(metric: Metric) -> float:
 
 
 def loose_limits(metrics: Iterable[Metric], factor: float) -> list[str]:
-    """Return a line for each limit that is more than ``factor`` times looser than what was measured."""
+    """Return a line for each limit that is more than ``factor`` times looser than the measured value."""
     lines = []
     for metric in metrics:
         times = times_looser(metric)

@@ -1,7 +1,8 @@
-"""How wrong a single source must be to make the mean difference in Z of the Mosca paper's Table 4, 27 mm, alone.
+"""Size of the error of a single source that alone gives the mean difference in Z of the Mosca paper's Table 4, 27 mm.
 
-From the poses' derivatives by what both sides share, in the mean over the flight. Which of the field's axes the paper
-calls Z is not said: it is asked of the direction towards the field and of the height.
+It is computed from the poses' derivatives by the shared parameters of both sides, in the mean over the flight. The
+paper does not state which of the field's axes is Z: both the direction towards the field and the height are
+evaluated.
 """
 
 import numpy as np
@@ -17,8 +18,9 @@ DEPTH, HEIGHT = 2, 1
 
 
 def enough_alone(found: SelfOrientation, rig: CameraPath) -> dict[str, dict[str, float | str]]:
-    """Return source -> what it is (``what``), its ``unit``, and how large it must be for 27 mm in ``depth`` and
-    ``height``; ``rig``: the rig's poses of the camera with all shared errors.
+    """Return source -> quantity (``what``), its ``unit``, and its size for 27 mm in ``depth`` and ``height``.
+
+    ``rig``: the rig's poses of the camera with all shared errors.
     """
     own = found.own.path
     f = max(principal_distances_px(found.prepared.camera.lens))
@@ -46,7 +48,7 @@ def enough_alone(found: SelfOrientation, rig: CameraPath) -> dict[str, dict[str,
 
 
 def _sum(path: CameraPath, factors: dict[str, float]) -> Array:
-    """Return the mean error (3,) of position by parameters that change together, each by its factor."""
+    """Return the mean position error (3,) when parameters change together, each by its factor."""
     assert path.by_parameter is not None
     mean = path.by_parameter.mean(axis=0)[:3]
     total = np.zeros(3)
@@ -56,7 +58,7 @@ def _sum(path: CameraPath, factors: dict[str, float]) -> Array:
 
 
 def _tilt(found: SelfOrientation, rig: CameraPath) -> Array:
-    """Return the largest mean error (3,) of each coordinate by a radian's tilt of the body: r x arm of its camera."""
+    """Return the largest mean error (3,) of each coordinate for a body tilt of 1 rad: r x arm of its camera."""
     assert rig.by_parameter is not None
     place = [rig.shared.names.index(f"lever {axis}") for axis in "xyz"]
     rows = rig.by_parameter.mean(axis=0)[:3][:, place]
@@ -64,7 +66,7 @@ def _tilt(found: SelfOrientation, rig: CameraPath) -> Array:
 
 
 def _gradient(path: CameraPath, group: str, *, turn: bool) -> Array:
-    """Return the largest mean error (3,) of each coordinate by a unit of a vector, in its worst direction."""
+    """Return the largest mean error (3,) of each coordinate for a unit change of a vector in its worst direction."""
     assert path.by_parameter is not None
     mean = path.by_parameter.mean(axis=0)[:3]
     axes = [

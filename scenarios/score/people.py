@@ -1,10 +1,10 @@
 """A person's joints compared with the truth. Pure: no files, no clocks, no twin.
 
-An error of a joint's centre is its 3D distance from the true one; scored are the centres of ``CENTRES``. An error of
-a joint's rotation is the rotation vector r of R_true = R exp([r]), in the axes of the distal segment: unlike
-differences of Euler angles it has no singular positions, and its components are those that the covariance is of.
-Joints whose centre or rotation the truth does not know (NaN) are left out; where the truth knows it and the estimate
-does not, that is a miss. Nothing is aligned. Intervals come from a bootstrap over blocks of frames.
+The error of a joint's centre is its 3D distance from the true one; the centres in ``CENTRES`` are scored. The error
+of a joint's rotation is the rotation vector r of R_true = R exp([r]), in the axes of the distal segment. Unlike
+differences of Euler angles it has no singular positions, and the covariance refers to its components. Joints whose
+centre or rotation is unknown in the truth (NaN) are left out. A value that is known in the truth but not in the
+estimate is a miss. Nothing is aligned. Intervals come from a bootstrap over blocks of frames.
 """
 
 from collections.abc import Callable, Sequence
@@ -26,16 +26,16 @@ from scenarios.types import Score
 CENTRES = tuple(
     f"{side}_{joint}" for side in "lr" for joint in ("hip", "knee", "ankle", "shoulder", "elbow", "wrist")
 )
-"""Joints whose centres are scored; that of the pelvis is none of a joint."""
+"""Joints whose centres are scored; that of the pelvis is not the centre of a joint."""
 INSIDE_95 = float(chi2.ppf(0.95, 3))
 
 
 @dataclass(frozen=True, eq=False)
 class JointErrors:
-    """Errors of j joints at t instants of a truth; NaN where truth or estimate is not known.
+    """Errors of j joints at t instants of a truth; NaN where truth or estimate is unknown.
 
-    ``joints`` (j) names; ``known`` (t, j) what the truth knows; ``error`` (t, j, 3) [m or rad]; ``nees`` (t, j), inf
-    where the covariance is not positive definite.
+    ``joints`` (j): names; ``known`` (t, j): whether the truth is known; ``error`` (t, j, 3) [m or rad]; ``nees``
+    (t, j): inf where the covariance is not positive definite.
     """
 
     joints: tuple[str, ...]
@@ -45,7 +45,7 @@ class JointErrors:
 
     @property
     def found(self) -> Array:
-        """What the truth and the estimate know (t, j)."""
+        """Whether both truth and estimate are known (t, j)."""
         return np.asarray(self.known & np.isfinite(self.error).all(axis=2))
 
 
@@ -55,7 +55,7 @@ def centre_errors(
     """Return errors of the joints' centres [m].
 
     ``calibration``: the covariance (n, 3, 3) [m^2] that an estimated calibration's own error gives to points (n, 3)
-    [m]; the error is held against the sum.
+    [m]; NEES is computed with the sum.
     """
     assert truth.joints is not None
     names = tuple(name for name in truth.joints.names if name in CENTRES)
@@ -83,7 +83,7 @@ def rotation_errors(motion: JointMotion, truth: Truth) -> JointErrors:
 
 
 def rotation_vectors(first: Array, second: Array) -> Array:
-    """Return r (t, j, 3) [rad] of R_second = R_first exp([r]), of quaternions wxyz (t, j, 4); NaN where one is."""
+    """Return r (t, j, 3) [rad] of R_second = R_first exp([r]) for quaternions wxyz (t, j, 4); NaN where one is."""
     result = np.full((*first.shape[:2], 3), np.nan)
     there = np.isfinite(first).all(axis=2) & np.isfinite(second).all(axis=2)
     one, two = (Rotation.from_quat(q[there], scalar_first=True) for q in (first, second))
@@ -123,9 +123,9 @@ def joint_scores(centres: JointErrors, rotations: JointErrors) -> dict[str, Scor
 
 
 def joint_table(centres: JointErrors, rotations: JointErrors) -> dict[str, dict[str, Any]]:
-    """Return for the record, joint by joint: rms, NEES and coverage of centre and rotation, and the share found.
+    """Return a table for the record, joint by joint: rms, NEES and coverage of centre and rotation, share found.
 
-    ``angle_rms_rad`` holds the three components. What is not known is None.
+    ``angle_rms_rad`` holds the three components. Unknown values are None.
     """
     table: dict[str, dict[str, Any]] = {}
     for joint in dict.fromkeys((*rotations.joints, *centres.joints)):
@@ -150,9 +150,9 @@ def joint_table(centres: JointErrors, rotations: JointErrors) -> dict[str, dict[
 
 
 def labelled_by_truth(tracks: Tracks, truth: Truth, working_space_m: float) -> Tracks:
-    """Return ``tracks`` with the name of the true marker that ``scenarios.score.tracks.pair`` pairs each sample with.
+    """Return ``tracks`` with the names of the true markers that ``scenarios.score.tracks.pair`` assigns to samples.
 
-    Samples without one get "". ``working_space_m``: its longest edge [m].
+    Samples without a true marker get "". ``working_space_m``: longest edge of the working space [m].
     """
     pairs = pair(tracks, truth, working_space_m)
     label = np.full(len(tracks), "", dtype=np.asarray(truth.names, dtype=np.str_).dtype)
@@ -161,9 +161,9 @@ def labelled_by_truth(tracks: Tracks, truth: Truth, working_space_m: float) -> T
 
 
 def label_scores(labelled: Tracks, truth: Truth, working_space_m: float) -> dict[str, Score]:
-    """Return F1 of the labels of measured samples, and how often a true marker gets another label than before.
+    """Return F1 of the labels of measured samples, and the number of changes of a true marker's label.
 
-    F1 = 2 right / (samples with a label + samples that are a true marker, as ``pair`` pairs them).
+    F1 = 2 right / (samples with a label + samples that ``pair`` pairs with a true marker).
     """
     frames = len(truth.time_ns)
     if not frames:
@@ -186,7 +186,7 @@ def label_scores(labelled: Tracks, truth: Truth, working_space_m: float) -> dict
 
 
 def with_labels_swapped(tracks: Tracks, pairs: Sequence[tuple[str, str]]) -> Tracks:
-    """Return ``tracks`` with the labels of each pair exchanged; InputError where one of them is not there."""
+    """Return ``tracks`` with the labels of each pair exchanged; InputError where one of them does not exist."""
     other = {one: two for pair in pairs for one, two in (pair, pair[::-1])}
     for name in other:
         if not (tracks.label == name).any():
@@ -197,7 +197,7 @@ def with_labels_swapped(tracks: Tracks, pairs: Sequence[tuple[str, str]]) -> Tra
 
 
 def true_motion(truth: Truth) -> JointMotion:
-    """Return the true joints as what was measured without error, in the order of the truth's instants."""
+    """Return the true joints as a measurement without error, in the order of the truth's instants."""
     assert truth.joints is not None
     t, j = truth.joints.centre.shape[:2]
     nothing = np.zeros((t, j, 3, 3))
@@ -206,9 +206,9 @@ def true_motion(truth: Truth) -> JointMotion:
 
 
 def _of_truth(motion: JointMotion, truth: Truth, names: Sequence[str], values: Array) -> Array:
-    """Return values (n, j, ...) of ``motion`` at the truth's instants, of joints ``names``; NaN where there are none.
+    """Return values (n, j, ...) of ``motion`` at the truth's instants for joints ``names``; NaN where there are none.
 
-    An instant of the motion belongs to the nearest true one, if it is no farther than half a period.
+    An instant of the motion belongs to the nearest true one, if that is no farther than half a period.
     """
     result = np.full((len(truth.time_ns), len(names), *values.shape[2:]), np.nan)
     at = nearest(truth.time_ns, motion.time_ns)
@@ -220,7 +220,7 @@ def _of_truth(motion: JointMotion, truth: Truth, names: Sequence[str], values: A
 
 
 def _nees(error: Array, covariance: Array) -> Array:
-    """Return e^T C^-1 e of errors (t, j, 3) with covariances (t, j, 3, 3): NaN where one is unknown."""
+    """Return e^T C^-1 e of errors (t, j, 3) with covariances (t, j, 3, 3); NaN where one is unknown."""
     result = np.full(error.shape[:2], np.nan)
     there = np.isfinite(error).all(axis=2)
     whole = np.asarray(np.isfinite(covariance[there]).all(axis=(1, 2)))
@@ -233,5 +233,5 @@ def _nees(error: Array, covariance: Array) -> Array:
 
 
 def _blocks(block: Array, values: Array) -> Array:
-    """Return sums of values (t, j) over joints and blocks of instants; ``block`` (t,) its number."""
+    """Return sums of values (t, j) over joints and blocks of instants; ``block`` (t,): number of the block."""
     return np.bincount(block, weights=values.sum(axis=1).astype(float), minlength=int(block.max()) + 1)

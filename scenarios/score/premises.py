@@ -1,4 +1,4 @@
-"""What must hold in a scenario for its score to mean anything."""
+"""Premises of a scenario: conditions without which its score is meaningless."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -21,7 +21,7 @@ STATED = {
 def premises_met(
     spec: Scenario, truth: Truth, name: str, disturbed: Mapping[str, Mapping[str, Any]] | None = None
 ) -> dict[str, Any]:
-    """Return what must hold for the score to mean anything, and whether it does; PremiseError where it does not.
+    """Return the premises of the score, and whether each holds; PremiseError where one does not.
 
     ``disturbed``: the stated disturbances in the truth (``disturbances``), where they are known.
     """
@@ -56,7 +56,7 @@ def premises_met(
 
 
 def between(value: float, minimum: float = -np.inf, maximum: float = np.inf) -> dict[str, Any]:
-    """Return a premise: its value, the ends between which it must lie, those that are finite, and whether it does."""
+    """Return a premise: its value, the finite ends of its range, and whether it lies in the range."""
     ends = {"minimum": float(minimum), "maximum": float(maximum)}
     finite = {name: end for name, end in ends.items() if np.isfinite(end)}
     return {"value": value, **finite, "holds": bool(minimum <= value <= maximum)}

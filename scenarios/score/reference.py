@@ -1,12 +1,13 @@
-"""What other frames than the twin's are scored against: a recorded truth, or a user's own reference.
+"""The truth for frames from other sources than the twin: a recorded truth, or a user's own reference.
 
-A user's reference, ``truth.csv``, holds one row a marker and instant: ``label,x,y,z`` [m, the rig's world frame] and
-``time_ns`` [session clock, as in ``tracks.csv``], which is left out where nothing moves; ``sigma_m``, if it is there,
-is each coordinate's standard deviation. Other columns are left alone, so that a ``tracks.csv`` of another system
-serves. A table with a column for each coordinate, ``time,NAME.x,NAME.y,NAME.z,...`` ([s] and [m]), serves too.
-Between the instants positions are interpolated, by a cubic spline, never over a gap.
+A user's reference, ``truth.csv``, has one row for each marker and instant: ``label,x,y,z`` [m, the rig's world frame]
+and ``time_ns`` [session clock, as in ``tracks.csv``], which is left out where nothing moves. The optional ``sigma_m``
+is each coordinate's standard deviation. Other columns are ignored, so that a ``tracks.csv`` of another system can be
+used. A table with a column for each coordinate, ``time,NAME.x,NAME.y,NAME.z,...`` ([s] and [m]), can be used too.
+Between the instants positions are interpolated by a cubic spline, but never over a gap.
 
-It holds positions of markers, not which cameras could see them: metrics of seen markers need the twin's.
+A reference has positions of markers but not their visibility to cameras: metrics of seen markers need the twin's
+truth.
 """
 
 from collections.abc import Callable
@@ -29,7 +30,7 @@ JUDGED = (
 )  # fmt: skip
 """Metrics that a reference without visibility can judge."""
 GAP = 2.5
-"""Instants farther apart than so many usual steps have a gap between them."""
+"""Number of usual steps between two instants above which there is a gap between them."""
 SAME_NS = 1000
 
 
@@ -40,18 +41,18 @@ class ReferenceTrajectories:
     names: tuple[str, ...]
     """(m)"""
     time_ns: tuple[Array, ...]
-    """Of each marker (t,), rising."""
+    """Instants of each marker (t,), rising."""
     xyz: tuple[Array, ...]
-    """Of each marker (t, 3) [m]."""
+    """Positions of each marker (t, 3) [m]."""
     still: bool
-    """A marker that never moves has one instant."""
+    """Whether the markers never move; each then has one instant."""
     sigma_m: float
     """Standard deviation of a coordinate, rms over all rows; 0 where the file has none."""
     path: Path
     """The file, for messages."""
 
     def at(self, time_ns: Array) -> Truth:
-        """Return it at instants (t,) as a truth without visibility; NaN where it has no samples."""
+        """Return the reference at instants (t,) as a truth without visibility; NaN where it has no samples."""
         t, m = len(time_ns), len(self.names)
         xyz = np.full((t, m, 3), np.nan)
         for k, (own, places) in enumerate(zip(self.time_ns, self.xyz, strict=True)):
@@ -60,7 +61,7 @@ class ReferenceTrajectories:
         return Truth(time_ns, self.names, xyz, unseen, (), np.zeros((t, m, 0, 2)), unseen, np.zeros((t, 0), np.int64))
 
     def share(self, other: Callable[[Array], Array] | None) -> Callable[[Array], Array]:
-        """Return covariances (n, 3, 3) [m^2] to add to those of points (n, 3): ``other``'s and the reference's."""
+        """Return covariances (n, 3, 3) [m^2] to add to those of points (n, 3): ``other`` plus the reference's."""
 
         def both(points: Array) -> Array:
             own = np.broadcast_to(self.sigma_m**2 * np.eye(3), (len(points), 3, 3))
@@ -82,7 +83,7 @@ def requested_truth(options: RunOptions) -> Truth | ReferenceTrajectories | None
 
 
 def read_reference(path: Path) -> Truth | ReferenceTrajectories:
-    """Read a ``truth.npz`` or a ``truth.csv``. Raises InputError naming file, row and column."""
+    """Read a ``truth.npz`` or a ``truth.csv``. Raises InputError that names file, row and column."""
     match path.suffix.lower():
         case ".npz":
             return read_truth(path)
@@ -153,7 +154,7 @@ def read_reference_csv(path: Path) -> ReferenceTrajectories:
 
 
 def _between(own_ns: Array, places: Array, wanted_ns: Array) -> Array:
-    """Return the positions (n, 3) at instants, NaN where no stretch without a gap holds them."""
+    """Return the positions (n, 3) at instants; NaN for instants in a gap or outside."""
     out = np.full((len(wanted_ns), 3), np.nan)
     steps = np.diff(own_ns)
     ends = np.flatnonzero(steps > GAP * np.median(steps)) + 1 if len(steps) else np.empty(0, int)

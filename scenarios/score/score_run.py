@@ -1,4 +1,4 @@
-"""A run's tracks compared with the truth: each metric that the scenario can be scored on, and its premises."""
+"""A run's tracks compared with the truth: all metrics that are defined for the scenario, and its premises."""
 
 from collections.abc import Collection
 from dataclasses import replace
@@ -34,10 +34,10 @@ def scored(
     twin: TruthSource | None,
     scene: Scene | None,
 ) -> Scored:
-    """Return the scores of ``measured`` against ``truth`` (the twin's or a file's; None: there is none).
+    """Return the scores of ``measured`` against ``truth`` (that of the twin or of a file; None: there is none).
 
-    ``twin``: the source of the frames where it is the twin; only then is the Cramer-Rao bound known. PremiseError
-    where a premise does not hold.
+    ``twin``: the source of the frames if it is the twin; only then is the Cramer-Rao bound known. PremiseError where
+    a premise does not hold.
     """
     collected = measured.collected
     if truth is None:
@@ -81,7 +81,7 @@ def scored(
         scores |= _efficiencies(twin, truth, measured.rig, pairs, collected)
     # a truth of an older file has no joints
     unjudged = tuple(name for name in spec.limits if name.startswith("joint_") and truth.joints is None)
-    if scene is None:  # where bodies are between exposures, only the twin's scene tells
+    if scene is None:  # only the twin's scene has the poses of bodies between exposures
         unjudged += tuple(name for name in spec.limits if name in VIRTUAL)
     met = premises_met(spec, truth, name, disturbed)
     return Scored(scores, met, collected, truth, pairs, joints, modes, unjudged, objects=objects)
@@ -93,7 +93,7 @@ def not_judged(spec: Scenario, judged: Collection[str]) -> tuple[str, ...]:
 
 
 def _beside_reference(spec: Scenario, measured: MeasuredTracks, given: ReferenceTrajectories) -> Scored:
-    """Return what a user's own reference can judge: errors of the markers that it has, not which were missed."""
+    """Return the scores against a user's own reference: errors of the markers in it, but not which were missed."""
     collected = measured.collected
     space = max(spec.working_space.size_m)
     truth = given.at(np.unique(collected.tracks.time_ns))
@@ -111,7 +111,7 @@ def _beside_reference(spec: Scenario, measured: MeasuredTracks, given: Reference
 def _efficiencies(
     twin: TruthSource, truth: Truth, rig: Rig, pairs: TruthPairs, collected: Collected
 ) -> dict[str, Score]:
-    """Return how near the run came to what its frames allow."""
+    """Return the efficiencies of the run: the Cramer-Rao bounds of its frames over the errors reached."""
     errors = {v.camera.name: (v.mount, v.timing) for v in twin.virtual}
     pulses = pulses_asked(len(truth.time_ns))
     least = bound(twin.expected, truth, rig, errors, pulses)
@@ -119,7 +119,7 @@ def _efficiencies(
 
 
 def _as_seen_by(truth: Truth, names: tuple[str, ...]) -> Truth:
-    """Return the truth of the named cameras alone: what others see does not make a marker measurable."""
+    """Return the truth of the named cameras only: visibility to others does not make a marker measurable."""
     if truth.cameras == names:
         return truth
     rows = [truth.cameras.index(name) for name in names]

@@ -1,9 +1,9 @@
-"""Both sides of a self-orientation against the truth, the Mosca paper's Table 4, and what makes the difference.
+"""Both sides of a self-orientation against the truth, the Mosca paper's Table 4, and the budget of the difference.
 
-The budget: each source of error is switched off alone (the truth put in its place), with the same images, noise and
-frames otherwise. With d the difference of both sides over the frames and d_i what it is without source i, the
-share of the source is <d - d_i, d> / <d, d>: for errors that add up the shares sum to 1, cross terms included,
-whatever their order. What is missing to 1 is explained by none of them.
+The budget: each source of error is switched off separately (replaced by the truth), with the same images, noise and
+frames otherwise. With d the difference of both sides over the frames, and d_i the difference without source i, the
+share of the source is <d - d_i, d> / <d, d>. For errors that add up, the shares sum to 1, cross terms included, in
+any order. The remainder to 1 is explained by none of the sources.
 """
 
 from dataclasses import dataclass, replace
@@ -49,22 +49,22 @@ SOURCES = {
     "field": "registration of the field",
     "rig": "the rig's poses of the body",
 }
-"""What is switched off, one after the other."""
+"""Sources of error that are switched off, one after the other."""
 
 
 @dataclass(frozen=True, eq=False)
 class SelfOrientationScores:
-    """Metrics, tables for the record, and what the pictures show."""
+    """Metrics, tables for the record, and data of the pictures."""
 
     scores: dict[str, Score]
     table: dict[str, dict[str, Any]]
     """Row -> mean and rms of X, Y, Z [m], omega, alpha, kappa [rad]."""
     budget: dict[str, dict[str, Any]]
-    """Source -> share of the squared difference in position and in angle, what it changes in the mean."""
+    """Source -> share of the squared difference in position and in angle, and its change of the mean."""
     enough: dict[str, dict[str, Any]]
-    """Source -> how large it must be to make the paper's difference in Z alone."""
+    """Source -> its size that alone gives the paper's difference in Z."""
     evidence: SelfOrientationEvidence
-    """What the pictures show."""
+    """Data of the pictures."""
 
     def added_to(self, worth: Scored) -> Scored:
         """Return a run's scores with the tables."""
@@ -96,14 +96,14 @@ class _Sides:
             camera = self._true_lens() if "lens" in off else self.found.prepared.camera
             targets = self.there.field if "targets" in off else self.found.prepared.told
             targets = replace(targets, sigma_m=self.found.prepared.told.sigma_m)
-            # with the images of a global shutter there is nothing to take out
+            # images of a global shutter need no correction of row times
             row_s = 0.0 if "shutter" in off or not self.shutter else self.virtual.timing.row_time_s
             seen = [self._images(one, camera, off) for one in self.found.take.seen]
             self._own[off] = resect_frames(seen, camera, targets, settings=ResectionSettings(row_time_s=row_s))
         return self._own[off]
 
     def by_rig(self, off: frozenset[str], own_time_ns: Array) -> tuple[CameraPath, Array]:
-        """Return the rig's poses of the camera at the camera's stamps, and at which of them."""
+        """Return the rig's poses of the camera at the camera's stamps, and the indices of these stamps."""
         body = self.true_body() if "rig" in off else self.found.body
         lever = self.true_lever if "lever" in off else self.found.lever
         field = self.true_field if "field" in off else self.found.prepared.registration
@@ -123,7 +123,7 @@ class _Sides:
         return dict(zip(own.frame[inside].tolist(), d, strict=True))
 
     def true_offset_s(self) -> float:
-        """Return by how much the camera's clock was ahead, in the middle of the flight."""
+        """Return the lead of the camera's clock in the middle of the flight [s]."""
         timing = self.virtual.timing
         middle = self.spec.capture.duration_s / 2
         if timing.clock == "session":
@@ -235,7 +235,7 @@ def budget_of(sides: _Sides) -> tuple[dict[str, dict[str, Any]], Array, Array]:
 
 
 def whole_frames_offset(found: SelfOrientation) -> float:
-    """Return the clocks' offset as whole frames tell it: the first frame that shows the lamp lit, on either side."""
+    """Return the clocks' offset to whole frames, from the first frame with the lamp lit on either side."""
     own, rig = (_first_lit(one.start_ns, one.light) for one in (found.own_light, found.rig_light))
     expected = rig + round(found.clock.offset_s * 1e9)
     k, j = divmod(int(np.argmin(np.abs(own[:, None] - expected[None]))), len(rig))
@@ -270,7 +270,7 @@ def _scores(side: str, path: CameraPath, errors: Array) -> dict[str, Score]:
 
 
 def _completeness(sides: _Sides, own: Resected) -> Score:
-    """Return the share of the frames that show enough targets whole that have a pose."""
+    """Return the share of frames with a pose, among those that show enough targets whole."""
     m = len(sides.there.field.targets)
     enough = (sides.frames.visible[:, :m] > 0.99).sum(axis=1) >= ResectionSettings().fewest
     wanted = set(sides.frames.index[enough].tolist())

@@ -1,6 +1,6 @@
-"""What a camera's images told of its sensor beside what a scenario or a data sheet states of it (EMVA 1288).
+"""Sensor parameters from a camera's images compared with those of a scenario or a data sheet (EMVA 1288).
 
-The pipeline knows nothing of these figures; they meet here, as tracks meet the truth.
+The pipeline does not get the stated figures; they are only compared here, like tracks with the truth.
 """
 
 import math
@@ -12,27 +12,27 @@ from mosca.diagnostics.sensor import LearnedSensor
 from twin.cameras.sensor.sensor import Sensor
 
 FAR = math.sqrt(2.0)
-"""Factor by which all of an interval must lie off what is stated to be told of: a wrong gain setting of 6 dB or a
-shifted bit is a factor of 2, and this lies halfway on the scale of ratios."""
+"""Factor by which a whole interval must be off the stated value to be reported: a wrong gain setting of 6 dB or a
+shifted bit is a factor of 2, and this is halfway on the scale of ratios."""
 
 
 @dataclass(frozen=True)
 class StatedSensor:
-    """What is stated of one camera, in its own grey values [DN]."""
+    """Stated values of one camera's sensor, in its own grey values [DN]."""
 
     gain_dn_per_e: float
     """System gain K."""
     noise_dn: float
     """Noise of a pixel at the background's level, less rounding: dark noise, nonuniformity, photon noise."""
     saturation_dn: float
-    """Grey value of the full well, or the last one."""
+    """Grey value of the full well, or the largest grey value."""
     bits: int
 
 
 def stated_sensor(sensor: Sensor, background_dn: float) -> StatedSensor:
-    """Return what a data sheet makes of a camera whose background has this level [DN].
+    """Return the values of a camera by its data sheet, for a background of this level [DN].
 
-    The noise at a level L over the black one is that of EMVA 1288, 2.5 and 4.1: K^2 (dark noise^2 + DSNU^2) + K L +
+    The noise at a level L above black is that of EMVA 1288, 2.5 and 4.1: K^2 (dark noise^2 + DSNU^2) + K L +
     (PRNU L)^2.
     """
     gain = sensor.gain_dn_per_e
@@ -43,7 +43,7 @@ def stated_sensor(sensor: Sensor, background_dn: float) -> StatedSensor:
 
 
 def stated_sensors(learned: tuple[LearnedSensor, ...], sheets: Mapping[str, Sensor]) -> dict[str, StatedSensor]:
-    """Return what is stated of each camera that has a sheet (camera -> ``Sensor``) and images."""
+    """Return the stated values of each camera that has a sheet (camera -> ``Sensor``) and images."""
     return {
         one.name: stated_sensor(sheets[one.name], one.background_dn)
         for one in learned
@@ -52,12 +52,12 @@ def stated_sensors(learned: tuple[LearnedSensor, ...], sheets: Mapping[str, Sens
 
 
 def sensor_findings(learned: tuple[LearnedSensor, ...], stated: Mapping[str, StatedSensor]) -> list[str]:
-    """Return in words, a line each, which learned figures lie far off the stated ones, see ``FAR``.
+    """Return lines on estimated figures that are far off the stated ones, see ``FAR``.
 
     A misfit of the discs of ``FIRST_ROUGHNESS``, which detection takes for usual, (2 % of a target's contrast)^2,
-    moves the learned gain by as much of the contrast: nothing nearer to the stated gain is told of. Of the twin's
-    scenarios the farthest are ``rigs/zones_two``, too low by all of that, and ``targets/retro_spheres``, too high by
-    0.65 of it.
+    changes the estimated gain by the same share of the contrast: smaller differences from the stated gain are not
+    reported. Of the twin's scenarios the farthest are ``rigs/zones_two``, too low by all of that share, and
+    ``targets/retro_spheres``, too high by 0.65 of it.
     """
     lines = []
     for one in learned:

@@ -1,10 +1,10 @@
 """Tracks compared with the truth. Pure: no files, no clocks, no twin.
 
-Per frame the measured points and the true markers are paired one to one with the least total distance, within
-``min(half the smallest distance between true markers, 1 % of the working space)``. A measured point that
-is left over is a ghost; a true marker that is left over is a miss if it was *seen*: at least half of its disc
-visible in two cameras, from the truth alone. Filled and predicted samples never count. Nothing is aligned.
-Intervals come from a bootstrap over blocks of frames, since neighbouring frames are correlated.
+In each frame the measured points and the true markers are paired one to one with the least total distance, within
+``min(half the smallest distance between true markers, 1 % of the working space)``. A measured point without a pair is
+a ghost. A true marker without a pair is a miss if it was *seen*: at least half of its disc visible in two cameras,
+from the truth alone. Filled and predicted samples never count. Nothing is aligned. Intervals come from a bootstrap
+over blocks of frames, since neighbouring frames are correlated.
 """
 
 from collections.abc import Callable, Mapping
@@ -30,9 +30,9 @@ def pair(
 ) -> TruthPairs:
     """Pair measured samples with true markers, frame by frame.
 
-    ``working_space_m``: the longest edge of the working space [m]. A sample whose time is farther than half
-    a period from every true instant is a ghost of the nearest one. ``calibration``: the covariance (n, 3, 3) [m^2]
-    that an estimated calibration's own error gives to points (n, 3) [m]; the error is held against the sum.
+    ``working_space_m``: the longest edge of the working space [m]. A sample whose time is farther than half a period
+    from every true instant is a ghost of the nearest one. ``calibration``: the covariance (n, 3, 3) [m^2] that an
+    estimated calibration's own error gives to points (n, 3) [m]; NEES is computed with the sum.
     """
     of_measured = np.flatnonzero(np.asarray(tracks.status) == "measured")
     measured = tracks.select(of_measured)
@@ -74,12 +74,12 @@ def pair(
 
 
 def block_of(n: int) -> Array:
-    """Return the block (n,) of each of ``n`` rows in order of time; there are BLOCKS, or ``n`` where that is less."""
+    """Return the block (n,) of each of ``n`` rows in order of time; there are BLOCKS blocks, or ``n`` if fewer."""
     return np.asarray(np.arange(n) * min(BLOCKS, n) // max(n, 1))
 
 
 def metrics(matched: TruthPairs, working_space_m: float) -> dict[str, Score]:
-    """Return all metrics that a pairing gives, by name (DESIGN's names); lengths in m, image errors in px."""
+    """Return all metrics of a pairing, by name (``reports.metrics``); lengths in m, image errors in px."""
     frames = len(matched.seen)
     if frames == 0:
         return {}
@@ -123,7 +123,7 @@ def metrics(matched: TruthPairs, working_space_m: float) -> dict[str, Score]:
 
 
 def identity_switches(matched: TruthPairs) -> int:
-    """Return how often a marker is followed by another track than the one that followed it before."""
+    """Return how often a marker is followed by another track than before."""
     switches = 0
     for marker in np.unique(matched.marker):
         ids = matched.track[matched.marker == marker]
@@ -134,8 +134,8 @@ def identity_switches(matched: TruthPairs) -> int:
 def hota(matched: TruthPairs) -> float:
     """Return HOTA (Luiten et al. 2021) with similarity ``max(0, 1 - d/d0)``, d0 the pairing's gate.
 
-    The pairing of ``pair`` serves for every alpha; the mean is over alpha = 0.05 ... 0.95. Misses count
-    for seen markers only.
+    The pairing of ``pair`` is used for every alpha; the mean is over alpha = 0.05 ... 0.95. Misses count for seen
+    markers only.
     """
     similarity = np.maximum(0.0, 1.0 - matched.distance_m / matched.gate_m[matched.frame])
     ghosts, missed = int(matched.ghosts.sum()), int(matched.missed.sum())
@@ -178,7 +178,7 @@ def limits_met(
 
 
 def _missed_of_marker(matched: TruthPairs) -> Array:
-    """Return in how many frames each marker was seen but not found (m,)."""
+    """Return the number of frames in which each marker was seen but not found (m,)."""
     found = np.zeros_like(matched.seen_mask)
     found[matched.frame, matched.marker] = True
     result: Array = (matched.seen_mask & ~found).sum(axis=0)
@@ -195,17 +195,17 @@ def _assign(measured: Array, true: Array, gate: float) -> tuple[Array, Array]:
         return np.empty(0, int), np.empty(0, int)
     distance = cdist(measured, true)
     allowed = distance <= gate
-    # beyond the gate everything is equally bad, and worse than any sum of allowed pairs
+    # all pairs beyond the gate cost the same, more than any sum of allowed pairs
     rows, columns = linear_sum_assignment(np.where(allowed, distance, gate * (1 + min(distance.shape))))
     good = allowed[rows, columns]
     return rows[good], columns[good]
 
 
 def _true_at(truth: Truth, frame: Array, marker: Array, time_ns: Array) -> Array:
-    """Return where markers (k,) were at ``time_ns`` (k,) (k, 3) [m]; ``frame``: the nearest true instants.
+    """Return the positions (k, 3) [m] of markers (k,) at ``time_ns`` (k,); ``frame``: the nearest true instants.
 
-    Cubic through the four true instants about it (Lagrange), as they are where one is the time itself. Straight lines
-    between the neighbours in time, or the nearest instant, where not all are known.
+    They are cubic through the four true instants about the time (Lagrange), and exact where one is the time itself.
+    Where not all four are known, they are linear between the neighbours in time, or those of the nearest instant.
     """
     found: Array = truth.xyz[frame, marker].copy()
     moved = np.flatnonzero(truth.time_ns[frame] != time_ns)
@@ -222,7 +222,7 @@ def _true_at(truth: Truth, frame: Array, marker: Array, time_ns: Array) -> Array
 
 
 def _lagrange_weights(seconds: Array) -> Array:
-    """Return the weights (n, k) that give a polynomial's value at 0 from those at ``seconds`` (n, k)."""
+    """Return the weights (n, k) for a polynomial's value at 0 from its values at ``seconds`` (n, k)."""
     columns = range(seconds.shape[1])
     weights = np.ones_like(seconds)
     for i in columns:
@@ -251,7 +251,7 @@ def in_time(times: Array, wanted: Array, at: Array) -> Array:
 
 
 def ratio_of_sums(above: Array, below: Array, n: int, finish: Callable[[Array], Array] = lambda x: x) -> Score:
-    """Score of a ratio of block sums, with its block bootstrap."""
+    """Return the score of a ratio of block sums, with its block bootstrap."""
     above, below = np.asarray(above, dtype=float), np.asarray(below, dtype=float)
     if below.sum() == 0:
         return Score(1.0 if above.sum() == 0 else float("nan"), n)

@@ -1,7 +1,7 @@
 """Modes of vibration compared with the true ones. Pure: no files, no clocks.
 
-Each true mode is held against the found one nearest in frequency; steady lines are none. What a rigid motion that was
-taken out takes from a mode's shape is taken from the true shape as well.
+Each true mode is compared with the found mode nearest in frequency; steady lines do not count as modes. Where a rigid
+motion was removed, its part of a mode's shape is also removed from the true shape.
 """
 
 from collections.abc import Mapping
@@ -18,7 +18,7 @@ from twin.scenes.plate import PlateModes
 
 DAMPING_SHARE = 0.15
 NEAR = 0.05
-"""Relative distance in frequency up to which a found mode can be a true one."""
+"""Largest relative difference in frequency between a found mode and its true mode."""
 
 
 def vibration_scores(
@@ -26,9 +26,9 @@ def vibration_scores(
 ) -> tuple[dict[str, Score], dict[str, dict[str, Any]]]:
     """Return the metrics of modes and, mode by mode, a table for the record.
 
-    ``place`` (m, 3): true mean places of the markers [m], in the order of the rows of ``modes``, whose deflections
-    are along the world's z. ``mode_damping_error`` is the worst relative error of a damping over what is allowed of
-    it: 15 %, or twice the bound that the record's length sets.
+    ``place`` (m, 3): true mean positions of the markers [m], in the order of the rows of ``modes``, whose deflections
+    are along the world's z. ``mode_damping_error`` is the worst relative error of a damping over the allowed error:
+    15 %, or twice the bound for the record's length.
     """
     record = found.displacements
     near = np.argmin(np.linalg.norm(record.place[:, None] - place[None], axis=-1), axis=1)

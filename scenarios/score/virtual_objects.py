@@ -1,4 +1,4 @@
-"""Objects that follow tracked bodies, compared with where the bodies really were at the instants that are shown."""
+"""Objects that follow tracked bodies, compared with the true poses of the bodies at the shown instants."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -17,14 +17,14 @@ from twin.scenes.scene import Scene
 
 @dataclass(frozen=True, eq=False)
 class ObjectErrors:
-    """Of each shown object (n): shown minus true pose, and the same without prediction."""
+    """Errors of each shown object (n): shown minus true pose, and the same without prediction."""
 
     position_m: Array
-    """(n, 3) at the instant that is meant."""
+    """(n, 3) at the intended instant."""
     rotation_rad: Array
     """(n, 3) rotation vector about the world's axes."""
     unpredicted_m: Array
-    """(n, 3) of the newest pose as it was measured, against the display's instant."""
+    """(n, 3) error of the newest measured pose, at the display's instant."""
     unpredicted_rad: Array
     """(n, 3)"""
 
@@ -34,7 +34,7 @@ class ObjectErrors:
 
 
 def object_errors(shown: ShownPoses, bodies: Sequence[RigidBody], scene: Scene) -> ObjectErrors:
-    """Return the errors of ``shown``; NaN beyond the scene's end, and for bodies whose markers it does not have."""
+    """Return the errors of ``shown``; NaN beyond the scene's end, and for bodies with markers that are not in it."""
     true_pose = _true_poses(bodies, scene)
     rows = np.full((len(shown), 4, 3), np.nan)
     for k in range(len(shown)):
@@ -83,7 +83,7 @@ def object_scores(
 
 
 def shown_words(shown: ShownPoses, errors: ObjectErrors | None) -> str:
-    """Return in a line how old what was shown is, and what prediction gained."""
+    """Return a line on the age of the shown poses, and the gain by prediction."""
     if not len(shown):
         return "no body was found: no object moved"
     p50, p99 = 1e3 * np.quantile(shown.age_s, [0.5, 0.99])
@@ -99,7 +99,7 @@ def shown_words(shown: ShownPoses, errors: ObjectErrors | None) -> str:
 
 
 def _true_poses(bodies: Sequence[RigidBody], scene: Scene) -> Callable[[str, int], tuple[Array, Array] | None]:
-    """Return a function of body and time [ns]: what carries the body's definition onto its true markers."""
+    """Return a function of body and time [ns] -> pose that maps the body's definition onto its true markers."""
     sampler, row_of = scene.sampler(), {name: row for row, name in enumerate(scene.marker_names)}
     of = {body.name: body for body in bodies}
 

@@ -1,13 +1,13 @@
-"""Metrics of a run that need no ground truth: defined on a rig or recording as on the twin.
+"""Metrics of a run that need no ground truth, and are defined for rigs and recordings as well as for the twin.
 
 - ``reprojection_rms``: reprojection error of the points' rays [px];
 - ``length_rms``, ``length_max``: measured minus certified lengths of a scale bar or wand, ``[[length]]`` in the
   scenario (the length measurement error of VDI/VDE 2634 part 1);
 - ``rigidity_rms``: distance of the markers of rigid bodies from their positions in the body [m];
 - ``static_noise``: scatter of samples about the mean of their own track, where nothing moves [m];
-- ``latency_p99`` [s], ``frame_rate`` [frame sets/s]: of the computing.
+- ``latency_p99`` [s], ``frame_rate`` [frame sets/s]: of the computation.
 
-They do not replace a truth: a rig whose scale is wrong passes all but the lengths.
+They do not replace a truth: a rig with a wrong scale passes all but the lengths.
 """
 
 from collections import Counter
@@ -27,18 +27,18 @@ NEED_NO_TRUTH = (
     "length_error_share", "cluster_error_share", "rigidity_rms", "static_noise", "latency_p99", "frame_rate",
 )  # fmt: skip
 FEWEST = 10
-"""Frames in which two markers must be seen together before their distance is taken for a known length."""
+"""Least number of frames with two markers together for which their distance can be taken as a known length."""
 STEADY = 0.95
-"""Share of those frames in which it must be near the length."""
+"""Share of those frames in which the distance must be near the length."""
 
 
 def self_checks(
     spec: Scenario, tracks: Tracks, poses: BodyPoses | None, seconds: Mapping[str, float], sets: int
 ) -> tuple[dict[str, Score], list[str]]:
-    """Return what needs no truth, and notes on what could not be determined, a line each.
+    """Return the metrics that need no truth, and notes on those that could not be determined, one line each.
 
-    ``seconds``: computing time, of it ``latency_p99`` and ``frames_to_tracks``; ``sets``: frame sets worked off.
-    Times and the noise of still markers are scored only where the scenario limits them.
+    ``seconds``: computing times, of which ``latency_p99`` and ``frames_to_tracks`` are used; ``sets``: number of
+    processed frame sets. Times and the noise of still markers are scored only where the scenario limits them.
     """
     measured = tracks.select(np.asarray(tracks.status) == "measured")
     scores: dict[str, Score] = {}
@@ -77,11 +77,12 @@ def self_checks(
 
 
 def lengths_found(tracks: Tracks, wanted: LengthSpec) -> tuple[Array, Array, str]:
-    """Return in which frames (n,) a known length was seen, how long it was measured (n,) [m], and a note or "".
+    """Return the frames (n,) in which a known length was seen, its measured lengths (n,) [m], and a note or "".
 
-    Its two markers are those labelled so where the scenario names them. Where it does not they are two tracks whose
-    distance stays near the length as long as both are seen: two tracks that only pass each other at that distance
-    do not. Where several such pairs are seen in one frame, the right one is unknown: those frames are left out.
+    Where the scenario names its two markers, they are those with these labels. Otherwise they are two tracks whose
+    distance stays near the length as long as both are seen; this excludes two tracks that only pass each other at
+    that distance. Where several such pairs are seen in one frame, the right one is unknown, and the frame is left
+    out.
     """
     if wanted.markers is not None:
         a, b = (np.flatnonzero(np.asarray(tracks.label) == name) for name in wanted.markers)
@@ -110,7 +111,7 @@ def lengths_found(tracks: Tracks, wanted: LengthSpec) -> tuple[Array, Array, str
 
 
 def about_own_mean(tracks: Tracks) -> tuple[Array, Array]:
-    """Return frames (n,) and distances (n,) [m] of samples from the mean of their track; unbiased in the square.
+    """Return frames (n,) and distances (n,) [m] of samples from the mean of their track; their squares are unbiased.
 
     Tracks of fewer than FEWEST samples are left out.
     """
@@ -143,7 +144,7 @@ def _distances(tracks: Tracks, first: Array, second: Array) -> tuple[Array, Arra
 
 
 def _near_pairs(tracks: Tracks, wanted: LengthSpec) -> list[tuple[int, int, int]]:
-    """Return each two tracks that are ever as far apart as the length, and in how many frames they are."""
+    """Return each pair of tracks whose distance is ever near the length, and the number of frames where it is."""
     order = np.lexsort((tracks.track, tracks.frame))
     frame, track, xyz = tracks.frame[order], tracks.track[order].astype(np.int64), tracks.xyz[order]
     starts = np.flatnonzero(np.diff(frame, prepend=frame[:1] - 1))

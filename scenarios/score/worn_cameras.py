@@ -20,9 +20,9 @@ from scenarios.types import Collected, Score
 from twin.scenes.scene import Scene
 
 NEAR_M = 0.02
-"""A curve that stays this close to a lamp's known position is that lamp's."""
+"""Distance from a lamp's known position within which a curve is taken as that lamp's."""
 NEAR_PX = 2.0
-"""An image point so near to where a lamp should be is that lamp's."""
+"""Distance from a lamp's expected image within which an image point is taken as that lamp's."""
 
 
 def relative_truth(truth: Truth, scene: Scene, body: str) -> Truth:
@@ -56,7 +56,7 @@ def lamp_positions(spec: Scenario, rig: Rig) -> dict[str, Array]:
 
 
 def without_lamps(tracks: Tracks, places: dict[str, Array]) -> Tracks:
-    """Return the tracks that are no camera's lamp."""
+    """Return the tracks that do not belong to a camera's lamp."""
     kept = np.ones(len(tracks), dtype=bool)
     for track in np.unique(tracks.track):
         rows = tracks.track == track
@@ -67,10 +67,10 @@ def without_lamps(tracks: Tracks, places: dict[str, Array]) -> Tracks:
 
 
 def lamp_scores(seen: Sequence[CameraDetections], rig: Rig, places: dict[str, Array]) -> dict[str, Score]:
-    """Return the share of lamps that another camera sees in most frames, and how far from where they should be.
+    """Return the share of lamps that another camera sees in most frames, and the error of their images.
 
-    ``lamp_px``: rms distance of the lamps' images (observed epipoles, but for the lamps' known way from the lens)
-    from their projections [px].
+    ``lamp_px``: rms distance of the lamps' images (observed epipoles, except for the lamps' known offset from the
+    lens) from their projections [px].
     """
     if not places:
         return {}
@@ -95,7 +95,7 @@ def lamp_scores(seen: Sequence[CameraDetections], rig: Rig, places: dict[str, Ar
 
 
 def reasons(truth: Truth) -> dict[str, str]:
-    """Return in words why markers are missing: how often two cameras see them, and which are seen least."""
+    """Return in words the reasons for missing markers: how often two cameras see them, and the least seen markers."""
     cameras = (truth.visible >= SEEN_SHARE).sum(axis=2)
     two, one = (cameras >= SEEN_CAMERAS).mean(axis=0), (cameras >= 1).mean(axis=0)
     order = np.argsort(two)[:6]
@@ -110,7 +110,7 @@ def reasons(truth: Truth) -> dict[str, str]:
 
 
 def rig_in_the_middle(worn: Worn) -> Rig:
-    """Return the rig as it was in the middle of the recording."""
+    """Return the rig in the middle of the recording."""
     found = worn.reconstructed
     assert found.cameras is not None
     times = found.observations.time_s

@@ -1,1 +1,1 @@
-"""The calibration session of a scenario: what it shows, what goes wrong in it, and the rig that it gives."""
+"""The calibration session of a scenario: its scenes, its faults, and the rig estimated from it."""

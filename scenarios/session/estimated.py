@@ -1,4 +1,4 @@
-"""The calibration session of a scenario: rendered, read and adjusted as in a lab, then held against the truth."""
+"""The calibration session of a scenario: rendered, read and adjusted as in a lab, then compared with the truth."""
 
 from dataclasses import dataclass, replace
 
@@ -25,10 +25,10 @@ from twin.cameras.virtual_camera import VirtualCamera
 from twin.source import TwinSource
 
 SESSION_SEED = 0x5E55
-"""Added to the scenario's seed: the session's shake and noise are not those of the measurement."""
+"""Added to the scenario's seed, so that the session's shake and noise are not those of the measurement."""
 VOLUME_GRID = 7
 AT_ONCE = 2000
-"""Points whose share of the calibration's covariance is taken at a time: 2,000 of 200 parameters fill 10 MB."""
+"""Number of points whose covariance by the calibration is computed at once: 2,000 of 200 parameters fill 10 MB."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,8 +38,8 @@ class SessionCalibration:
     calibration: Calibration
     evidence: CalibrationEvidence
     ray_px: Array
-    """(n,), over all cameras' whole images: distance of the calibrated ray of a pixel from the point that it really
-    shows, at the working space's distance; poses and lenses together."""
+    """(n,) over the whole images of all cameras: distance of the calibrated ray of a pixel from the point that the
+    pixel really shows, at the working space's distance; poses and lenses together."""
     volume_m: Array
     """(k,) errors of points on a grid in the working space, imaged without noise and triangulated with the rig."""
 
@@ -56,7 +56,7 @@ class SessionCalibration:
     def covariance_m2(self, xyz: Array) -> Array:
         """Return the covariance (n, 3, 3) [m^2] that the calibration's own error gives to points (n, 3) [m, world].
 
-        All cameras in whose images a point lies are taken to have measured it, alike well; 0 where fewer than two.
+        All cameras whose images contain a point are assumed to have measured it, equally well; 0 for fewer than two.
         """
         found = [np.zeros((0, 3, 3))]
         for first in range(0, len(xyz), AT_ONCE):
@@ -75,8 +75,8 @@ def calibrate_in_session(
 ) -> SessionCalibration:
     """Render the session of ``spec.calibration``, calibrate from it, judge the result and compare it with the truth.
 
-    ``earlier``: the true calibration, used as the earlier one where the scenario has one. CalibrationError where the
-    session is insufficient.
+    ``earlier``: the true calibration, used as the earlier calibration where the scenario has one. CalibrationError
+    where the session is insufficient.
     """
     wanted = spec.calibration
     assert wanted is not None
@@ -113,16 +113,16 @@ def calibrate_in_session(
 
 
 def inputs_of(spec: Scenario, cameras: tuple[VirtualCamera, ...], earlier: Rig) -> tuple[object, ...]:
-    """Return what decides the session's calibration: all of the scenario that ``calibrate_in_session`` reads."""
+    """Return all inputs of the session's calibration: all of the scenario that ``calibrate_in_session`` reads."""
     exposure_s, lens_model = spec.capture.exposure_s, spec.pipeline.lens_model
     return spec.calibration, spec.working_space, exposure_s, lens_model, spec.seed, at_rest(cameras), earlier
 
 
 def at_rest(cameras: tuple[VirtualCamera, ...]) -> tuple[VirtualCamera, ...]:
-    """Return the cameras that stand in the room as they are in the session, before the measurement.
+    """Return the cameras fixed in the room as they are in the session, before the measurement.
 
-    The same lenses, sensors and shake; no drift, warming or bump yet, no delays, an even background, and the target's
-    own light.
+    Lenses, sensors and shake are the same; there is no drift, warming or bump yet, no delay, the background is even,
+    and the light is that of the target.
     """
     return tuple(
         VirtualCamera(
@@ -147,7 +147,7 @@ def against_truth(rig: Rig, cameras: tuple[VirtualCamera, ...], center: Array, s
 
 
 def true_pixels(virtual: VirtualCamera, points: Array) -> Array:
-    """Return where a camera really images points (n, 3) [m, world] (n, 2); NaN outside its image."""
+    """Return the true images (n, 2) [px] of points (n, 3) [m, world]; NaN outside the camera's image."""
     camera = virtual.camera
     lens = TwinLens.of(camera.lens, camera.width, camera.height, virtual.optics)
     xy = lens.pixels(camera.world_from_camera.inverse().transform(points))
@@ -173,7 +173,7 @@ def _ray_errors(rig: Rig, virtual: VirtualCamera, center: Array) -> Array:
 def session_source(
     spec: Scenario, session: Session[CalibrationTarget], cameras: tuple[VirtualCamera, ...], workers: int, number: int
 ) -> TwinSource:
-    """Return the frames of a session before ``cameras``; ``number``: 0 of the target, 1 of the axes, 2 of the bar."""
+    """Return the frames of a session before ``cameras``; ``number``: 0 for target, 1 for axes, 2 for bar."""
     assert spec.calibration is not None
     return TwinSource(
         session.scene,
@@ -187,6 +187,6 @@ def session_source(
 
 
 def _lens_choice(spec: Scenario, cameras: tuple[VirtualCamera, ...]) -> LensChoice:
-    """Return the lens model with the pixel pitches of the sensors' data sheets, mx of Mosca lenses."""
+    """Return the lens model with the pixel pitches of the sensors' data sheets (mx of Mosca lenses)."""
     pitches = {one.camera.name: one.optics.pixel_pitch_mm for one in cameras}
     return LensChoice(spec.pipeline.lens_model, own_pitch_mm=pitches)

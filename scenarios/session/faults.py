@@ -13,7 +13,7 @@ from twin.cameras.virtual_camera import VirtualCamera
 
 
 def turned(cameras: tuple[VirtualCamera, ...], name: str, turn_px: float) -> tuple[VirtualCamera, ...]:
-    """Return the cameras, one of them rotated about its y axis so that its image moves by ``turn_px``."""
+    """Return the cameras, with one rotated about its y axis so that its image moves by ``turn_px``."""
     names = [one.camera.name for one in cameras]
     if name not in names:
         raise InputError(f"calibration.fault.camera = '{name}' given; the rig has {', '.join(names)}")
@@ -29,7 +29,7 @@ def _turned(virtual: VirtualCamera, turn_px: float) -> VirtualCamera:
 
 
 class _Swapped(WrappedSource):
-    """A source in which two cameras have each other's names."""
+    """A source in which the names of two cameras are exchanged."""
 
     def __init__(self, source: FrameSource, names: tuple[str, str]) -> None:
         super().__init__(source)
@@ -44,7 +44,7 @@ class _Swapped(WrappedSource):
 
 
 def swapped(source: FrameSource, names: tuple[str, str]) -> FrameSource:
-    """Return the source with two cameras' frames under each other's names."""
+    """Return the source with the names of two cameras exchanged in their frames."""
     given = [info.name for info in source.cameras]
     for name in names:
         if name not in given:

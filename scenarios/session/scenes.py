@@ -1,4 +1,4 @@
-"""Scenes of a calibration session, and the target as its file describes it."""
+"""Scenes of a calibration session, with the target described by its file."""
 
 from dataclasses import dataclass, replace
 from typing import Any, Generic
@@ -28,14 +28,14 @@ BOARD_COLUMNS, BOARD_ROWS = 9, 6
 BOARD_SHARE, WAND_SHARE, BAR_SHARE = 0.5, 0.4, 0.3
 """Length of board, wand and bar over the working space's shortest edge."""
 FIELD_SHARE = 1.1
-"""Edges of a field over those of the working space, so that its marks enclose what is measured."""
+"""Edges of a field over those of the working space, so that its marks enclose the measured volume."""
 SPEED_SHARE = 0.3
 """Speed of a target carried by hand: shares of the working space's longest edge a second."""
 
 
 @dataclass(frozen=True, eq=False)
 class Session(Generic[Target_co]):
-    """A scene, its number of exposures, and the target as its file describes it: with the file's errors."""
+    """A scene, its number of exposures, and the target described by its file, with the file's errors."""
 
     scene: Scene
     pulses: int
@@ -102,7 +102,7 @@ def _field(spec: Scenario, wanted: CalibrationSpec) -> Session[TestField]:
 
 
 def _believed(field: TestField, wanted: CalibrationSpec) -> TestField:
-    """Return the field as a file with the scenario's fault describes it."""
+    """Return the field described by a file with the scenario's fault."""
     factor = _length_factor(wanted)
     if factor is None:
         return field
@@ -112,7 +112,7 @@ def _believed(field: TestField, wanted: CalibrationSpec) -> TestField:
 
 
 def _length_factor(wanted: CalibrationSpec) -> float | None:
-    """Return the lengths in the target's file over the true ones; None where the file is right."""
+    """Return the factor of the lengths in the target's file over the true ones; None where the file is right."""
     if isinstance(wanted.fault, WrongUnitsFault):
         return wanted.fault.factor
     return 1 / wanted.fault.factor if isinstance(wanted.fault, WrongSizeFault) else None
@@ -177,7 +177,7 @@ def _wand(spec: Scenario, wanted: CalibrationSpec) -> Session[Wand]:
 
 
 def _where(spec: Scenario, pulses: int, size_m: tuple[float, float, float] | None = None) -> dict[str, Any]:
-    """Return how long and where a target is moved: in the working space, or in a box of ``size_m`` at its centre."""
+    """Return duration and box of a target's motion: the working space, or a box of ``size_m`` at its centre."""
     space = spec.working_space
     assert spec.calibration is not None
     return {

@@ -1,7 +1,7 @@
-"""A scenario's ``[self_orientation]``: the drone's camera calibrated, the field registered, the flight, both clocks.
+"""A scenario's ``[self_orientation]``: calibration of the drone's camera, registration of the field, flight, clocks.
 
-Everything comes from rendered images: the camera's calibration from the field put before it by hand, the field's
-place from the rig's cameras, the poses from the flight's frames, the clocks' offset from the lamp in both takes.
+Everything comes from rendered images: the camera's calibration from the field held before it by hand, the field's
+pose from the rig's cameras, the poses from the flight's frames, the clocks' offset from the lamp in both takes.
 """
 
 from collections.abc import Iterable
@@ -39,25 +39,25 @@ from twin.source import TwinSource
 from twin.streams import rng
 
 SESSION_M = 1.7
-"""Distance from the camera at which the field is shown for its calibration: about the middle of the flight's."""
+"""Distance from the camera at which the field is shown for calibration: about the middle of those in flight."""
 TILT_RAD, SHIFT_M = np.deg2rad(35.0), 0.25
 RATE_HZ = 10.0
-"""Of the exposures of the field at rest."""
+"""Rate of the exposures of the field at rest."""
 BODY = "drone"
 
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """What is known before the flight."""
+    """Data known before the flight."""
 
     there: SurveyField
-    """As it truly is."""
+    """The true field."""
     told: TestField
-    """As its file describes it."""
+    """The field described by its file."""
     virtual: VirtualCamera
     """The drone's camera."""
     calibration: Calibration
-    """Of that camera."""
+    """Calibration of that camera."""
     registration: Registration
 
     @property
@@ -77,7 +77,7 @@ class FlightTake:
 
 @dataclass(frozen=True, eq=False)
 class SelfOrientation:
-    """Both sides as the scenario's keys say, and what they rest on."""
+    """Both sides by the scenario's keys, and the data on which they rest."""
 
     prepared: Prepared
     take: FlightTake
@@ -86,16 +86,16 @@ class SelfOrientation:
     body: CameraPath
     """The drone in the rig's world, with the errors of the rig's calibration."""
     offset_s: float
-    """By how much the camera's stamps are believed to be ahead of the rig's."""
+    """Assumed lead of the camera's stamps over those of the rig."""
     offset_sigma_s: float
     clock: FlashOffset
-    """What the lamp tells, used or not."""
+    """Estimate of the offset from the lamp, used or not."""
     rig_light: Brightness
     own_light: Brightness
 
 
 def prepare(spec: Scenario, cameras: tuple[VirtualCamera, ...], rig: SessionCalibration, workers: int) -> Prepared:
-    """Calibrate the drone's camera and register the field; CalibrationError, InputError where that cannot be."""
+    """Calibrate the drone's camera and register the field; CalibrationError, InputError where that is impossible."""
     given = spec.self_orientation
     assert given is not None
     there = survey_field(spec)
@@ -168,8 +168,8 @@ def true_lever_arm(spec: Scenario, prepared: Prepared) -> Pose:
 
 
 def drone_from_definition(scene: Scene) -> Pose:
-    """Return where the body's definition is on the drone: the world's axes at the start, from its markers' middle
-    (``scenarios.score.bodies.rigid_bodies``).
+    """Return the pose of the body's definition on the drone: axes of the world at the start, origin in the markers'
+    middle (``scenarios.score.bodies.rigid_bodies``).
     """
     sampler = scene.sampler()
     middle = sampler.at(0.0).marker_xyz.mean(axis=0)
@@ -177,7 +177,7 @@ def drone_from_definition(scene: Scene) -> Pose:
 
 
 def drone_pose(scene: Scene, sampler: SceneSampler) -> Pose:
-    """Return world_from_drone at the instant that ``sampler`` was last asked for."""
+    """Return world_from_drone at the last instant evaluated by ``sampler``."""
     number = scene.model.body(BODY).id
     return Pose(sampler.data.xmat[number].reshape(3, 3).copy(), sampler.data.xpos[number].copy())
 
@@ -188,7 +188,7 @@ def _calibrated(
     given = spec.self_orientation
     assert given is not None
     place = np.array([0.0, 0.0, 1.25])
-    # looks along x: right is -y, down is -z
+    # the camera looks along x: right is -y, down is -z
     facing = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
     standing = VirtualCamera(
         replace(virtual.camera, world_from_camera=Pose(facing, place)),
@@ -247,7 +247,7 @@ def _flown(spec: Scenario, prepared: Prepared, workers: int) -> FlightTake:
 
 
 def _light(prepared: Prepared, frames: Iterable[Frame], own: Resected, row_s: float) -> Brightness:
-    """Return the lamp's brightness in the flight's frames, where the poses say that it is."""
+    """Return the lamp's brightness in the flight's frames, at the position computed from the poses."""
     there, camera = prepared.there, prepared.camera
     window = LampWindow(camera.name, prepared.virtual.sensor.bits)
     for frame, xy, radius, away in lamp_in_flight(own, camera, frames, there.light_m, there.light_diameter_m, row_s):

@@ -16,7 +16,7 @@ class AcceptanceSpec(Table):
 
 
 def check_acceptance(given: AcceptanceSpec | None, limits: Collection[str]) -> None:
-    """Raise ValueError where a limit is of a test that there is not."""
+    """Raise ValueError where a limit belongs to a test that the scenario does not have."""
     for name in SHARES:
         if name in limits and given is None:
             raise ValueError(f"limits.{name} needs an acceptance test; add [acceptance], or take the limit away")

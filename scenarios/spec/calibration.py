@@ -1,9 +1,9 @@
-"""Keys of a scenario file: the calibration that its pipeline believes in.
+"""Keys of a scenario file: the calibration that its pipeline gets.
 
 Without the table, and with ``target = "none"``, the pipeline gets the true poses and the best fit of its lens model
-to the true lenses: what a perfect calibration would give, as a diagnostic. With it the rig is estimated, as in a lab,
-from rendered images of a calibration session that the same cameras take beforehand, at rest. The defaults are a field
-of targets at ten stands in the working space; what was estimated is kept for all scenarios with the same cameras
+to the true lenses: the result of a perfect calibration, as a diagnostic. With the table the rig is estimated, as in a
+lab, from rendered images of a calibration session that the same cameras take beforehand, at rest. The defaults are a
+field of targets at ten stands in the working space. The estimate is cached for all scenarios with the same cameras
 (``scenarios.run.kept_calibrations``).
 """
 
@@ -14,7 +14,7 @@ from pydantic import Field, model_validator
 from mosca.data.files.toml import NotNegative, Positive, Table
 
 LEAST_CARRIED = 30
-"""Exposures of a board or wand below which a session is a slip: the default is that of a field at each stand."""
+"""Least exposures of a board or wand: fewer are a mistake, as the default is that of a field, one at each stand."""
 FIELD_ONLY = {"markers", "layout", "relief", "stands", "shift", "tilt_deg", "world_frames"}
 
 

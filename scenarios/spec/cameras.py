@@ -1,7 +1,7 @@
-"""Keys of a scenario file: the cameras, their poses, and what each does to light and time.
+"""Keys of a scenario file: the cameras, their poses, and their effects on light and time.
 
-The tables [errors], [optics], [timing], [mount], [sensor] and [delivery] hold for all cameras; a [[camera]] of a
-name changes the keys that it gives for that one. The meanings are those of ``twin.cameras``.
+The tables [errors], [optics], [timing], [mount], [sensor] and [delivery] hold for all cameras; a [[camera]] with a
+name changes its keys for that camera only. The meanings are those of ``twin.cameras``.
 """
 
 from typing import Annotated, Literal

@@ -1,4 +1,4 @@
-"""Where scenario files are found, and the commented one to start from. No heavy imports: answers at once."""
+"""Search for scenario files, and the commented scenario to start from. No heavy imports, so that it is fast."""
 
 import difflib
 import json
@@ -21,11 +21,11 @@ class Entry:
     name: str
     spec: Scenario
     overrides: tuple[str, ...] = ()
-    """``KEY=VALUE`` by which ``spec`` differs from the file."""
+    """``KEY=VALUE`` texts by which ``spec`` differs from the file."""
 
 
 def find(name: str) -> Path:
-    """Return the scenario file that ``name`` means: a path, or the name of a built-in scenario."""
+    """Return the scenario file for ``name``: a path, or the name of a built-in scenario."""
     path = Path(name)
     if path.is_file():
         return path
@@ -35,7 +35,7 @@ def find(name: str) -> Path:
             raise InputError(f"{name}: no such file; the built-in scenario is called '{known[0]}'")
         return path
     there = {scenario_name(p): p for p in built_in()}
-    # the last part of a name is enough where it is the only one
+    # the last part of a name is enough where it is unique
     short = [full for full, p in there.items() if p.stem == name]
     if name in there or len(short) == 1:
         return there.get(name) or there[short[0]]
@@ -70,8 +70,8 @@ def scenario_name(path: Path) -> str:
 def entries(paths: tuple[Path, ...], tier: str | None = None, overrides: tuple[str, ...] = ()) -> list[Entry]:
     """Return the scenarios of files and folders (all built-in ones where none is named), of one tier or of all.
 
-    What is not there may be a folder of the built-in scenarios, "subjects", or one of these, "actor".
-    ``overrides``: as of ``load_scenario``, in each of them.
+    A path that does not exist may be a folder of the built-in scenarios, "subjects", or a scenario of these, "actor".
+    ``overrides``: as in ``load_scenario``, for each of them.
     """
     files: list[Path] = []
     for path in paths:
@@ -90,9 +90,9 @@ def entries(paths: tuple[Path, ...], tier: str | None = None, overrides: tuple[s
 
 
 def write_new(path: Path, subject: str = "cloud", cameras: int = 4, claim: str = "1 mm") -> None:
-    """Write a commented scenario to start from, and the schema for editors beside it where it is not there.
+    """Write a commented scenario to start from, and the schema for editors beside it unless it exists.
 
-    An existing file is left alone; arguments as of ``new_scenario``.
+    An existing file is not changed; the arguments are those of ``new_scenario``.
     """
     if path.exists():
         raise InputError(f"{path}: exists already; choose another name")

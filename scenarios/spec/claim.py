@@ -173,7 +173,7 @@ class ClaimFile(Table):
                 f"looks = {list(looks)} with runs = {self.runs}; ascending numbers from 3 on are wanted, the last "
                 f"one {self.runs}"
             )
-        # what is added to or scaled may be set before
+        # a key that is added to or scaled may be set before
         replaced = {one.key for one in self.vary if getattr(one, "by", "set") == "set"}
         keys = [*(key for key in self.set if key in replaced or key == "seed"), *(one.key for one in self.vary)]
         for key in keys:

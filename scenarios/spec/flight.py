@@ -1,4 +1,4 @@
-"""Keys of a scenario file: the drone is steered by the poses that the cameras give, as they arrive."""
+"""Keys of a scenario file: the drone is steered by the poses from the cameras as they arrive."""
 
 from collections.abc import Iterable
 from typing import Annotated, Any, Literal
@@ -13,7 +13,7 @@ METRICS = (
     "flight_rms", "flight_max", "flight_sigma_ratio", "prediction_rms", "prediction_nees", "crashes",
     "pose_delay", "pose_delay_error", "pose_delay_mismatch",
 )  # fmt: skip
-"""What only a scenario with ``[flight]`` measures."""
+"""Metrics that only a scenario with ``[flight]`` has."""
 
 
 class FlightSpec(Table):
@@ -65,9 +65,9 @@ class FlightSpec(Table):
 def check_flight(
     given: FlightSpec | None, scene: SceneSpec, limits: Iterable[str], duration_s: float, fault: Any, more: bool
 ) -> None:
-    """Raise ValueError where a scenario's keys and its ``[flight]`` do not go together.
+    """Raise ValueError where a scenario's keys and its ``[flight]`` cannot be combined.
 
-    ``more``: whether it has sections that cannot stand beside it.
+    ``more``: whether it has sections that exclude ``[flight]``.
     """
     if given is None:
         for name in limits:

@@ -1,4 +1,4 @@
-"""Keys of a scenario file: the model that is identified of a driven robot."""
+"""Keys of a scenario file: the model that is identified for a driven robot."""
 
 from collections.abc import Iterable
 
@@ -9,7 +9,7 @@ from scenarios.spec.faults import LateCommandsFault
 from scenarios.spec.scenes import RobotScene, SceneSpec
 
 METRICS = tuple(f"{output}_{what}" for output in ("v_x", "yaw_rate") for what in ("rms", "nees", "fit_ratio"))
-"""What only a scenario with ``[identification]`` measures."""
+"""Metrics that only a scenario with ``[identification]`` has."""
 
 
 class IdentificationSpec(Table):
@@ -28,7 +28,7 @@ class IdentificationSpec(Table):
 def check_identification(
     given: IdentificationSpec | None, scene: SceneSpec, limits: Iterable[str], bodies: bool, fault: Table | None
 ) -> None:
-    """Raise ValueError where a scenario's keys and its ``[identification]`` do not go together."""
+    """Raise ValueError where a scenario's keys and its ``[identification]`` cannot be combined."""
     if given is None:
         for name in limits:
             if name in METRICS:

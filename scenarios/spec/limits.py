@@ -1,8 +1,9 @@
 """``[limits]`` and ``[breaks]`` of a scenario: numbers in the metric's unit, texts with a unit, keys that end in one.
 
-``position_rms = 0.0005``, ``position_rms = "0.5 mm"`` and ``position_rms_mm = 0.5`` say the same. What is read is a
-number in the unit of ``reports.metrics.METRICS``; a limit that has no meaning for its metric is refused. Two of them
-are a range in which the value must lie, as ``nees = [2, 4]`` in ``[limits]``, and each of ``[breaks]``.
+``position_rms = 0.0005``, ``position_rms = "0.5 mm"`` and ``position_rms_mm = 0.5`` have the same meaning. They are
+read as a number in the unit of ``reports.metrics.METRICS``; a limit that has no meaning for its metric is refused.
+Two numbers are a range in which the value must lie, as ``nees = [2, 4]`` in ``[limits]``, and each entry of
+``[breaks]``.
 """
 
 import difflib
@@ -29,7 +30,7 @@ UNITS: dict[Quantity, dict[str, float]] = {
     "speed": {"m/s": 1.0, "mm/s": 1e-3},
     "turning": {"rad/s": 1.0, "mrad/s": 1e-3, "deg/s": math.pi / 180},
 }
-"""Units of a text or of a key's ending, and what one of them is in the metric's own unit."""
+"""Units of a text or of a key's ending, and the value of one such unit in the metric's own unit."""
 _NAMED = {
     "length": "a length",
     "share": "a share",
@@ -60,9 +61,9 @@ _WITH_UNIT = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(\S+)
 
 
 def read_limits(given: Any) -> Any:
-    """Return ``[limits]`` as metric -> limit, or range, in the metric's unit; what is no table is returned as it is.
+    """Return ``[limits]`` as metric -> limit, or range, in the metric's unit; anything but a table is returned as is.
 
-    Raises pydantic's ValidationError, whose places are the keys as they were given.
+    Raises pydantic's ValidationError, whose locations are the keys as given.
     """
     return _read(given, _limit, "limits")
 
@@ -87,14 +88,14 @@ def _read(given: Any, read: Callable[[str, Any, str, str], Any], says: str) -> A
 
 
 def end_of(name: str, limit: float | tuple[float, float]) -> float:
-    """Return the limit of a metric; of a range its end towards what is bad."""
+    """Return the limit of a metric; for a range, its end on the bad side."""
     if isinstance(limit, tuple):
         return limit[METRICS[name].sense == "at_most"]
     return limit
 
 
 def range_of(name: str) -> str:
-    """Return in words which limits a metric can have."""
+    """Return the possible limits of a metric in words."""
     kind = METRICS[name]
     first = "above 0" if kind.sense == "at_least" else "from 0"
     last = "" if math.isinf(kind.highest) else f" to {kind.highest:.4g}"
@@ -112,12 +113,12 @@ def limits_schema() -> dict[str, Any]:
 
 
 def breaks_schema() -> dict[str, Any]:
-    """Return the JSON schema of ``[breaks]``: as that of ``[limits]``, ranges alone."""
+    """Return the JSON schema of ``[breaks]``: as that of ``[limits]``, with ranges only."""
     return _table_schema({key: _range_schema(one) for key, one in _properties().items()})
 
 
 def _properties() -> dict[str, Any]:
-    """Return the schema of a number for each key that there may be."""
+    """Return the schema of a number for each possible key."""
     properties: dict[str, Any] = {}
     for name, kind in METRICS.items():
         texts = "|".join(re.escape(unit) for unit in UNITS[kind.quantity])

@@ -10,7 +10,7 @@ from scenarios.spec.scenario import Scenario
 
 TEMPLATE = Path(__file__).with_name("template.toml.txt")
 SCHEMA = "scenario.schema.json"
-"""Beside a new file: editors complete and check by it."""
+"""Name of the schema beside a new file, by which editors complete and check."""
 
 
 @dataclass(frozen=True)
@@ -18,14 +18,14 @@ class StartingPoint:
     """A subject with a working space and cameras that see all of it; lengths in metres."""
 
     words: str
-    """For the title."""
+    """Words for the title."""
     scene: str
     """The table ``[scene]`` without its first line."""
     center_m: tuple[float, float, float]
     size_m: tuple[float, float, float]
     radius_m: float
     heights_m: tuple[float, float]
-    """Of the cameras, in turn."""
+    """Heights of the cameras, in turn."""
     c_mm: float
 
 

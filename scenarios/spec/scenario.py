@@ -367,15 +367,15 @@ def _override(document: dict[str, Any], text: str) -> None:
     except UnboundedTomlError as error:
         raise InputError(f"--set {key.strip()[:60]}: {error}") from None
     except tomllib.TOMLDecodeError:
-        parsed = {"value": value}  # a bare word is meant as a string
-    # a list may take several lines, a word or another key may not
+        parsed = {"value": value}  # a bare word is a string
+    # a list may have several lines, a word or another key may not
     if len(parsed) > 1 or "\n" in key or (parsed["value"] == value and "\n" in value):
         raise InputError(f"--set {text[:60]}: holds several lines; give each KEY=VALUE a --set of its own")
     set_key(document, key.strip(), parsed["value"], f"--set {text}")
 
 
 def set_key(document: dict[str, Any], key: str, value: Any, given: str) -> None:
-    """Set a dotted ``key`` of ``document``; ``given``: what an InputError begins with."""
+    """Set a dotted ``key`` of ``document``; ``given``: beginning of an InputError's message."""
     *tables, last = key.split(".")
     here = document
     for name in tables:
@@ -388,7 +388,7 @@ def set_key(document: dict[str, Any], key: str, value: Any, given: str) -> None:
 def changed_keys(path: Path, spec: Scenario) -> dict[str, tuple[Any, Any]]:
     """Return dotted key -> (value of the file, value of ``spec``) where the two differ; defaults count as values.
 
-    Empty where the file is no scenario without its changes.
+    Empty where the file is not a valid scenario without the changes.
     """
     try:
         before = _flat(load_scenario(path).model_dump(mode="json"))

@@ -1,4 +1,4 @@
-"""Keys of a scenario file: a drone that finds its own pose from a test field, against the rig's."""
+"""Keys of a scenario file: a drone that finds its own pose from a test field, compared with that by the rig."""
 
 from collections.abc import Iterable, Sequence
 from typing import Literal
@@ -13,7 +13,7 @@ METRICS = (
     "self_position_rms", "self_angle_rms", "self_nees", "self_completeness", "rig_camera_position_rms",
     "rig_camera_angle_rms", "rig_camera_nees", "light_clock_error", "budget_explained",
 )  # fmt: skip
-"""What only a scenario with ``[self_orientation]`` measures."""
+"""Metrics that only a scenario with ``[self_orientation]`` has."""
 
 
 class SelfOrientationSpec(Table):
@@ -58,7 +58,7 @@ def check_self_orientation(
     bodies: bool,
     session: bool,
 ) -> None:
-    """Raise ValueError where a scenario's keys and its ``[self_orientation]`` do not go together."""
+    """Raise ValueError where a scenario's keys and its ``[self_orientation]`` cannot be combined."""
     if given is None:
         for name in limits:
             if name in METRICS:

@@ -1,4 +1,4 @@
-"""Keys of a scenario file: the skeleton of the person in the scene, and how its tracks get their labels."""
+"""Keys of a scenario file: the skeleton of the person in the scene, and the labelling of its tracks."""
 
 from typing import Literal
 

@@ -38,7 +38,7 @@ DETECTION = "Settings of target detection that differ from the pipeline's defaul
 MATCH = "Settings of correspondence that differ from the pipeline's defaults."
 TRACK = "Settings of tracking that differ from the pipeline's defaults."
 
-if TYPE_CHECKING:  # made below: a type checker need not see their keys
+if TYPE_CHECKING:  # the tables are made below: a type checker does not need their keys
 
     class DetectionSpec(Table):
         """See DETECTION."""

@@ -1,7 +1,7 @@
-"""What an error budget switches off: for each source of error keys of a scenario and the values that mean "off".
+"""Switches of an error budget: for each source of error, keys of a scenario and the values that mean "off".
 
-To add a source, add a ``Switch`` to ``SWITCHES``: nothing else names them. What no key can take away is in
-``BUILT``: it is taken from the built cameras and scene (``scenarios.studies.budget.quiet``). A source of error
+To add a source, add a ``Switch`` to ``SWITCHES``: nothing else names them. Sources that no key can remove are in
+``BUILT``: they are removed from the built cameras and scene (``scenarios.studies.budget.quiet``). A source of error
 without a switch stays in the remainder of the budget.
 """
 
@@ -18,18 +18,18 @@ from scenarios.spec.scenario import Scenario
 from scenarios.spec.scenes import CloudScene
 
 PER_CAMERA = ("errors", "optics", "timing", "mount", "sensor", "delivery")
-"""Tables of which a [[camera]] has its own."""
+"""Tables that a [[camera]] can have of its own."""
 T = TypeVar("T", bound=Table)
 SHORT_S = 1e-6
-"""An exposure in which nothing moves: a marker at 10 m/s goes 0.01 mm."""
+"""An exposure in which nothing moves: a marker at 10 m/s moves by 0.01 mm."""
 
 
 @dataclass(frozen=True)
 class Switch:
     """A source of error that can be switched off.
 
-    ``keys``: dotted key of a scenario -> value that means "off". ``acts_on``: what must be made anew, the "take"
-    that is rendered, the "lens" (take and calibration session), or the "rig" that the pipeline believes in.
+    ``keys``: dotted key of a scenario -> value that means "off". ``acts_on``: the part that must be made anew: the
+    rendered "take", the "lens" (take and calibration session), or the "rig" that the pipeline gets.
     """
 
     name: str
@@ -37,7 +37,7 @@ class Switch:
     keys: Mapping[str, Any]
     acts_on: Literal["take", "lens", "rig"] = "take"
     built: bool = False
-    """Taken away from what is built (``scenarios.studies.budget.quiet``) under this name."""
+    """Whether it is removed, under this name, from built cameras and scenes (``scenarios.studies.budget.quiet``)."""
 
 
 SWITCHES = (
@@ -104,7 +104,7 @@ SWITCHES = (
     Switch("calibration", "calibration: estimated instead of true rig", {"calibration": None}, acts_on="rig"),
     Switch("fault", "the fault of the control", {"fault": None}, acts_on="lens"),
 )
-"""In the order in which ties are listed."""
+"""All switches, in the order in which ties are listed."""
 BUILT = tuple(one.name for one in SWITCHES if one.built)
 
 
@@ -119,12 +119,12 @@ def switch(name: str) -> Switch:
 
 
 def sources_of(spec: Scenario) -> tuple[str, ...]:
-    """Return the sources of error that ``spec`` has on and that can be switched off, in the order of SWITCHES."""
+    """Return the sources of error that are on in ``spec`` and can be switched off, in the order of SWITCHES."""
     return tuple(one.name for one in SWITCHES if _is_on(spec, one))
 
 
 def cameras_sources(spec: Scenario) -> tuple[str, ...]:
-    """Return those of them that a single camera has of its own: of the take, and in tables of a [[camera]]."""
+    """Return the sources of ``sources_of`` that single cameras have: those of the take, in tables of a [[camera]]."""
     return tuple(
         one.name
         for one in SWITCHES
@@ -133,9 +133,10 @@ def cameras_sources(spec: Scenario) -> tuple[str, ...]:
 
 
 def switched_off(spec: Scenario, names: Iterable[str], camera: str | None = None) -> Scenario:
-    """Return ``spec`` without the named sources of error; of ``camera`` alone where one is given.
+    """Return ``spec`` without the named sources of error; only for ``camera`` where one is given.
 
-    What is ``built`` stays: it is taken from what is built. InputError where a scenario cannot be so.
+    Sources with ``built`` stay here: they are removed after building. InputError where the result is no valid
+    scenario.
     """
     names = tuple(names)
     for name in names:
@@ -162,7 +163,7 @@ def _of_cameras(one: Switch) -> bool:
 
 
 def _differs(spec: Scenario, key: str, value: Any) -> bool:
-    """Return whether a key that the scenario has, or a [[camera]] of it, has another value."""
+    """Return whether a key of the scenario, or of a [[camera]] in it, has another value."""
     table, _, name = key.partition(".")
     tables: Collection[Any] = [spec]
     if table in PER_CAMERA:
@@ -201,7 +202,7 @@ def _with_own_key(spec: Scenario, camera: str, key: str, value: Any) -> Scenario
 
 
 def _changed(table: T, key: str, value: Any) -> T:
-    """Return a table with another value at a dotted key; as it is where it has no such key."""
+    """Return a table with another value at a dotted key; unchanged where it has no such key."""
     name, _, rest = key.partition(".")
     if not hasattr(table, name):
         return table

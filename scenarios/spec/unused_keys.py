@@ -65,7 +65,7 @@ RULES = (
 
 
 def check_no_unused_keys(camera: str, words: Words) -> None:
-    """Raise InputError where one of a camera's ``words`` (table -> key -> value, all merged) does nothing."""
+    """Raise InputError where one of a camera's ``words`` (table -> key -> value, all merged) has no effect."""
     for rule in RULES:
         for key in rule.keys:
             value = words[rule.table][key]

@@ -8,7 +8,7 @@ from mosca.data.files.toml import NotNegative, Positive, Table
 from scenarios.spec.faults import UnpredictedFault
 
 METRICS = ("object_position_rms", "object_angle_rms", "object_nees", "object_age_p99", "objects_current")
-"""What only a scenario with ``[virtual]`` measures."""
+"""Metrics that only a scenario with ``[virtual]`` has."""
 
 
 class VirtualSpec(Table):
@@ -32,7 +32,7 @@ class VirtualSpec(Table):
 def check_virtual_spec(
     given: VirtualSpec | None, limits: Iterable[str], bodies: bool, continuous: bool, fault: Table | None
 ) -> None:
-    """Raise ValueError where a scenario's keys and its ``[virtual]`` do not go together."""
+    """Raise ValueError where a scenario's keys and its ``[virtual]`` cannot be combined."""
     if given is None:
         for name in limits:
             if name in METRICS:

@@ -1,4 +1,4 @@
-"""A suite on a Dask cluster: each scenario is run where there is a worker, its run folder travels back."""
+"""A suite on a Dask cluster: each scenario is run by a worker, and its run folder is sent back."""
 
 import io
 import shutil
@@ -36,9 +36,9 @@ class _Made:
 def run_suite_on(
     engine: Engine, entries: Sequence[Entry], out: Path, told: Callable[[Outcome], None]
 ) -> list[Outcome]:
-    """Run ``entries`` on ``engine``, each scenario into ``out``/name; as ``scenarios.suite.suite.run_suite``.
+    """Run ``entries`` on ``engine``, each scenario into ``out``/name, like ``scenarios.suite.suite.run_suite``.
 
-    What a scenario names travels with it; a scenario whose worker dies begins again elsewhere.
+    Files that a scenario names are sent with it; a scenario whose worker dies starts again elsewhere.
     """
     for entry in entries:
         check_out(out / entry.name)
@@ -49,7 +49,7 @@ def run_suite_on(
         with first_ctrl_c(asked.set):
             every = collect(tasks, engine, lambda done: len(tasks), work=_work, kept=taken, stopped=asked.is_set)
         for task, outcome in zip(tasks, every, strict=True):
-            if task.name not in taken.done:  # of a scenario whose workers died nothing came back
+            if task.name not in taken.done:  # nothing came back for a scenario whose workers died
                 taken.keep(task, outcome)
     except KeyboardInterrupt:
         pass
@@ -57,17 +57,17 @@ def run_suite_on(
 
 
 class _TakenIn(Outcomes):
-    """Unpacks each run folder when its run has ended; finds nothing: a suite is to be run."""
+    """Unpacks each run folder when its run has ended; returns no earlier outcomes, since a suite must be run."""
 
     def __init__(self, out: Path, told: Callable[[Outcome], None]) -> None:
         self._out, self._told = out, told
         self.done: dict[str, Outcome] = {}
 
     def find(self, task: RunTask) -> None:
-        """Return that nothing is known yet."""
+        """Return None: no outcome is known yet."""
 
     def keep(self, task: RunTask, outcome: RunOutcome) -> None:
-        """Take in what became of a scenario."""
+        """Store the outcome of a scenario."""
         if isinstance(outcome.made, _Made):
             found, archive = outcome.made.outcome, outcome.made.archive
         else:
@@ -95,7 +95,7 @@ def _work(task: RunTask, contents: Mapping[str, bytes]) -> RunOutcome:
         folder, out = laid_out(task.files, contents, Path(root) / "files"), Path(root) / "run"
         try:
             outcome = made(lambda: check(Scenario, dict(task.document), task.name), task.name, folder, out)
-        except Exception as error:  # a bug is a result of this run, and no reason to lose the others
+        except Exception as error:  # a bug is the result of this run only: the others must not be lost
             return RunOutcome(task.number, failed=bug_line(error))
         return RunOutcome(task.number, failed=outcome.error, made=_Made(outcome, _packed(out)))
 
@@ -110,7 +110,7 @@ def _packed(folder: Path) -> bytes:
 
 
 def _unpack(packed: bytes, folder: Path) -> None:
-    """Make the run folder; one of an earlier run there is replaced."""
+    """Make the run folder; that of an earlier run is replaced."""
     with one_writer(folder):
         if folder.exists():
             shutil.rmtree(folder)

@@ -1,4 +1,4 @@
-"""What a suite leaves beside its run folders: a page with one row a scenario, and the history that it continues."""
+"""Output of a suite besides its run folders: a page with one row for each scenario, and the continued history."""
 
 from collections.abc import Sequence
 from datetime import UTC, datetime
@@ -16,7 +16,7 @@ PAGE, HISTORY = "suite.html", "history.jsonl"
 def write_suite(
     outcomes: Sequence[Outcome], entries: Sequence[Entry], out: Path, history: Path, past: Sequence[PastResult]
 ) -> Path:
-    """Append what ran to ``history``, which held ``past``; write the page into ``out`` and return where it is."""
+    """Append the results to ``history``, which held ``past``; write the page into ``out`` and return its path."""
     now = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
     results = [_result(outcome, entry) for outcome, entry in zip(outcomes, entries, strict=True)]
     new = [past_result(r.record, r.as_it_must, r.seconds, now) for r in results if r.record is not None]
@@ -26,7 +26,7 @@ def write_suite(
 
 
 def known_history(out: Path, history: Path | None) -> tuple[Path, list[PastResult]]:
-    """Return where the history is, ``history`` or a file in ``out``, and what it holds; ask before a long run."""
+    """Return path (``history`` or a file in ``out``) and contents of the history; to be called before a long run."""
     path = history or out / HISTORY
     return path, read_history(path)
 

@@ -1,4 +1,4 @@
-"""Many scenarios: run on all cores, summed up, compared with their baselines, reported as JUnit XML."""
+"""Many scenarios: run on all cores, summarised, compared with their baselines, reported as JUnit XML."""
 
 import multiprocessing
 import os
@@ -32,8 +32,8 @@ POLL_S = 0.1
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of one scenario: its record, the known error that kept it from running or its folder from being
-    written, and its seconds.
+    """Outcome of one scenario: its record, the known error that prevented the run or the writing of its folder, and
+    its seconds.
     """
 
     name: str
@@ -43,11 +43,11 @@ class Outcome:
     worse: tuple[Regression, ...] = ()
     gone: tuple[str, ...] = ()
     picture: str = ""
-    """Its scene, as small inline SVG."""
+    """Drawing of its scene, as small inline SVG."""
 
     @property
     def passed(self) -> bool:
-        """Whether it ran, met its limits and regressed in nothing."""
+        """Whether the scenario ran, met its limits and has no regression."""
         whole = self.record is not None and self.record.passed and not self.error
         return whole and not self.worse and not self.gone
 
@@ -56,7 +56,7 @@ def run_suite(entries: Sequence[Entry], out: Path, jobs: int, told: Callable[[Ou
     """Run ``entries`` in ``jobs`` processes, each scenario into ``out``/name; ``told`` is called as each ends.
 
     Outcomes are in the order of the entries. The longest start first, so that all cores end at about the same time.
-    Ctrl-C ends those that run; these and those that did not begin have the error ``STOPPED``.
+    Ctrl-C ends running scenarios; these, and those that did not start, have the error ``STOPPED``.
     """
     order = longest_first(entries)
     done: dict[str, Outcome] = {}
@@ -86,7 +86,7 @@ def run_suite(entries: Sequence[Entry], out: Path, jobs: int, told: Callable[[Ou
 
 
 def _outcome_of(future: "Future[Outcome]", stopping: bool) -> Outcome | None:
-    """Return a scenario's outcome, None of one that was stopped before it could tell."""
+    """Return a scenario's outcome; None for one that was stopped before it had one."""
     try:
         return future.result()
     except (KeyboardInterrupt, BrokenProcessPool):
@@ -96,40 +96,40 @@ def _outcome_of(future: "Future[Outcome]", stopping: bool) -> Outcome | None:
 
 
 def _end_scenario(number: int, frame: FrameType | None) -> None:
-    # once: a second one must not end the tidying up
+    # once only: a second signal must not end the clean-up
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     raise KeyboardInterrupt
 
 
 def _remove_unfinished(folders: Iterable[Path]) -> None:
-    """Remove what killed processes left beside their run folders."""
+    """Remove files that killed processes left beside their run folders."""
     for folder in folders:
         for left in folder.parent.glob(f".{folder.name}.*"):
             shutil.rmtree(left) if left.is_dir() else left.unlink()
 
 
 def check_baselines(folder: Path) -> None:
-    """Raise InputError where there is no folder of baselines."""
+    """Raise InputError where the folder of baselines does not exist."""
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder of baselines; 'mosca suite --update-baselines' makes one")
 
 
 def check_replicate(entries: Sequence[Entry], folder: Path) -> None:
-    """Raise InputError where ``folder``, of a suite run, lacks the record of one of ``entries``."""
+    """Raise InputError where ``folder`` of a suite run lacks the record of one of ``entries``."""
     for entry in entries:
         read_record(folder / entry.name / "record.json")
 
 
 def compared(outcomes: Sequence[Outcome], baselines: Path) -> list[Outcome]:
-    """Return the outcomes with what is worse than in the baselines; a scenario without a baseline has none."""
+    """Return the outcomes with their regressions against the baselines; none for a scenario without a baseline."""
     return [_compared(outcome, baselines) for outcome in outcomes]
 
 
 def update_baselines(outcomes: Sequence[Outcome], baselines: Path, replicates: Sequence[Path] = ()) -> None:
-    """Write the records as the new baselines; refuses while any scenario failed.
+    """Write the records as the new baselines; refuse where any scenario failed.
 
     ``replicates``: folders of suite runs of the same product with other processor features; each metric's spread
-    among them goes into its baseline. Without them, the spreads of the baselines that are replaced are kept.
+    among them is written to its baseline. Without them, the spreads of the replaced baselines are kept.
     """
     failed = [o.name for o in outcomes if not o.passed]
     if failed:
@@ -157,7 +157,7 @@ def _with_spread(record: RunRecord, others: Sequence[RunRecord]) -> RunRecord:
 
 
 def _with_spread_of(record: RunRecord, path: Path) -> RunRecord:
-    """Return the record with the spreads that the baseline at ``path`` states, where there is one."""
+    """Return the record with the spreads of the baseline at ``path``, if there is one."""
     if not path.is_file():
         return record
     old = read_record(path)
@@ -166,12 +166,12 @@ def _with_spread_of(record: RunRecord, path: Path) -> RunRecord:
 
 
 def baseline_path(name: str, baselines: Path) -> Path:
-    """Return where the baseline of a scenario lies."""
+    """Return the path of a scenario's baseline."""
     return baselines / f"{name}.json"
 
 
 def write_junit(outcomes: Sequence[Outcome], path: Path) -> None:
-    """Write the outcomes as JUnit XML, one test case a scenario."""
+    """Write the outcomes as JUnit XML, one test case for each scenario."""
     suite = TestSuite("mosca suite")
     for outcome in outcomes:
         case = TestCase(outcome.name, classname="mosca.scenarios", time=outcome.seconds)
@@ -189,7 +189,7 @@ def write_junit(outcomes: Sequence[Outcome], path: Path) -> None:
 
 
 def complaints(outcome: Outcome) -> list[str]:
-    """Return what is wrong with an outcome, a line each."""
+    """Return lines on the faults of an outcome."""
     lines = [f"{outcome.name}: {outcome.error}"] if outcome.error else []
     if outcome.record is None:
         return lines
@@ -205,7 +205,7 @@ def longest_first(entries: Sequence[Entry]) -> list[Entry]:
 
 
 def made(load: Callable[[], Scenario], name: str, folder: Path, out: Path) -> Outcome:
-    """Run one scenario into the run folder ``out``; ``folder``: of the files that it names."""
+    """Run one scenario into the run folder ``out``; ``folder``: that of the files that it names."""
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     from reports.suite.thumbnail import thumbnail
     from scenarios.run.folder import check_out, write_run
@@ -242,7 +242,7 @@ def _run_one(path: str, name: str, out: str, overrides: tuple[str, ...] = ()) ->
 def _compared(outcome: Outcome, baselines: Path) -> Outcome:
     path = baseline_path(outcome.name, baselines)
     if outcome.record is None or not path.exists() or outcome.record.expect != "pass":
-        return outcome  # a control's figures are meant to be bad
+        return outcome  # a control's figures are bad on purpose
     baseline = read_record(path)
     return replace(
         outcome, worse=tuple(regressions(outcome.record, baseline)), gone=tuple(missing(outcome.record, baseline))

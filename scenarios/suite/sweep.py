@@ -1,4 +1,4 @@
-"""``mosca sweep``: one scenario with several values of one key, as runs side by side and one page of all."""
+"""``mosca sweep``: one scenario with several values of one key, as runs in parallel and one page of all."""
 
 import re
 from collections.abc import Sequence
@@ -17,9 +17,9 @@ _NO_NAME = re.compile(r"[^\w.+-]+")
 
 
 def swept(scenario: str, key: str, values: Sequence[str], overrides: tuple[str, ...] = ()) -> list[Entry]:
-    """Return the scenario once for each value of ``key``, by names SCENARIO/KEY=VALUE, the other ``overrides`` first.
+    """Return the scenario once for each value of ``key``, named SCENARIO/KEY=VALUE; other ``overrides`` come first.
 
-    InputError where a value is given twice, or makes no scenario: before anything runs.
+    InputError, before anything runs, where a value is given twice or makes no valid scenario.
     """
     path = find(scenario)
     found: list[Entry] = []
@@ -33,7 +33,7 @@ def swept(scenario: str, key: str, values: Sequence[str], overrides: tuple[str, 
 
 
 def write_sweep(key: str, values: Sequence[str], outcomes: Sequence[Outcome], out: Path) -> Path:
-    """Write the page of the runs that there are into ``out``, return where it is; InputError where there is none."""
+    """Write the page of the existing runs into ``out`` and return its path; InputError where there is no run."""
     made = [(value, one, one.record) for value, one in zip(values, outcomes, strict=True) if one.record is not None]
     if not made:
         raise InputError(f"{key}: no value gave a run: {'; '.join(one.error for one in outcomes)}")

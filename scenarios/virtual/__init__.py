@@ -1,1 +1,1 @@
-"""A second scene that tracked bodies move: its objects, and where they are at each display."""
+"""A second scene whose objects are moved by tracked bodies: its objects, and their poses at each display."""

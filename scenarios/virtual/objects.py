@@ -14,7 +14,7 @@ from mosca.rigid_bodies.prediction import BodyPredictor, PredictedPose, Predicti
 
 SHOWN_STATUSES = ("interpolated", "extrapolated", "starting", "stale")
 CURRENT = ("interpolated", "extrapolated")
-"""Those whose motion is known up to now."""
+"""Statuses of objects whose motion is known up to now."""
 
 
 class ShownObject(NamedTuple):
@@ -23,36 +23,36 @@ class ShownObject(NamedTuple):
     object: str
     body: str
     time_ns: int
-    """Of the display, on the frames' clock."""
+    """Time of the display, on the frames' clock."""
     meant_ns: int
     """The instant whose pose is shown."""
     pose: PredictedPose
     measured: PredictedPose
-    """The newest pose as it was measured, without prediction."""
+    """The newest measured pose, without prediction."""
 
 
 @dataclass(frozen=True, eq=False)
 class ShownPoses:
-    """Objects as they were shown, one row an object and display (n)."""
+    """Objects as they were shown, one row (n) for each object and display."""
 
     body: Array
     """(n,) str."""
     time_ns: Array
-    """(n,) of the display."""
+    """(n,) time of the display."""
     meant_ns: Array
-    """(n,) whose pose is shown: the display's, less its delay."""
+    """(n,) instant whose pose is shown: that of the display less its delay."""
     newest_ns: Array
-    """(n,) middle of the newest exposure that was known."""
+    """(n,) middle of the newest known exposure."""
     rotation: Array
-    """(n, 3, 3) of world_from_body."""
+    """(n, 3, 3) rotation of world_from_body."""
     position: Array
     """(n, 3) [m]"""
     covariance: Array
-    """(n, 6, 6) as of ``BodyPoses``."""
+    """(n, 6, 6) as in ``BodyPoses``."""
     status: Array
     """(n,) one of SHOWN_STATUSES."""
     measured_rotation: Array
-    """(n, 3, 3), (n, 3): the newest pose, not predicted."""
+    """(n, 3, 3), (n, 3): the newest measured pose, without prediction."""
     measured_position: Array
 
     def __post_init__(self) -> None:
@@ -67,7 +67,7 @@ class ShownPoses:
 
     @property
     def age_s(self) -> Array:
-        """(n,) from the middle of the newest exposure to the display [s]."""
+        """(n,) time from the middle of the newest exposure to the display [s]."""
         result: Array = (self.time_ns - self.newest_ns) * 1e-9
         return result
 
@@ -92,9 +92,9 @@ class ShownPoses:
 
 @dataclass(eq=False)
 class BoundObjects:
-    """Objects that follow bodies, ``bound`` object -> body. One thread gives poses, another asks for them.
+    """Objects that follow bodies, ``bound`` object -> body. One thread gives poses, another takes them.
 
-    An object whose body has not been found yet is absent; one whose pose is not known any more is held as stale.
+    An object whose body has not been found yet is absent; one whose pose is no longer known is held as stale.
     """
 
     bound: Mapping[str, str]
@@ -112,7 +112,7 @@ class BoundObjects:
                 predictor.update(poses.select(poses.body == body))
 
     def at(self, time_ns: int, delay_ns: int = 0) -> list[ShownObject]:
-        """Return the objects to be shown at ``time_ns`` of the frames' clock, as they are ``delay_ns`` before it."""
+        """Return the objects to show at ``time_ns`` on the frames' clock, with their poses ``delay_ns`` before it."""
         meant_ns = time_ns - delay_ns
         with self._lock:
             found = {body: (one.at(meant_ns), one.newest()) for body, one in self._predictors.items()}
@@ -130,8 +130,8 @@ class BoundObjects:
 def bindings(texts: Sequence[str], bodies: Sequence[str], where: str, key: str = "--bind") -> dict[str, str]:
     """Return object -> body of ``BODY=OBJECT`` texts; InputError for an unknown body or an object given twice.
 
-    ``bodies``: names of those defined in ``where``; ``key``: what an error begins with. One body may move several
-    objects.
+    ``bodies``: names of those defined in ``where``; ``key``: beginning of an error's message. One body may move
+    several objects.
     """
     bound: dict[str, str] = {}
     for text in texts:

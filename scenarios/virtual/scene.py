@@ -1,4 +1,4 @@
-"""A second MuJoCo scene whose mocap bodies are moved from outside; its physics goes on around them."""
+"""A second MuJoCo scene whose mocap bodies are moved from outside, with physics around them."""
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -15,18 +15,18 @@ from twin.scenes.scene import UNSEEN_GROUP
 from twin.scenes.user_model import DIVERGED, load_model
 
 MOST_CATCH_UP_S = 0.25
-"""Physics that one display may make up for; time beyond it is left out, so that a pause does not hold it up."""
+"""Longest time of physics that one display computes; further time is left out, so that a pause causes no delay."""
 _PLANE_M = 4.0
-"""Half the edge of a plane that the scene leaves endless, as it is drawn."""
+"""Half the drawn edge of a plane that is infinite in the scene."""
 
 Placement = tuple[Array, Array]
 """Rotation (3, 3) and position (3,) [m] of world_from_body."""
 
 
 class VirtualScene:
-    """The scene of an MJCF file, ``moved`` its mocap bodies that are moved. Its world frame is the rig's.
+    """The scene of an MJCF file; ``moved``: its mocap bodies that are moved. Its world frame is that of the rig.
 
-    Raises InputError for a file that MuJoCo cannot load, and for an object that is none of its mocap bodies.
+    Raises InputError for a file that MuJoCo cannot load, and for an object that is not one of its mocap bodies.
     """
 
     def __init__(self, path: Path, moved: tuple[str, ...]) -> None:
@@ -49,10 +49,10 @@ class VirtualScene:
         mujoco.mj_forward(self._model, self._data)
 
     def show(self, time_s: float, placed: Mapping[str, Placement]) -> None:
-        """Move the mocap bodies in ``placed`` there by ``time_s`` [s], and the physics on to it.
+        """Move the mocap bodies in ``placed`` to their poses until ``time_s`` [s], and run the physics up to it.
 
-        A body goes evenly from where it was to where it is, so that it pushes others and does not appear inside
-        them; the first time it is set there at once. InputError where the scene's physics diverges.
+        A body moves evenly from its last pose to the new one, so that it pushes others and does not appear inside
+        them; its first pose is set at once. InputError where the scene's physics diverges.
         """
         start_s = time_s if self._now_s is None else self._now_s
         step_s = float(self._model.opt.timestep)
@@ -70,18 +70,18 @@ class VirtualScene:
         self.place(placed)
 
     def place(self, placed: Mapping[str, Placement]) -> None:
-        """Move the mocap bodies in ``placed`` there at once; what lies about notices with the next ``show``."""
+        """Set the mocap bodies in ``placed`` to their poses at once; other bodies react at the next ``show``."""
         self._place(placed)
         self._last.update(placed)
         mujoco.mj_kinematics(self._model, self._data)
 
     def placements(self) -> dict[str, Placement]:
-        """Return where each body is."""
+        """Return the placement of each body."""
         rotations = self._data.xmat.reshape(-1, 3, 3)
         return {name: (rotations[k].copy(), self._data.xpos[k].copy()) for k, name in enumerate(self.names)}
 
     def meshes(self) -> Iterator[tuple[str, Array, Array, Array]]:
-        """Yield body, vertices (v, 3) in its frame [m], triangles (f, 3) and colour (4,) 0 to 1 of each seen geom."""
+        """Yield body, vertices (v, 3) in its frame [m], triangles (f, 3) and colour (4,) 0 to 1 of visible geoms."""
         model = self._model
         for g in range(model.ngeom):
             made = None if model.geom_group[g] >= UNSEEN_GROUP else _mesh(model, g)
@@ -106,7 +106,7 @@ def _along(start: Placement, end: Placement, share: float) -> Placement:
 
 
 def _mesh(model: mujoco.MjModel, g: int) -> Any:
-    """Return the trimesh of a geom in its own frame; None for what is not drawn."""
+    """Return the trimesh of a geom in its own frame; None for a geom that is not drawn."""
     import trimesh  # takes a third of a second to import
 
     kind, size = mujoco.mjtGeom, np.array(model.geom_size[g])

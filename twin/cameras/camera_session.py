@@ -55,9 +55,9 @@ class ExposedScene:
     exposure: Exposure
     window: Window
     times_s: Array
-    """(k,) instants, session clock: the window's nodes and, where it is none of them, the true mid-exposure."""
+    """(k,) instants, session clock: the window's nodes, and the true mid-exposure where it is not one of them."""
     poses: GeomPoses
-    """Of everything at these instants."""
+    """Poses of all geoms and bodies at these instants."""
     rotation: Array
     """(k, 3, 3): camera -> world at these instants."""
     position: Array
@@ -87,7 +87,7 @@ class ExposedScene:
 class CameraSession:
     """One virtual camera during a session; may be used by several threads at once.
 
-    Raises InputError where its timing cannot be.
+    Raises InputError where its timing is impossible.
     """
 
     def __init__(
@@ -149,7 +149,7 @@ class CameraSession:
         )
 
     def pose_at(self, times_s: Array, frame: int, poses: GeomPoses) -> tuple[Array, Array]:
-        """Return ``world_from_camera`` at instants (k,), at which everything is at ``poses``."""
+        """Return ``world_from_camera`` at instants (k,); ``poses``: those of all geoms and bodies at them."""
         carrier = None
         if self._body is not None:
             carrier = (poses.body_rotation[:, self._body], poses.body_xyz[:, self._body])
@@ -239,7 +239,7 @@ class CameraSession:
         return TrueExposure(exposed.exposure, seen, exposed.rotation[middle], exposed.position[middle], markers)
 
     def read_out(self, exposure: Exposure, light: Array, ambient: Ambient) -> Frame:
-        """Return the frame that the sensor makes of the targets' light (H, W) and of what comes besides."""
+        """Return the frame that the sensor makes of the targets' light (H, W) and the ambient light."""
         name = self.virtual.camera.name
         random = key(self.seed, f"camera/{name}/sensor", exposure.number)
         return Frame(
@@ -255,8 +255,8 @@ class CameraSession:
     def _nodes_s(self, exposure: Exposure) -> Array:
         """Return the instants at which paths are given, from the first row's opening [s].
 
-        Three for a global shutter, Chebyshev-Gauss-Lobatto over a rolling one's readout; more of these where the
-        mount moves fast.
+        A global shutter has three instants. A rolling shutter has Chebyshev-Gauss-Lobatto nodes over its readout.
+        Where the mount moves fast, either has more of these nodes.
         """
         span = exposure.span_s
         periods = self._support.mount.fastest_hz(exposure.start_s, exposure.end_s) * span
@@ -267,7 +267,7 @@ class CameraSession:
         return lobatto_nodes(span, 5 if span <= 0.003 else 7 if span <= 0.010 else 9)
 
     def _interval(self, exposure: Exposure) -> SampledInterval | None:
-        """Return the stretch of time whose geometry the camera shares with others of like timing."""
+        """Return the interval of time for which cameras with similar timing share the sampled geometry."""
         if self.free:
             return None
         timing, span = self.virtual.timing, exposure.span_s
@@ -288,7 +288,7 @@ def _scene_at(exposed: ExposedScene, samples: SceneSamples) -> SceneAt:
 
 
 def _ambient(virtual: VirtualCamera, exposure_s: float, seed: int) -> Ambient:
-    """Return what the camera's pixels collect besides the targets, and what its glass takes."""
+    """Return the light that the camera's pixels collect besides the targets, and the loss in its glass."""
     camera, sensor = virtual.camera, virtual.sensor
     length = exposure_s if virtual.timing.exposure_s is None else virtual.timing.exposure_s
     light = ambient_map(
@@ -304,7 +304,7 @@ def _ambient(virtual: VirtualCamera, exposure_s: float, seed: int) -> Ambient:
 
 
 def _rounds(lit: LitIntervals, count: int) -> list[Array]:
-    """Return when targets shine (m, 2) for each time that some of them shine once more."""
+    """Return intervals (m, 2) for each further time that targets shine; NEVER for targets that do not then."""
     rounds: list[Array] = []
     times = np.zeros(count, dtype=int)
     for target, interval in zip(lit.again, lit.again_s, strict=True):

@@ -20,8 +20,9 @@ SHARES = ("dropped_share", "burst_share", "corrupt_share", "late_share", "reorde
 
 @dataclass(frozen=True)
 class Delivery:
-    """Shares of a camera's frames with a fault of delivery, 0 to 1; of several faults the first in this order counts:
-    dead, dropped, corrupt, late, reordered, doubled.
+    """Shares of a camera's frames that have a fault of delivery, 0 to 1.
+
+    Of several faults, the first in this order counts: dead, dropped, corrupt, late, reordered, doubled.
     """
 
     dropped_share: float = 0.0
@@ -37,13 +38,13 @@ class Delivery:
     late_frames: int = 50
     """How late."""
     reordered_share: float = 0.0
-    """Come after the camera's next frame, which then does not: up to half of all."""
+    """Come after the camera's next frame, which is then not reordered itself: up to half of all."""
     doubled_share: float = 0.0
     """Come twice."""
     dies_s: float | None = None
     """Frames that open from then on are lost, session clock (None: never)."""
     returns_s: float | None = None
-    """Until then (None: for ever)."""
+    """End of that loss, session clock (None: it does not end)."""
 
     def __post_init__(self) -> None:
         for name in SHARES:
@@ -64,7 +65,7 @@ FAULTLESS = Delivery()
 
 @dataclass(frozen=True, eq=False)
 class Taken:
-    """A frame of the sensor; when its first row opened, and when that was due, session clock [s]."""
+    """A frame of the sensor, with the instants when its first row opened and was due to open, session clock [s]."""
 
     frame: Frame
     opened_s: float
@@ -81,7 +82,7 @@ def fate_of(delivery: Delivery, seed: int, name: str, number: int, opened_s: flo
     if _meets(delivery.dropped_share, seed, name, "dropped", number):
         return "dropped"
     if delivery.burst_share > 0.0:
-        # a frame is lost unless none of the bursts that would reach it has begun
+        # a frame is lost if any of the bursts that would reach it has begun
         begins = 1.0 - (1.0 - delivery.burst_share) ** (1.0 / delivery.burst_frames)
         for first in range(max(0, number - delivery.burst_frames + 1), number + 1):
             if _meets(begins, seed, name, "burst", first):
@@ -98,8 +99,8 @@ def fate_of(delivery: Delivery, seed: int, name: str, number: int, opened_s: flo
 def deliver(taken: Iterable[Taken], deliveries: Mapping[str, Delivery], seed: int) -> Iterator[Frame]:
     """Yield the frames in order of arrival.
 
-    ``taken``: the rig's frames in the order in which they were made. ``deliveries``: by camera; one that is not
-    named delivers everything. What still waits when no more frames come arrives then, in the order of its making.
+    ``taken``: the rig's frames in the order in which they were made. ``deliveries``: by camera; a camera that is not
+    named delivers everything. Frames that still wait at the end are delivered then, in the order of their making.
     """
     late: list[tuple[int, Frame]] = []
     held: dict[str, list[Frame]] = {}
@@ -128,7 +129,7 @@ def deliver(taken: Iterable[Taken], deliveries: Mapping[str, Delivery], seed: in
 
 
 def _is_reordered(share: float, seed: int, name: str, number: int) -> bool:
-    """Return whether a frame comes after the camera's next one, which then does not: every second one of a run."""
+    """Return whether a frame comes after the camera's next one: in a run of drawn frames, every second one does."""
     drawn, run = share / (1.0 - share), 0
     while number >= run and _meets(drawn, seed, name, "reordered", number - run):
         run += 1

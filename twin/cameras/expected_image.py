@@ -21,13 +21,13 @@ class Expected:
     mean_e: Array
     """(H, W) electrons."""
     target_e: Array
-    """(H, W): the targets' part of them."""
+    """(H, W): the part of ``mean_e`` that comes from the targets [electrons]."""
     right_e: Array
     """(H, W): change when the image moves to the right [electrons a pixel]."""
     down_e: Array
     """(H, W): change when the image moves down [electrons a pixel]."""
     variance_e2: Array
-    """(H, W) of the noise: photons, temporal dark noise, quantisation."""
+    """(H, W): variance of the noise from photons, temporal dark noise and quantisation [electrons^2]."""
     saturated: Array
     """(H, W): where counts are at the limit."""
 
@@ -35,7 +35,7 @@ class Expected:
 def expected_frame(
     camera: str, sensor: Sensor, ambient: Ambient, at_rest: Array, moved: tuple[Array, Array, Array, Array]
 ) -> Expected:
-    """Return what a sensor expects of targets' light (H, W) [electrons], before glass and dust take their share.
+    """Return the expected frame for the targets' light (H, W) [electrons] before losses in glass and dust.
 
     ``moved``: the same with the image moved by STEP_PX to the right, left, down and up.
     """

@@ -1,7 +1,7 @@
 """Named sensors and lenses with their sources.
 
-The numbers are in ``library_files/sensors.toml`` and ``lenses.toml``; each entry states where they come from and
-which of them are assumptions.
+The numbers are in ``library_files/sensors.toml`` and ``lenses.toml``. Each entry states the sources of its numbers
+and which of them are assumptions.
 """
 
 import difflib
@@ -98,12 +98,12 @@ def lenses(folder: Path = FILES) -> dict[str, LensSpec]:
 
 
 def sensor(name: str) -> SensorEntry:
-    """Return the sensor called ``name``; InputError lists those that there are."""
+    """Return the sensor called ``name``; InputError lists the known names."""
     return _named("sensor", name, sensors())
 
 
 def lens(name: str) -> LensSpec:
-    """Return the lens called ``name``; InputError lists those that there are."""
+    """Return the lens called ``name``; InputError lists the known names."""
     return _named("lens", name, lenses())
 
 

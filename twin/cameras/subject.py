@@ -15,7 +15,7 @@ from twin.scenes.scene import Scene
 
 @dataclass(frozen=True, eq=False)
 class Subject:
-    """A scene's targets (m) and what hides them, for all cameras."""
+    """A scene's targets (m) and the solids that hide them, for all cameras."""
 
     scene: Scene
     radius: Array
@@ -28,11 +28,11 @@ class Subject:
     glows: GlowTable
     occluders: Occluders
     geoms: Array
-    """(g,): ids of the geoms that matter."""
+    """(g,): ids of the geoms of targets and occluders."""
     marker_at: Array
-    """(m,): the markers among ``geoms``."""
+    """(m,): positions of the markers in ``geoms``."""
     solid_at: Array
-    """(k,): the occluders among ``geoms``."""
+    """(k,): positions of the occluders in ``geoms``."""
     bodies: Array
     """(b,): ids of the bodies that carry cameras."""
 
@@ -43,7 +43,7 @@ class Subject:
 
     @classmethod
     def of(cls, scene: Scene, cameras: tuple[VirtualCamera, ...]) -> "Subject":
-        """Return a scene as ``cameras`` see it; InputError for a camera on a body that it does not have."""
+        """Return a scene for ``cameras``; InputError for a camera on a body that the scene does not have."""
         markers = np.asarray(scene.marker_geoms, dtype=np.int64)
         occluders = occluders_of(scene)
         geoms = np.union1d(markers, occluders.geom)
@@ -71,7 +71,7 @@ class Subject:
 
 
 def carrying_body(scene: Scene, virtual: VirtualCamera) -> int:
-    """Return the id of the body that a camera rides on."""
+    """Return the id of the body that carries a camera."""
     names = [scene.model.body(k).name for k in range(scene.model.nbody)]
     if virtual.mount.body not in names:
         known = ", ".join(name for name in names if name)

@@ -1,4 +1,4 @@
-"""A virtual camera: the calibrated camera of the rig with everything that makes a real one."""
+"""A virtual camera: a calibrated camera of the rig with the imperfections of a real one."""
 
 from dataclasses import dataclass, field
 
@@ -12,9 +12,9 @@ from twin.cameras.sensor.sensor import Sensor
 
 @dataclass(frozen=True, eq=False)
 class VirtualCamera:
-    """A calibrated camera of the rig with what a real one does to light and time, each described in its own file.
+    """A calibrated camera of the rig with a real one's effects on light and time, each described in its own file.
 
-    The defaults of all are those that no scenario may soften.
+    No scenario may soften the defaults of these effects.
     """
 
     camera: Camera
@@ -26,4 +26,4 @@ class VirtualCamera:
     marker_signal: float = 0.6
     """Light that a pixel fully covered by a marker collects, over the saturation capacity."""
     backdrop: Backdrop = field(default_factory=Backdrop)
-    """What is uneven behind the targets."""
+    """Unevenness of the background, and dust."""

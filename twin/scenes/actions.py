@@ -55,8 +55,8 @@ class Action:
 def act(name: ActionName, skeleton: Skeleton, balance: Balance, box: Box, rng: np.random.Generator) -> Action:
     """Return the action ``name`` (not "walk") of ``skeleton`` (``gait.walker_skeleton``) over the box's middle.
 
-    ``balance``: its masses, for the flight of a jump. ``rng`` draws what differs from one performance to
-    the next, and where in the loop it starts. Raises InputError where limbs would leave the box.
+    ``balance``: its masses, for the flight of a jump. ``rng`` draws the differences between performances, and the
+    start in the loop. Raises InputError where limbs would leave the box.
     """
     scale = float(np.linalg.norm(skeleton.offsets[skeleton.index("ltibia")])) / (0.245 * STATURE_M)
     performer = Performer(skeleton, scale, FOOT_RADIUS_M * scale + _CLEARANCE_M, balance)
@@ -76,7 +76,7 @@ def _heading(rng: np.random.Generator) -> float:
 
 
 def _placed(motion: Motion, heading: float, box: Box) -> Motion:
-    """Return ``motion`` rotated by ``heading`` [rad], with the middle of its limbs over the box's."""
+    """Return ``motion`` rotated by ``heading`` [rad], with the middle of its limbs over that of the box."""
     half = heading / 2
     turn = np.array([np.cos(half), 0.0, 0.0, np.sin(half)])
     rotations = motion.rotations.copy()
@@ -91,13 +91,13 @@ def _placed(motion: Motion, heading: float, box: Box) -> Motion:
 
 
 def check_inside(motion: Motion, box: Box, skin_m: float, who: str, remedy: str) -> None:
-    """Raise InputError, with ``who`` moves and the ``remedy``, where limbs leave the box at a side or at the top.
+    """Raise InputError, which names ``who`` and the ``remedy``, where limbs leave the box at a side or at the top.
 
-    ``skin_m``: how far skin and markers reach beyond the joints.
+    ``skin_m``: distance by which skin and markers reach beyond the joints.
     """
     positions, _ = forward_kinematics(motion)
     low, high = positions.min(axis=(0, 1)) - skin_m, positions.max(axis=(0, 1)) + skin_m
-    # The floor bounds a person from below, not the box.
+    # From below, a person is bounded by the floor, not by the box.
     if (low[:2] < box.low[:2]).any() or (high > box.high).any():
         needs = " x ".join(f"{edge:.2f}" for edge in high[:2] - low[:2])
         raise InputError(

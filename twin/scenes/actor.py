@@ -1,6 +1,6 @@
 """A human actor: limbs that occlude, markers on the skin, moved by a recording or a built-in walk or action.
 
-The model is the skeleton itself: one body a joint with a ball joint at its rest offset, under a free
+The model is the skeleton itself: one body for each joint, with a ball joint at its rest offset, under a free
 root. A configuration is the root's position and every joint's rotation, so that bones keep their length
 and MuJoCo's kinematics gives the positions. Nothing is simulated.
 """
@@ -81,19 +81,19 @@ def build_actor(
     markers, marker_set, marker_diameter_m, lamps
         Number (30..60 of the default set), set and size of the markers; lamps of worn cameras, which come after them.
     skin, seat_sigma_m
-        How far markers slide on the bones (``soft_tissue``), and sit from where they should (``scattered``).
+        Sliding of markers on the bones (``soft_tissue``), and their distance from the nominal sites (``scattered``).
     rng
         Draws start and first step of a walk, the loops of the other actions, and the skin.
     motion_file, skeleton_file, start_s
         Recording (.amc with .asf, or .bvh), and where it starts (converted BVH files begin with an added T-pose).
     metres_per_unit, frame_rate_hz, drop_frames
-        What the file lacks (defaults: ASF from its length, 120 Hz; BVH 0.01, the file's rate, 1 frame dropped).
+        Values that the file lacks (default: ASF from its length, 120 Hz; BVH 0.01, the file's rate, 1 frame dropped).
     placement, heading_deg, keep_in_box
         "center": rotated by the heading about the vertical, the middle of the part played over the middle of the box,
         its lowest heel or ball on the floor; "file": unchanged. Whether a recording that leaves the box is an error.
     action, gait, gait_detail, speed_mps, stature_m
-        Without a recording. "walk": "in_place", "circle" (the largest in the box) or "back_and_forth" along the box's
-        longer side; the others are loops over the middle of the box.
+        Used without a recording. "walk": "in_place", "circle" (the largest in the box) or "back_and_forth" along the
+        box's longer side; the others are loops over the middle of the box.
     """
     box = Box(box_center_m, box_size_m)
     positive({"duration_s": duration_s, "marker_diameter_m": marker_diameter_m})
@@ -133,7 +133,7 @@ def _carried(seated: list[Seat], parts: Iterable[str]) -> dict[str, tuple[str, .
 
 
 def _check_built_in(action: str, gait: str, detail: str, speed_mps: float, stature_m: float, box: Box) -> None:
-    """Raise InputError where an actor without a recording cannot do what is wanted in the box."""
+    """Raise InputError where an actor without a recording cannot perform the action in the box."""
     positive({"speed_mps": speed_mps})
     if action not in ACTIONS:
         raise InputError(f"action = {action!r} given; allowed: {', '.join(ACTIONS)}")
@@ -151,7 +151,7 @@ def _check_built_in(action: str, gait: str, detail: str, speed_mps: float, statu
 
 
 def _is_soft(skin: str) -> bool:
-    """Return whether markers slide; InputError for a word that is not known."""
+    """Return whether markers slide; InputError for an unknown word."""
     if skin not in SKINS:
         raise InputError(f"skin = {skin!r} given; allowed: {', '.join(SKINS)}")
     return skin != "off"
@@ -203,7 +203,7 @@ def _addresses(model: mujoco.MjModel, joints: list[int]) -> tuple[Array, Array]:
 
 
 def _balance(model: mujoco.MjModel, joints: list[int], total: int) -> Balance:
-    """Return what each of the skeleton's ``total`` joints carries in ``model``."""
+    """Return the mass and centre of mass that each of the skeleton's ``total`` joints carries in ``model``."""
     bodies = [int(model.jnt_bodyid[model.joint(f"joint/{k}").id]) for k in joints]
     masses, centers = np.zeros(total), np.zeros((total, 3))
     masses[joints], centers[joints] = model.body_mass[bodies], model.body_ipos[bodies]
@@ -217,7 +217,7 @@ def _glows(lamps: tuple[BodyLamp, ...]) -> dict[str, Glow]:
 def _specify(
     anatomy: Anatomy, shapes: dict[str, list[Shape]], seated: list[Seat], diameter: float, floor: bool, slides: bool
 ) -> tuple[mujoco.MjSpec, list[int]]:
-    """Return the specification and the joints that are bodies in it: those that a part needs."""
+    """Return the specification, and the joints that have bodies in it because a part needs them."""
     skeleton = anatomy.skeleton
     rest = rest_positions(skeleton)
     needed: set[int] = set()
@@ -226,7 +226,7 @@ def _specify(
             needed.add(joint)
             joint = int(skeleton.parents[joint])
     spec = new_stage(floor=floor)
-    # Joints without a shape of their own (a clavicle) are moving bodies without mass otherwise.
+    # Otherwise joints without a shape of their own (a clavicle) would be moving bodies without mass.
     spec.compiler.boundmass, spec.compiler.boundinertia = 1e-6, 1e-9
     bodies: dict[int, mujoco.MjsBody] = {}
     for joint in sorted(needed):

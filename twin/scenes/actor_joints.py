@@ -1,4 +1,4 @@
-"""The actor's anatomical frames (``mosca.data.truth.JointTruth``): from its markers and joints in the rest pose."""
+"""The actor's anatomical frames (``mosca.data.truth.JointTruth``), from its markers and joints in the rest pose."""
 
 from collections.abc import Mapping
 
@@ -13,8 +13,8 @@ from twin.scenes.anatomy import LEFT, UP, Anatomy
 from twin.scenes.joint_frames import JointFrames, Segment
 
 _LEAST_SPREAD = 1.0 - float(np.cos(np.deg2rad(10.0)))
-"""Of a joint's rotations, so that they tell its axis: 10 degrees rms about it. Recorded bones are off by a degree or
-so, which tilts it by a tenth of a radian then."""
+"""Least spread of a joint's rotations from which its axis is estimated: 10 degrees rms about it. Recorded bones are
+off by a degree or so, which then tilts the axis by a tenth of a radian."""
 FlexionAxes = Mapping[str, tuple[Array, Array]]
 """Joint ("l_knee", "r_elbow", ...) -> its axis of flexion (3,) in the proximal and in the distal bone."""
 _BENT = {"knee": ("thigh", "shank"), "elbow": ("upper_arm", "forearm")}
@@ -45,8 +45,9 @@ def flexion_axis(rotations: Array, *, flexed: bool) -> tuple[Array, Array]:
     """Return the unit axis (3,) in the proximal and in the distal bone about which a joint turns.
 
     ``rotations`` (n, 3, 3) proximal_from_distal, unity when straight; ``flexed``: whether it flexes about the axis
-    (else extends). Least squares of R_i b = a over unit a and b (SARA, Ehrig et al. 2007, J. Biomech. 40, 2150): the
-    first singular vectors of the mean rotation. NaN where the rotations spread by less than _LEAST_SPREAD.
+    (else extends). The axes are the least-squares solution of R_i b = a over unit a and b (SARA, Ehrig et al. 2007,
+    J. Biomech. 40, 2150): the first singular vectors of the mean rotation. NaN where the rotations spread by less
+    than _LEAST_SPREAD.
     """
     mean = np.mean(rotations, axis=0)
     u, spread, vt = np.linalg.svd(mean)
@@ -60,7 +61,7 @@ def flexion_axis(rotations: Array, *, flexed: bool) -> tuple[Array, Array]:
 def joint_frames(
     anatomy: Anatomy, seated: list[Seat], diameter_m: float, flexion: FlexionAxes, model: mujoco.MjModel
 ) -> JointFrames:
-    """Return the frames of an actor whose bodies in ``model`` bear the names of the skeleton's joints."""
+    """Return the frames of an actor whose bodies in ``model`` have the names of the skeleton's joints."""
     landmarks = {seat.name: seat.centre(diameter_m) for seat in seated}
 
     def body(part: str) -> int:
@@ -101,7 +102,7 @@ def joint_frames(
 
 
 class _Points:
-    """Landmarks by name; NaN for those that are not worn, so that what follows from them is NaN."""
+    """Landmarks by name; NaN for those that are not worn, so that results computed from them are NaN."""
 
     def __init__(self, landmarks: Mapping[str, Array]) -> None:
         self._landmarks = landmarks

@@ -1,7 +1,7 @@
 """The actor's marker sets: positions of up to 60 markers on the body, by priority.
 
-Names are those of the usual full-body sets (Vicon Plug-in Gait) where they exist. Each marker is seated
-by a ray from inside its body part: it leaves the part's own shapes at the skin.
+Names are those of the usual full-body sets (Vicon Plug-in Gait) where they exist. Each marker is placed by a ray
+from inside its body part: its seat is where the ray leaves the part's own shapes.
 """
 
 from dataclasses import dataclass, replace
@@ -22,7 +22,7 @@ MARKER_SETS: tuple[MarkerSet, ...] = ("default", "anatomical")
 
 @dataclass(frozen=True)
 class MarkerSite:
-    """A marker on a part of the body: where a ray from a line between two points meets the skin."""
+    """A marker site on a part of the body: where a ray from a line between two points meets the skin."""
 
     name: str
     part: str
@@ -34,7 +34,7 @@ class MarkerSite:
     toward: tuple[float, float, float]
     """Direction of the ray (outward from the midline, forward, up); on limbs its component across the limb."""
     shift: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Of the start, in the same axes, in metres of a 1.75 m person."""
+    """Shift of the ray's start, in the same axes, in metres of a 1.75 m person."""
     across: bool = True
 
 
@@ -50,7 +50,7 @@ class Seat:
     """(3,) unit vector."""
 
     def centre(self, diameter_m: float) -> Array:
-        """Return the centre (3,) of a ball of ``diameter_m`` on its base here [m]."""
+        """Return the centre (3,) of a ball of ``diameter_m`` whose base is on this seat [m]."""
         return ball_centre(self.surface, self.normal, diameter_m)
 
 
@@ -132,13 +132,13 @@ ANATOMICAL_SITES: tuple[MarkerSite, ...] = (
     *_both("ANM", "shank", "shank", "foot", 0.97, _IN),
     *_both("ELM", "upper_arm", "upper_arm", "forearm", 0.96, (0.0, 0.6, -0.8)),
 )
-"""The default 50 less three, and one opposite to each KNE, ANK and ELB: knees, ankles and elbows have two each."""
+"""The default 50 less three, and one opposite to each KNE, ANK and ELB, so that each of these joints has two."""
 
 
 def seats(anatomy: Anatomy, shapes: dict[str, list[Shape]], markers: int, marker_set: MarkerSet) -> list[Seat]:
-    """Return the positions of the first ``markers`` of the default set, or of the 53 of the anatomical one.
+    """Return the positions of the first ``markers`` of the default set, or of the 53 of the anatomical set.
 
-    Raises InputError outside 30..60 and for a set that is not known.
+    Raises InputError outside 30..60 and for an unknown set.
     """
     if marker_set not in MARKER_SETS:
         raise InputError(f"marker_set = {marker_set!r} given; allowed: {', '.join(MARKER_SETS)}")
@@ -149,10 +149,11 @@ def seats(anatomy: Anatomy, shapes: dict[str, list[Shape]], markers: int, marker
 
 
 def scattered(seated: list[Seat], sigma_m: float, rng: np.random.Generator) -> list[Seat]:
-    """Return ``seated`` as another pair of hands would put them: off by ``sigma_m`` along the skin, a coordinate.
+    """Return ``seated`` as another person would place them: off by ``sigma_m`` (each coordinate) along the skin.
 
-    Across it, for flesh of another thickness, by half of that; palpation of one landmark by several people scatters
-    by 5 to 8 mm along the skin (Della Croce et al. 1999, Med. Biol. Eng. Comput. 37, 155). 0 leaves them.
+    Across the skin they are off by half of that, for flesh of another thickness. Palpation of one landmark by several
+    people scatters by 5 to 8 mm along the skin (Della Croce et al. 1999, Med. Biol. Eng. Comput. 37, 155). 0 changes
+    nothing.
     """
     if not 0 <= sigma_m <= LARGEST_SCATTER_M:
         raise InputError(f"seat_sigma_m = {sigma_m} given; 0 to {LARGEST_SCATTER_M} m wanted")
@@ -166,7 +167,7 @@ def scattered(seated: list[Seat], sigma_m: float, rng: np.random.Generator) -> l
 
 
 def _seat(site: MarkerSite, anatomy: Anatomy, shapes: dict[str, list[Shape]]) -> Seat:
-    # A skeleton without a wrist joint has the forearm reach down to the hand.
+    # In a skeleton without a wrist joint, the forearm reaches down to the hand.
     part = anatomy.part_or(site.part, site.part.replace("wrist", "forearm"))
     outward = -LEFT if site.name.startswith("R") else LEFT
     axes = np.stack([outward, FORWARD, UP])

@@ -1,4 +1,4 @@
-"""An actor's recording: read, held against what is to be played of it, and put into the working space."""
+"""An actor's recording: reading, check of its length, and placement in the working space."""
 
 from pathlib import Path
 
@@ -13,12 +13,12 @@ from twin.scenes.anatomy import FOOT_RADIUS_M, Anatomy
 from twin.scenes.world import Box
 
 _SKIN_M = 0.12
-"""How far skin and markers reach beyond the joints [m], for the working space."""
+"""Distance by which skin and markers reach beyond the joints, for the working space [m]."""
 STAY_INSIDE = "enlarge it, turn the motion by heading_deg, play less of it, or set keep_in_box = false"
 
 
 def read(path: Path, skeleton_file: Path | None, unit: float | None, rate: float | None, drop: int | None) -> Motion:
-    """Return the recording in a .bvh, or in an .amc with its .asf; what it lacks as in ``build_actor``."""
+    """Return the recording in a .bvh, or in an .amc with its .asf; missing values are as in ``build_actor``."""
     suffix = path.suffix.lower()
     if suffix == ".bvh" and skeleton_file is None:
         dropped = 1 if drop is None else drop
@@ -36,7 +36,7 @@ def read(path: Path, skeleton_file: Path | None, unit: float | None, rate: float
 
 
 def _check_length(motion: Motion, start_s: float, duration_s: float, source: str) -> None:
-    """Raise InputError where the motion ends before it has been played."""
+    """Raise InputError where the motion ends before ``duration_s`` of it have been played."""
     if start_s < 0 or start_s + duration_s > motion.duration_s or len(motion.root_xyz) < 2:
         raise InputError(
             f"{source}: start_s = {start_s} and duration_s = {duration_s} asked for; the motion lasts "
@@ -63,9 +63,9 @@ def placed(
     keep_in_box: bool,
     source: str,
 ) -> Motion:
-    """Return the motion placed as ``placement`` says ("center", "file"; see ``build_actor``).
+    """Return the motion placed by ``placement`` ("center", "file"; see ``build_actor``).
 
-    Raises InputError where it ends before it has been played for ``duration_s``, or leaves the box.
+    Raises InputError where it ends before ``duration_s`` of it have been played, or leaves the box.
     """
     _check_length(motion, start_s, duration_s, source)
     if placement not in ("file", "center"):

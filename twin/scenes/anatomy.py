@@ -64,7 +64,7 @@ class Anatomy:
 def read_anatomy(skeleton: Skeleton, source: str) -> Anatomy:
     """Return ``skeleton`` as a person; ``source`` names it in errors.
 
-    Raises InputError naming missing joints, or a size that is no person's (a wrong unit).
+    Raises InputError that names missing joints, or for a size that no person has (a wrong unit).
     """
     parts = _find_parts(skeleton, source)
     rest = rest_positions(skeleton)

@@ -1,8 +1,8 @@
 """A boxer in training: guard, jabs, crosses, hooks, a cover behind crossed forearms, steps in between.
 
-Written for someone who leads with the left; others are its mirror image. Hands start a strike while hips and
-shoulders already turn (Cheraghi et al. 2014, "Kinematics of straight right punch in boxing": from the
-ground up); a straight punch lasts 0.13 s and its wrist peaks at 6 to 8 m/s.
+The loop is written for a boxer who leads with the left; others are its mirror image. Hands start a strike while hips
+and shoulders already turn (Cheraghi et al. 2014, "Kinematics of straight right punch in boxing": from the ground up).
+A straight punch lasts 0.13 s, and the speed of the wrist peaks at 6 to 8 m/s.
 """
 
 from dataclasses import dataclass
@@ -27,7 +27,7 @@ _LEFT_HANDED = 0.2
 
 @dataclass(frozen=True)
 class Strike:
-    """A strike of one hand: by way of ``load`` to ``reach``, and the motion of the body with it."""
+    """A strike of one hand: its way over ``load`` to ``reach``, and the motion of the body with it."""
 
     side: str
     reach: tuple[float, float, float]
@@ -35,13 +35,13 @@ class Strike:
     """Direction of the elbow at the end."""
     twist: float
     pelvis: float
-    """Its rotation at the end."""
+    """Rotation of the pelvis at the end."""
     spine: float
-    """Likewise."""
+    """Rotation of the spine at the end."""
     shift: tuple[float, float]
-    """Of the weight (left, forward)."""
+    """Shift of the weight (left, forward)."""
     pivot: tuple[float, float]
-    """Of the foot of that side on its ball (rotation outward, heel up)."""
+    """Pivot of that side's foot on its ball (rotation outward, heel up)."""
     out_s: float
     load: tuple[float, float, float] | None = None
 
@@ -71,7 +71,7 @@ _BEFORE_S, _BACK_S, _LOAD_S = 0.05, 0.26, 0.20
 
 
 def boxing(performer: Performer, rng: np.random.Generator) -> Motion:
-    """Return a loop: all combinations, in an order, at positions and with timing drawn by ``rng``.
+    """Return a loop of all combinations, with order, positions and timing drawn by ``rng``.
 
     Every fifth boxer leads with the right.
     """
@@ -82,7 +82,7 @@ def boxing(performer: Performer, rng: np.random.Generator) -> Motion:
 
 
 def _round(rng: np.random.Generator) -> tuple[MovementSequence, float]:
-    """Return what a boxer does who leads with the left, and how long it takes [s]."""
+    """Return the loop of a boxer who leads with the left, and its length [s]."""
     hands = {f"{side}_hand": _GUARD[side] for side in "lr"}
     elbows = {f"{side}_elbow": _ELBOW[side] for side in "lr"}
     sequence = begin(

@@ -1,4 +1,4 @@
-"""The channels of a person's movement sequence: position of the body, hands and feet; steps; and their postures.
+"""The channels of a person's movement sequence: position of the body, hands and feet; steps; the postures.
 
 All lengths are those of a person of 1.75 m [m], angles [rad]. ``place`` (x, y, turn to the left from -y)
 carries pelvis and hands; feet are fixed in the world and moved step by step.
@@ -13,9 +13,9 @@ from twin.scenes.posture import Postures
 from twin.scenes.submovements import MovementSequence, Values
 
 HEIGHT_M = 0.90
-"""The root's height of a person who stands with knees unlocked [m]."""
+"""Height of the root of a person who stands with knees unlocked [m]."""
 HANGING = (0.27, 0.08, -0.52)
-"""Where a wrist hangs at the side, from the middle of the shoulders (outward, forward, up) [m]."""
+"""Position of a wrist that hangs at the side, from the middle of the shoulders (outward, forward, up) [m]."""
 STEP_LIFT_M = 0.05
 _STEP_PITCH = 0.35
 _KNOTS_HZ = 200.0
@@ -37,12 +37,12 @@ _SIDED: Mapping[str, Values] = {
     "knee": 0.05,
 }
 Stance = Mapping[str, Sequence[float]]
-"""Side "l", "r" -> where the ball of its foot stands: (left, forward, turn to the left) from the place."""
+"""Side "l", "r" -> position of the ball of its foot: (left, forward, turn to the left) from the place."""
 FEET_TOGETHER: Stance = {"l": (0.11, 0.14, 0.12), "r": (-0.11, 0.14, -0.12)}
 
 
 def begin(stance: Stance, **start: Values) -> MovementSequence:
-    """Return the sequence of a standing person; ``start``: channels that start otherwise ("l_hand", "height")."""
+    """Return the sequence of a standing person; ``start``: channels with other start values ("l_hand", "height")."""
     sequence = MovementSequence()
     sided = {f"{side}_{name}": value for name, value in _SIDED.items() for side in "lr"}
     feet = {f"{side}_foot": footing((0.0, 0.0, 0.0), stance, side) for side in "lr"}
@@ -67,7 +67,7 @@ def step(
 
 
 def loop_times(length_s: float) -> tuple[Array, float]:
-    """Return the instants (n,) from 0 to ``length_s``, both ends counted, to pose a loop at, and their rate [Hz]."""
+    """Return the instants (n,) at which to pose a loop, 0 to ``length_s`` with both ends, and their rate [Hz]."""
     count = round(length_s * _KNOTS_HZ)
     return np.linspace(0.0, length_s, count + 1), count / length_s
 

@@ -1,9 +1,9 @@
 """Free ball markers all over a working space of any size, each on a smooth path of its own.
 
-There is one marker in a cell of a lattice. Each is offset from its cell's middle and oscillates by sums of sinusoids,
-within ``LEEWAY`` of half a cell along each axis, so that no two markers come closer than (1 - LEEWAY) of the shortest
-cell edge. The lattice as a whole rotates about the vertical and drifts, which keeps all distances, so that every
-marker crosses many pixels.
+There is one marker in each cell of a lattice. It is offset from the cell's middle and oscillates by sums of
+sinusoids, within ``LEEWAY`` of half a cell along each axis, so that no two markers come closer than (1 - LEEWAY) of
+the shortest cell edge. The lattice as a whole rotates about the vertical and drifts, so that every marker crosses
+many pixels; this does not change the distances.
 """
 
 from dataclasses import dataclass
@@ -25,18 +25,18 @@ _WAVES = 3
 
 @dataclass(frozen=True, eq=False)
 class CloudPath:
-    """Positions of n markers at any time [s], as qpos (3 n,): three slides each from the box's centre."""
+    """Positions of n markers at any time [s], as qpos (3 n,): three slides for each marker from the box's centre."""
 
     cells: Array
-    """(n, 3) mean positions in the lattice [m]."""
+    """(n, 3): mean positions in the lattice [m]."""
     amplitudes: Array
-    """(w, n, 3) of the markers' own waves [m]."""
+    """(w, n, 3): amplitudes of the markers' own waves [m]."""
     frequencies: Array
     """(w, n, 3) [rad/s]"""
     phases: Array
     """(w, n, 3)"""
     drift: Array
-    """(3,) of the whole lattice."""
+    """(3,): amplitude of the whole lattice's drift [m]."""
     drift_rate: Array
     """(3,) [rad/s]"""
     drift_phase: Array
@@ -71,7 +71,7 @@ def build_cloud(
 
     ``marker_diameter_m``: by default 1.2 % of the box's shortest edge. ``speed_mps``: rms speed of the
     markers, by default a fifth of the shortest edge a second. ``rng`` draws everything else. All markers
-    stay inside the box. Raises InputError where markers of this size would come to touch.
+    stay inside the box. Raises InputError where markers of this size could touch.
     """
     box = Box(box_center_m, box_size_m)
     edge = float(box.size.min())
@@ -92,7 +92,7 @@ def build_cloud(
 
 
 def closest_approach_m(box_size_m: Array, n: int, marker_diameter_m: float) -> float:
-    """Return the distance [m] that no two of ``n`` markers' centres ever fall short of."""
+    """Return the lower bound of the distance between the centres of any two of ``n`` markers [m]."""
     _, cell = _lattice(Box(np.zeros(3), box_size_m), n, marker_diameter_m)
     return (1 - LEEWAY) * float(cell.min())
 
@@ -159,7 +159,7 @@ def _specify(box: Box, names: tuple[str, ...], diameter: float, floor: bool) -> 
             body.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
         # A moving body must weigh something; nothing here is simulated.
         body.mass, body.inertia, body.explicitinertial = 1e-3, [1e-6, 1e-6, 1e-6], True
-        # The ball's centre is the body's origin: take back what seats a marker on a skin.
+        # The ball's centre is the body's origin: undo the offset that seats a marker on a skin.
         normal = np.array([0.0, 0.0, 1.0])
         add_ball_marker(body, name, -(diameter / 2 + SEAT_M) * normal, normal, diameter)
     return spec

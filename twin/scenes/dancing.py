@@ -1,7 +1,7 @@
 """A dancer: turns on one foot, arms overhead, arms that cross before the chest, squats, steps to the side.
 
-Every figure starts and ends standing with hanging arms, so that their order is free. The motion of a turn is made
-without rotation, then rotated as a whole about the ball of the standing foot.
+Every figure starts and ends in a stand with hanging arms, so that figures can follow in any order. The motion of a
+turn is made without rotation, then rotated as a whole about the ball of the standing foot.
 """
 
 from collections.abc import Callable
@@ -39,7 +39,7 @@ class Turn:
 
 
 def dance(performer: Performer, rng: np.random.Generator) -> Motion:
-    """Return a loop: every figure and two turns, in an order, to sides and at a tempo drawn by ``rng``."""
+    """Return a loop of every figure and two turns, with order, sides and tempo drawn by ``rng``."""
     sequence = begin(STANCE)
     beat, clock = float(rng.uniform(0.42, 0.5)), 0.1
     turns: list[Turn] = []
@@ -69,7 +69,7 @@ def _arms(
 
 
 def _close(sequence: MovementSequence, start: float, end: float, above: str, up_m: float) -> None:
-    """Write arms that cross before the trunk, that of side ``above`` in front, ``up_m`` higher than usual."""
+    """Write arms that cross before the trunk, the arm of side ``above`` in front, ``up_m`` higher than usual."""
     for own, hand, elbow in ((above, _ABOVE, _ABOVE_ELBOW), (_OTHER[above], _BELOW, _BELOW_ELBOW)):
         sequence.move(f"{own}_hand", start, end, (*hand[:2], hand[2] + up_m))
         sequence.move(f"{own}_elbow", start, end, elbow)
@@ -143,7 +143,7 @@ def _aside(sequence: MovementSequence, clock: float, beat: float, side: str, rng
         sequence.move(f"{first}_hand", now, now + 0.8 * beat, (0.55, 0.25, 0.0))
         sequence.move(f"{first}_hand", now + 0.5 * beat, now + 1.3 * beat, high)
         sequence.move(f"{first}_elbow", now, now + beat, _OVERHEAD_ELBOW)
-        # By way of the side: the straight way down from overhead leads through the face.
+        # The arms come down by the side: the straight way from overhead leads through the face.
         sequence.move(f"{_OTHER[first]}_hand", now, now + 0.8 * beat, _OPEN)
         sequence.move(f"{_OTHER[first]}_hand", now + 0.5 * beat, now + 1.4 * beat, across)
         sequence.move(f"{_OTHER[first]}_elbow", now, now + 1.1 * beat, _FRONT_ELBOW)

@@ -1,10 +1,10 @@
-"""Driving a skid-steered robot with white noise, or with commands that are given: the motors, the contact physics.
+"""Driving a skid-steered robot with white noise or given commands: the motors, the contact physics.
 
 Commands after the Mosca paper, section 4.3: U(t) = [a_m rand(t), d_m rand(t)], the average of the two
 sides' PWM and their difference, rand uniform on [-1, 1]. A motor's torque at the wheel is
 stall_torque (pwm / 255 - wheel speed / free speed): a permanent-magnet motor on a voltage.
 
-Given commands are lines of text, the ones that a program sends to the real robot (``{"left": 120, "right": 80}``).
+Given commands are the lines of text that a program sends to the real robot (``{"left": 120, "right": 80}``).
 """
 
 from collections.abc import Callable, Sequence
@@ -40,7 +40,7 @@ class Drive:
 
 
 Sides = Callable[[int, Array], tuple[float, float] | None]
-"""Step from 0 s on and qpos -> the PWM of the left and the right side from now on, None where it stays as it was."""
+"""Step from 0 s on and qpos -> the PWM of the left and the right side from this step on; None: unchanged."""
 
 
 def noise(
@@ -48,9 +48,9 @@ def noise(
 ) -> Sides:
     """Return the paper's white noise, each command held for ``hold_s``.
 
-    Rule that keeps the robot in the working space: where its centre is within ``margin_m`` of the box's side and the
-    average drawn would drive it further out, the average is negated. The magnitude stays as drawn, and so does
-    the sequence of random numbers.
+    A rule keeps the robot in the working space. Where its centre is within ``margin_m`` of the box's side and the
+    drawn average would drive it further out, the average is negated. This changes neither its magnitude nor the
+    sequence of random numbers.
     """
     held = max(round(hold_s / PHYSICS_STEP_S), 1)
 
@@ -67,9 +67,9 @@ def noise(
 
 
 def given(lines: Sequence[tuple[int, str]], box: Box) -> Sides:
-    """Return the commands in ``lines``: session time [ns] and text, each held until the next; at rest before.
+    """Return the commands in ``lines`` (session time [ns] and text), each held until the next; at rest before.
 
-    Raises InputError for a text that is no command; the function returned, where they drive the robot out of ``box``.
+    Raises InputError for a text that is no command; the returned function does where the robot leaves ``box``.
     """
     due = sorted(((round(t * 1e-9 / PHYSICS_STEP_S), *read_command(text)) for t, text in lines), key=lambda c: c[0])
     if due and due[0][0] < 0:
@@ -90,7 +90,7 @@ def given(lines: Sequence[tuple[int, str]], box: Box) -> Sides:
 
 
 def read_command(line: str) -> tuple[float, float]:
-    """Return the PWM of the left and the right side that a line of JSON gives, -255..255; InputError otherwise."""
+    """Return the PWM of the left and the right side, -255..255, from a line of JSON; InputError otherwise."""
     try:
         told = parse_json(line)
         left, right = float(told["left"]), float(told["right"])
@@ -145,7 +145,7 @@ def true_velocities(path: Callable[[float], Array], start_s: Array, end_s: Array
     path
         Session time [s] -> qpos, of which the first seven are the body's free joint.
     start_s, end_s
-        (n,) the means are from one to the other, less than half a turn apart.
+        (n,): begin and end of each mean, less than half a turn apart.
     point_m
         (3,) in the body's axes.
     """
@@ -173,7 +173,7 @@ def _demand_inside(step: int, qpos: Array, box: Box) -> None:
 
 
 def _turned_back(average: float, qpos: Array, box: Box, margin_m: float) -> float:
-    """Return ``average`` with the sign that does not drive a robot near the side further out."""
+    """Return ``average``, negated where it would drive a robot that is near a side further out."""
     w, x, y, z = qpos[3:7]
     forward = np.array([w * w + x * x - y * y - z * z, 2 * (x * y + w * z)])
     from_center = qpos[:2] - box.center[:2]

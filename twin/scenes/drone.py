@@ -1,6 +1,6 @@
 """A quadrotor of the size and mass of the Parrot AR.Drone 2.0, flown along a path in the working space.
 
-Size 0.515 x 0.515 m, mass 0.366 kg, speed 0.5 m/s: Mosca paper, table 3. The physics (gravity, four
+Size 0.515 x 0.515 m, mass 0.366 kg and speed 0.5 m/s are from the Mosca paper, table 3. The physics (gravity, four
 rotors, gusts, the controller) runs once when the scene is built; after that the flight is a function of
 time. Body axes: x forward, y left, z up, origin in the middle between the motors.
 """
@@ -60,12 +60,12 @@ FEWEST_MARKERS, MOST_MARKERS = 5, len(_MARKER_RAYS)
 
 @dataclass(frozen=True, eq=False)
 class Flight:
-    """A scene with a drone, and the path that it was to fly."""
+    """A scene with a drone, and the reference path of its flight."""
 
     scene: Scene
     reference: Reference
     live: LiveFlight | None = None
-    """The flight as it goes on, where a pilot steers it; None where it was flown beforehand."""
+    """The flight in progress where a pilot steers it; None where it was flown beforehand."""
 
 
 def build_drone(
@@ -83,7 +83,7 @@ def build_drone(
     floor: bool = True,
     pilot: Steering | None = None,
 ) -> Flight:
-    """Return a drone that flies ``path`` in the working space, and the path that it was to fly.
+    """Return a drone that flies ``path`` in the working space, and the reference path.
 
     Raises InputError where the box is too small or the speed is too high for the path's bends.
 
@@ -102,13 +102,13 @@ def build_drone(
     gust_n
         Rms force of a smooth gust on each axis [N].
     mass_kg
-        Of the drone.
+        Mass of the drone.
     markers, marker_diameter_m
         5 to 8 balls named D1, D2, ... of the rigid body "drone".
     floor
         Whether there is a floor.
     pilot
-        Steers it while it is filmed, in place of the controller that knows the truth; a crash ends the flight.
+        Steers it while it is filmed, in place of the controller that uses the truth; a crash ends the flight.
     """
     box = Box(box_center_m, box_size_m)
     positive(

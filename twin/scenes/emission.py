@@ -1,4 +1,4 @@
-"""How a target sends light to a camera: reflected back, printed, or its own."""
+"""Emission of targets towards a camera: retroreflection, print, or a lamp of their own."""
 
 import math
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ ALL_SIDES_DEG = 180.0
 
 @dataclass(frozen=True)
 class Blink:
-    """A lamp's code: ``bits`` shown one after the other for ``bit_s`` each, over and over, from ``start_s`` [s].
+    """A lamp's code: ``bits``, shown one after the other for ``bit_s`` each, repeated from ``start_s`` on [s].
 
     Before ``start_s`` the lamp is dark.
     """
@@ -42,23 +42,24 @@ class Glow:
     strength: float = 1.0
     """Factor on the marker signal."""
     half_deg: float = 45.0
-    """Angle off the normal at which a retro tape or an LED sends half of it; 180: an LED in a diffusing ball,
+    """Angle off the normal at which a retro tape or an LED sends half of its light; 180: an LED in a diffusing ball,
     alike to all sides."""
     at_m: float | None = None
     """Distance at which a ring light's retro target has the brightness of the marker signal (it falls with the
     square of the distance); None: the same at all distances."""
     even_deg: float | None = None
-    """Angle off the normal up to which a retro tape sends all: half at ``half_deg``, nothing as far beyond. None: a
-    power of the cosine."""
+    """Angle off the normal up to which a retro tape sends all of its light. It sends half at ``half_deg`` and nothing
+    as far beyond that. None: a power of the cosine."""
     ring_m: float = 0.0
     """Mean radius of the ring light: the tape is observed at the angle ``ring_m`` over the distance off the direction
     in which it sends most. Needs ``at_m``."""
     lobe_deg: float = 1.0
     """Observation angle at which a retro tape sends 1/e of what it sends straight back."""
     lamp_half_deg: float | None = None
-    """Angle off the camera's axis at which its ring light sends half (Lambert: 60); None: alike to all sides."""
+    """Angle off the camera's axis at which its ring light sends half of its light (Lambert: 60); None: alike to all
+    sides."""
     limb: float = 0.0
-    """Share of its brightness that a ball's rim lacks."""
+    """Share of brightness that a ball's rim lacks."""
     shade: float = 0.0
     """Brightness gradient over a ball or disc: change from its middle to its rim."""
     shade_world: tuple[float, float, float] = (0.0, 0.0, 1.0)
@@ -102,13 +103,13 @@ class Glow:
 def lit(blink: Blink, t0: float, t1: float) -> Array:
     """Return when a lamp is lit between ``t0`` <= ``t1`` [s]: intervals (k, 2) [s], rising and apart.
 
-    Exact: an edge is start_s + k * bit_s rounded once for each k, so that adjoining windows share their edges to the
-    last bit. Successive lit bits make one interval.
+    An edge is start_s + k * bit_s, rounded once for each k, so that adjoining windows share their edges to the last
+    bit. Successive lit bits make one interval.
     """
     if not -math.inf < t0 <= t1 < math.inf:
         raise ValueError(f"t0 = {t0:g}, t1 = {t1:g} given; finite and t0 <= t1 is wanted")
     found: list[tuple[float, float]] = []
-    # one bit more on both sides: the division may round across an edge, the edges themselves decide
+    # one bit more on both sides: the division may round across an edge, so that the edges themselves must decide
     first = max(0, math.floor((t0 - blink.start_s) / blink.bit_s) - 1)
     last = math.floor((t1 - blink.start_s) / blink.bit_s) + 1
     for k in range(first, last + 1):

@@ -1,12 +1,12 @@
 """A head that speaks: a deforming face with 40 ball markers, moved by blend shapes and turned as speakers do.
 
-The head is a free body. Each marker sits, with a disc of skin beneath it that hides it from behind, on a body of its
-own that slides on the head as the blend shapes say (``face_surface``). Skull, nose and jaw are ellipsoids some
-millimetres below the skin; the jaw's turns with it. What only the skin between the discs would hide, shows.
+The head is a free body. Each marker sits on a body of its own, which slides on the head by the blend shapes
+(``face_surface``); a disc of skin beneath it hides it from behind. Skull, nose and jaw are ellipsoids some
+millimetres below the skin; that of the jaw turns with it. The skin between the discs does not occlude.
 
 Coefficients are sums of sinusoids drawn in a band. Lips and jaw: 2 to 7 Hz, in which the opening of the mouth is
-modulated in speech (Chandrasekaran et al. 2009, PLoS Comput Biol 5, e1000436), swelling and fading with phrases;
-brows, eyes and nose: 0.2 to 1.5 Hz. The head sways by some centimetres and 10 degrees.
+modulated in speech (Chandrasekaran et al. 2009, PLoS Comput Biol 5, e1000436), with an amplitude that rises and falls
+with phrases; brows, eyes and nose: 0.2 to 1.5 Hz. The head sways by some centimetres and 10 degrees.
 """
 
 from dataclasses import dataclass
@@ -29,7 +29,7 @@ _SWING_M = np.array([0.02, 0.02, 0.015])
 _SWAY_RAD = np.deg2rad([8.0, 10.0, 12.0])
 _SPEED_MPS, _TURN_RAD_S = 0.05, 0.35
 _MIDDLE_M = np.array([0.065, 0.0, -0.012])
-"""Middle of the markers, head axes: it is over the middle of the working space."""
+"""Middle of the markers, head axes; it is placed over the middle of the working space."""
 _DISC_M = 0.006
 _DISC_HALF_M = 0.001
 
@@ -41,11 +41,11 @@ class SpeakingHead:
     head: CarriedPath
     shapes: BlendShapes
     slides: Array
-    """(m, 3) addresses in qpos."""
+    """(m, 3): addresses in qpos."""
     places: tuple[int, int]
-    """Addresses of head and jaw."""
+    """Addresses of head and jaw in qpos."""
     rates: Array
-    """(s + 1, w) of the coefficients' waves, and of the phrases' [rad/s]."""
+    """(s + 1, w): frequencies of the coefficients' waves, and of those of the phrases [rad/s]."""
     phases: Array
     """(s + 1, w)"""
     nq: int
@@ -55,7 +55,7 @@ class SpeakingHead:
         waves = np.sqrt(2.0 / _WAVES) * np.sin(self.rates * time_s + self.phases).sum(axis=1)
         phrase = 0.5 * (1.0 + np.tanh(1.5 * waves[-1] + 1.0))
         share = np.array([phrase if moves == "speech" else 1.0 for _, moves, _ in SHAPES])
-        # 0.3 on average: a face is nearer to rest than to the end of a movement
+        # 0.3 on average, since a face is nearer to rest than to the end of a movement
         return np.asarray(share * 0.5 * (1.0 + np.tanh(0.6 * waves[:-1] - 0.5)))
 
     def __call__(self, time_s: float) -> Array:
@@ -80,9 +80,9 @@ def build_face(
 ) -> Scene:
     """Return a head that looks along +x and speaks, with 40 ball markers on its face, in a working space.
 
-    ``size``: of the head against the mean adult's; ``seat_sigma_m``: how far markers sit from the layout's places,
-    sideways and up (one sigma each); ``rng`` draws the person and the movement. InputError where the space is too
-    small.
+    ``size``: ratio of the head to that of the mean adult; ``seat_sigma_m``: distance of markers from the layout's
+    places, sideways and up (one sigma each); ``rng`` draws the person and the movement. InputError where the space is
+    too small.
     """
     positive({"duration_s": duration_s, "size": size, "marker_diameter_m": marker_diameter_m})
     if not 0.7 <= size <= 1.3:
@@ -118,7 +118,7 @@ def build_face(
 
 
 def _check_inside(scene: Scene, box: Box) -> None:
-    """Raise InputError where a marker leaves the box; looked at ten times a second."""
+    """Raise InputError where a marker leaves the box, which is tested ten times a second."""
     sampler = scene.sampler()
     xyz = np.array([sampler.at(t).marker_xyz for t in np.arange(0.0, scene.duration_s, 0.1)])
     if (xyz < box.low).any() or (xyz > box.high).any():

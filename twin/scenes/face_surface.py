@@ -2,11 +2,11 @@
 
 Axes of the head: x forward, y left, z up, origin midway between the ears. In front view (y, z) the skin is a height
 field x(y, z): an ellipsoid with a nose, a chin, lips and so on as Gaussian bumps. A blend shape is a field of
-displacements over the front view; that of the jaw turns what hangs on it about the jaw's joint. Sizes of the face:
-adults' means (Farkas 1994: face breadth about 0.14 m, sellion to menton 0.12 m, mouth 0.05 m). Tables are in mm.
+displacements over the front view; that of the jaw turns the skin below about the jaw's joint. Sizes of the face are
+means of adults (Farkas 1994: face breadth about 0.14 m, sellion to menton 0.12 m, mouth 0.05 m). Tables are in mm.
 
-How far blend shapes go at a coefficient of 1: jaw 12 mm at the incisors (speech opens 5 to 15 mm), lips 4 to 8 mm,
-brows 8 mm, cheeks 6 mm.
+Displacements of the blend shapes at a coefficient of 1: jaw 12 mm at the incisors (speech opens 5 to 15 mm), lips
+4 to 8 mm, brows 8 mm, cheeks 6 mm.
 """
 
 from dataclasses import dataclass
@@ -55,7 +55,7 @@ lower lip, CHN chin, JWF JWB jaw.
 
 @dataclass(frozen=True)
 class _Pull:
-    """A part of a blend shape: ``way`` (x, y, z) at ``centre`` (y, z), and a Gaussian of ``reach`` about it."""
+    """A part of a blend shape: displacement ``way`` (x, y, z) at ``centre`` (y, z), and a Gaussian of ``reach``."""
 
     centre: tuple[float, float]
     reach: tuple[float, float]
@@ -95,7 +95,7 @@ SHAPES: tuple[tuple[str, str, tuple[float, ...]], ...] = (
     ("frown", "mimic", BOTH),
     ("wrinkle", "mimic", BOTH),
 )
-"""Blend shapes: name, what moves it, and the sides that it is of."""
+"""Blend shapes: name, the pulls that make it, and its sides."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,11 +105,11 @@ class FaceSurface:
     scale: Array
     """(3,)"""
     bumps: Array
-    """(b, 5) as the table."""
+    """(b, 5): as in the table."""
 
     @classmethod
     def drawn(cls, size: float, rng: np.random.Generator) -> "FaceSurface":
-        """Return a face ``size`` times the tables', each axis within 3 % and each bump within 20 % (one sigma)."""
+        """Return a face of ``size`` times the tables' size; axes vary by 3 % and bumps by 20 % (one sigma)."""
         bumps = _BUMPS_MM.copy()
         bumps[:, 0] *= np.exp(rng.normal(0.0, 0.2, len(bumps)))
         scale = size * np.exp(rng.normal(0.0, 0.03, 3))
@@ -141,7 +141,7 @@ class FaceSurface:
 
 
 def markers_on_front() -> tuple[tuple[str, ...], Array]:
-    """Return the markers' names and where they are in front view (m, 2) [mm]."""
+    """Return the markers' names and their positions in front view (m, 2) [mm]."""
     names, places = [f"M{name}" for name in _MIDDLE_MM], list(_MIDDLE_MM.values())
     for letter, side in (("L", 1), ("R", -1)):
         names += [letter + name for name in _LEFT_MM]
@@ -150,7 +150,7 @@ def markers_on_front() -> tuple[tuple[str, ...], Array]:
 
 
 def jaw_share(yz_mm: Array) -> Array:
-    """Return how much of the jaw's turn the skin at front views (n, 2) follows (n,): 1 below the mouth, 0 above."""
+    """Return the share (n,) of the jaw's turn that skin at front views (n, 2) follows: 1 below the mouth, 0 above."""
     soft = 3.5 + 12.0 * (yz_mm[:, 0] / 60.0) ** 2
     return np.asarray(1.0 / (1.0 + np.exp(np.clip((yz_mm[:, 1] + 53.0) / soft, -50, 50))))
 
@@ -160,13 +160,13 @@ class BlendShapes:
     """Displacements of m points of a face by the coefficients of ``SHAPES`` (s)."""
 
     linear: Array
-    """(s, m, 3) at 1 [m]; 0 of the jaw."""
+    """(s, m, 3): displacements at a coefficient of 1 [m]; 0 for the jaw."""
     hangs: Array
-    """(m, 3) from the jaw's joint, times the share of its turn [m]."""
+    """(m, 3): points from the jaw's joint, times the share of its turn that they follow [m]."""
 
     @classmethod
     def of(cls, face: FaceSurface, yz_mm: Array) -> "BlendShapes":
-        """Return those of the skin of ``face`` at front views (m, 2)."""
+        """Return the blend shapes of the skin of ``face`` at front views (m, 2)."""
         linear = np.zeros((len(SHAPES), len(yz_mm), 3))
         for k, (name, _, sides) in enumerate(SHAPES):
             for side in sides if name != "jaw" else ():

@@ -90,7 +90,7 @@ def _on_face(target: CodedTarget, face: Face, x: float, y: float, roll: float) -
 
 
 def _cells(face: Face, cell: float) -> list[tuple[float, float]]:
-    """Return the middles of the square cells on a face, which are spread evenly over it."""
+    """Return the middles of the square cells that are spread evenly over a face."""
     columns, rows = int(face.width / cell), int(face.height / cell)
     return [
         (((c + 0.5) / columns - 0.5) * face.width, ((r + 0.5) / rows - 0.5) * face.height)
@@ -110,7 +110,7 @@ def _largest_cell(faces: tuple[Face, ...], n: int) -> float:
 
 
 def _tower(size: Array) -> tuple[tuple[Face, ...], tuple[Shape, ...]]:
-    """Return a stepped pyramid: each step's four sides and what the next one leaves free of its top."""
+    """Return a stepped pyramid: the four sides of each step, and the part of its top that the next leaves free."""
     faces, shapes = [], []
     high = (size[2] - FILM_M) / STEPS
     room = size[:2] - 2 * FILM_M  # the targets are off the sides
@@ -147,7 +147,7 @@ def _corner(size: Array) -> tuple[tuple[Face, ...], tuple[Shape, ...]]:
         center = normal * (slab - size[axis] / 2)
         thin = np.where(np.arange(3) == axis, slab, size)
         shapes.append(block(-normal * (size[axis] - slab) / 2, thin))
-        # what the other two leave free of the face; width runs along its level axis
+        # the part of the face that the other two leave free; width runs along its level axis
         center = center + (1 - normal) * slab / 2
         width, height = inner[[1, 0, 0][axis]], inner[[2, 2, 1][axis]]
         faces.append(Face(center, normal, float(width), float(height)))

@@ -1,7 +1,7 @@
-"""Flat figures: what is printed on a plate, as closed contours of lines and arcs.
+"""Flat figures: the print on a plate, as closed contours of lines and arcs.
 
-A figure lies in the +z face of its geom; x and y are the geom's axes [m]. Light is what lies inside a contour
-times the contour's gain; gains add up, so that a black square on white paper is a contour of negative gain.
+A figure lies in the +z face of its geom; x and y are the geom's axes [m]. The light of a contour is that of its
+inside times the contour's gain. Gains add up, so that a black square on white paper is a contour of negative gain.
 """
 
 from collections.abc import Sequence
@@ -23,7 +23,7 @@ class Figure:
     pieces: Array
     """(n, 7) kind; x0, y0, x1, y1, 0 of a line or cx, cy, radius, angle0, angle1 [rad] of an arc; contour's gain."""
     radius: float
-    """Of the circle about the origin that encloses all of them [m]."""
+    """Radius of the circle about the origin that encloses all contours [m]."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "pieces", read_only(self.pieces, (None, 7), "pieces"))
@@ -36,7 +36,7 @@ class Figure:
 def figure(contours: Sequence[Array]) -> Figure:
     """Return the figure of contours, each an array of pieces (k, 7).
 
-    Raises ValueError for a contour whose pieces do not join: what it encloses would be undefined.
+    Raises ValueError for a contour whose pieces do not join: its inside would be undefined.
     """
     for pieces in contours:
         starts, ends = piece_ends(pieces)
@@ -92,9 +92,9 @@ def ring_sector(x: float, y: float, inner: float, outer: float, start: float, en
 def outlines(cells: Array) -> list[Array]:
     """Return the outlines of the True ones of ``cells`` (rows, columns), each by its corners (k, 2).
 
-    In cells: x to the right from the left edge, y up from the upper edge, so that row r lies between -r - 1
-    and -r. Outer edges run counter-clockwise, those of holes clockwise, and no edge lies between two True
-    cells: a contour of each adds up to the light of the cells without seams.
+    The unit is a cell: x to the right from the left edge, y up from the upper edge, so that row r lies between
+    -r - 1 and -r. Outer edges run counter-clockwise, those of holes clockwise, and no edge lies between two True
+    cells: the contours of all outlines add up to the light of the cells without seams.
     """
     filled = np.pad(np.asarray(cells, dtype=bool), 1)
     following: dict[tuple[int, int], list[tuple[int, int]]] = {}

@@ -31,7 +31,7 @@ _SIDES = np.array([[0.5, 0, 0], [-0.5, 0, 0], [0, 0.5, 0], [0, -0.5, 0], [0, 0, 
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """Where the drone should be: a closed C2 curve over its length [m], flown at constant speed."""
+    """The reference path: a closed C2 curve over its length [m], flown at constant speed."""
 
     curve: CubicSpline
     speed_mps: float
@@ -41,7 +41,7 @@ class Reference:
     """Whether the place jumps by STEP_M every STEP_S, along one axis after the other and back."""
 
     def at(self, time_s: float | Array) -> tuple[Array, Array, Array, Array]:
-        """Return position, velocity, acceleration (..., 3) and yaw (...) [rad] wanted at ``time_s`` (...)."""
+        """Return the reference position, velocity, acceleration (..., 3) and yaw (...) [rad] at ``time_s`` (...)."""
         way = self.start_m + self.speed_mps * time_s
         yaw = _YAW_SWING_RAD * np.sin(2 * np.pi * time_s / _YAW_PERIOD_S + self.yaw_phase)
         v = self.speed_mps
@@ -135,7 +135,7 @@ def fly(
 
 
 class Airframe:
-    """The attitude controller on board, which knows its attitude and rate, and the rotors."""
+    """The rotors, and the attitude controller on board, which measures attitude and rate without error."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
         self.body = int(model.jnt_bodyid[0])

@@ -1,10 +1,10 @@
 """A person who walks without a recording: joint angles and path as closed forms of time.
 
-All is C2 in time: angles are sines of the stride's phase; at the ends of a lane speed and heading follow
-the quintic 10 u^3 - 15 u^4 + 6 u^5, which starts and ends without slope and curvature. The
-feet are not held to the floor as they roll over it (they slide by centimetres); the pelvis rises and
-falls so that the lower foot stays within millimetres of the floor. Segment lengths: Drillis and Contini 1966 as
-in Winter, Biomechanics and Motor Control of Human Movement, fig. 4.1.
+All quantities are C2 in time. Angles are sines of the stride's phase. At the ends of a lane, speed and heading follow
+the quintic 10 u^3 - 15 u^4 + 6 u^5, which starts and ends without slope and curvature. Feet are not fixed to the
+floor while they roll over it (they slide by centimetres). The pelvis rises and falls so that the lower foot stays
+within millimetres of the floor. Segment lengths: Drillis and Contini 1966 as in Winter, Biomechanics and Motor
+Control of Human Movement, fig. 4.1.
 """
 
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ GaitPath = Literal["in_place", "circle", "back_and_forth"]
 GAIT_PATHS: tuple[GaitPath, ...] = ("in_place", "circle", "back_and_forth")
 GaitDetail = Literal["planar", "full"]
 GAIT_DETAILS: tuple[GaitDetail, ...] = ("planar", "full")
-"""Whether hips and knees move in the planes of the legs alone, or also as in people (``_pose``)."""
+"""Motion of hips and knees in the planes of the legs alone, or also across them as in people (``_pose``)."""
 _TURN_S = 2.0
 _RAMP_S = 0.8
 _SKIN_M = 0.06  # skin and markers beyond the joints
@@ -78,9 +78,9 @@ class Gait:
 
     path: GaitPath
     center: Array
-    """(2,) of the path [m]."""
+    """(2,): centre of the path [m]."""
     extent: Array
-    """(2,) the circle's radius twice, or the vector from the middle of the lane to its end [m]."""
+    """(2,): the circle's radius twice, or the vector from the middle of the lane to its end [m]."""
     speed_mps: float
     stride_hz: float
     phase: float
@@ -130,7 +130,7 @@ def walk(
 ) -> Gait:
     """Return a walk about ``center`` (2,) whose limbs and markers stay within ``half_box`` (2,) [m] of it.
 
-    ``rng`` draws the phase of the first step, where on the path it starts and, in place, the heading.
+    ``rng`` draws the phase of the first step, the start on the path and, for a walk in place, the heading.
     A lane too short to reach ``speed_mps`` is walked more slowly. Raises InputError where the box is too small.
     """
     phase, heading = rng.uniform(0, 2 * np.pi, 2)
@@ -160,9 +160,9 @@ def walk(
 def _pose(skeleton: Skeleton, phases: Array, swing: float, full: bool) -> Array:
     """Return joint rotations (n, j, 4) of the walker at stride ``phases`` (n,) [rad], heading not applied.
 
-    ``full``: as in people (Kadaba et al. 1990, J. Orthop. Res. 8, 383) the pelvis sinks by 5 degrees on the side of
-    the leg that swings, so that hips adduct in stance and abduct in swing; thighs do not turn with the pelvis and
-    turn by 3 degrees of their own; knees give way by 13 degrees under the weight.
+    ``full``: motion as in people (Kadaba et al. 1990, J. Orthop. Res. 8, 383). The pelvis sinks by 5 degrees on the
+    side of the leg that swings, so that hips adduct in stance and abduct in swing. Thighs do not turn with the
+    pelvis, and turn by 3 degrees of their own. Knees give way by 13 degrees under the weight.
     """
     rotations = np.zeros((len(phases), len(skeleton.names), 4))
     rotations[..., 0] = 1.0
@@ -201,7 +201,7 @@ def _pose(skeleton: Skeleton, phases: Array, swing: float, full: bool) -> Array:
 
 
 def _stride(skeleton: Skeleton, swing: float, full: bool) -> tuple[CubicSpline, float]:
-    """Return root height and joint rotations over the stride's phase, and how far skin reaches [m]."""
+    """Return root height and joint rotations over the stride's phase, and the reach of the skin [m]."""
     phases = np.linspace(0, 2 * np.pi, 257)
     rotations = _pose(skeleton, phases, swing, full)
     rotations[-1] = rotations[0]
@@ -237,7 +237,7 @@ def _harmonics(phases: Array) -> Array:
 
 
 def _ramped(time_s: float, lane_s: float) -> float:
-    """Return the way [m] at 1 m/s top speed with quintic ramps at both ends of a lane of ``lane_s``."""
+    """Return the distance walked [m] at 1 m/s top speed, with quintic ramps at both ends of a lane of ``lane_s``."""
     t = min(max(time_s, 0.0), lane_s)
     if t > lane_s / 2:
         return lane_s - _RAMP_S - _ramped(lane_s - t, lane_s)

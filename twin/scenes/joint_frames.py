@@ -1,4 +1,4 @@
-"""Anatomical frames that are fixed to a model's bodies, and what they make of the bodies' poses.
+"""Anatomical frames that are fixed to a model's bodies, and joint truth from the bodies' poses.
 
 ``mosca.data.truth.JointTruth`` defines the frames.
 """
@@ -13,7 +13,7 @@ from mosca.data.arrays import Array, set_read_only
 from mosca.data.truth import JointTruth
 
 NO_CENTRE = -1
-"""In place of the body whose origin is a joint's centre, where there is no single one."""
+"""Stands for the id of the body whose origin is a joint's centre, where there is no such body."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,15 +30,15 @@ class JointFrames:
 
     names: tuple[str, ...]
     proximal: Array
-    """(j,) ids of bodies; 0: the world."""
+    """(j,): ids of the proximal bodies; 0: the world."""
     proximal_axes: Array
-    """(j, 3, 3) body_from_segment; NaN where they are unknown."""
+    """(j, 3, 3): body_from_segment; NaN where they are unknown."""
     distal: Array
-    """(j,) ids of bodies."""
+    """(j,): ids of the distal bodies."""
     distal_axes: Array
-    """(j, 3, 3) likewise."""
+    """(j, 3, 3): body_from_segment; NaN where they are unknown."""
     centre: Array
-    """(j, 2) ids of bodies between whose origins the centre lies in the middle; NO_CENTRE where there is none."""
+    """(j, 2): ids of two bodies; the centre is midway between their origins; NO_CENTRE where there is none."""
 
     def __post_init__(self) -> None:
         j = len(self.names)
@@ -49,7 +49,7 @@ class JointFrames:
     def of(
         cls, joined: Mapping[str, tuple[Segment, Segment]], centres: Mapping[str, tuple[int, int]]
     ) -> "JointFrames":
-        """Return joints by their names: (proximal, distal) segments, and the bodies about their centres."""
+        """Return joints by name from their (proximal, distal) segments and the bodies about their centres."""
         pairs = list(joined.values())
         return cls(
             tuple(joined),

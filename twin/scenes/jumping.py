@@ -1,9 +1,9 @@
 """A jumper: countermovement jumps forward with both feet, a turn on the spot, and back.
 
-The centre of mass of the whole body is led, and the pelvis follows from it: before take-off it is driven
-up along a quintic that ends with the acceleration of free fall, in flight it falls freely (exactly: masses
-are those of the body that is shown), and the landing takes over from there. So the force of the ground is
-continuous, never pulls, and is zero while both feet are off it. The angular momentum is not kept in flight.
+The path of the whole body's centre of mass is prescribed, and the pelvis follows from it. Before take-off the centre
+rises along a quintic that ends with the acceleration of free fall. In flight it falls freely (exactly: masses are
+those of the body that is shown), and the landing continues from there. So the ground force is continuous, never
+pulls, and is zero while both feet are off the ground. Angular momentum is not conserved in flight.
 Phases as in Linthorne 2001, "Analysis of standing vertical jumps using a force platform".
 """
 
@@ -29,7 +29,7 @@ _CROUCHED_PITCH = 0.14  # heels leave the floor a little in a crouch
 
 @dataclass(frozen=True)
 class Jump:
-    """One jump: its start [s], how far its feet go, how its centre of mass rises in flight and sinks before [m]."""
+    """One jump: start [s], distance of the feet, rise of the centre of mass in flight, and its sinking before [m]."""
 
     start_s: float
     distance_m: float
@@ -72,7 +72,7 @@ class Jump:
         )  # fmt: skip
 
     def advance(self) -> BPoly:
-        """Return how far the centre of mass has gone forward [m] over time."""
+        """Return the distance that the centre of mass has moved forward [m] over time."""
         flown = self.distance_m - _LEAN_M - _BEHIND_M
         speed = flown / (self.landing_s - self.takeoff_s)
         return BPoly.from_derivatives(
@@ -82,7 +82,7 @@ class Jump:
 
 
 def jumps(performer: Performer, rng: np.random.Generator) -> Motion:
-    """Return a loop: a jump there and one back, their lengths, heights and depths drawn by ``rng``."""
+    """Return a loop of a jump forth and a jump back, with lengths, heights and depths drawn by ``rng``."""
     distance = float(rng.uniform(0.50, 0.62))
     here, there = np.array([0.0, distance / 2, 0.0]), np.array([0.0, -distance / 2, 0.0])
     sequence = begin(FEET_TOGETHER, arms=(0.1, 0.52), place=here)
@@ -159,7 +159,7 @@ def _swung(arms: Array, scale: float) -> dict[str, Array]:
 def _led(
     performer: Performer, postures: Postures, made: list[Jump], time_s: Array, rate: float, feet_m: Array
 ) -> Array:
-    """Return where the centre of mass is to be (n, 3) [m]; ``feet_m`` (2, 3): where the jumps start."""
+    """Return the prescribed centre of mass (n, 3) [m]; ``feet_m`` (2, 3): positions where the jumps start."""
     standing = performer.balance.center_of_mass(posed(performer, _first(postures), rate))[0]
     before = float(feet_m[0, 1] - standing[1])  # distance in front of the standing position
     place, advance, rise = (

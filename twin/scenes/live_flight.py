@@ -1,7 +1,7 @@
-"""A flight that goes on while it is filmed: a pilot outside steers by what the cameras told.
+"""A flight that is simulated while it is filmed: an outside pilot steers by the cameras' measurements.
 
-The physics and the attitude controller on board are those of ``twin.scenes.flight``. The flight is carried on when
-its configuration is asked for at a later instant than so far; earlier ones are looked up.
+The physics and the attitude controller on board are those of ``twin.scenes.flight``. A request for the configuration
+at a later instant than so far continues the simulation; earlier configurations are looked up.
 """
 
 from dataclasses import dataclass
@@ -16,13 +16,13 @@ from twin.scenes.flight import CONTROL_STEPS, PHYSICS_STEP_S, SETTLE_S, Airframe
 from twin.scenes.paths import StepPath, step_path
 
 _BLOCK_S = 60.0
-"""Gusts are drawn for so long at a time."""
+"""Length of time for which gusts are drawn at once."""
 _KEPT_ARCS = 64
 
 
 @dataclass(frozen=True, eq=False)
 class Bounds:
-    """Where a flight is no crash: all of the body's origin within the box, above the floor, and upright."""
+    """Limits of a flight that has not crashed: body's origin in the box and above the floor, body upright."""
 
     center: Array
     """(3,) [m]"""
@@ -32,7 +32,7 @@ class Bounds:
     """Height of the origin at which it touches the floor; None: no floor."""
 
     def crash(self, position: Array, up_z: float) -> str:
-        """Return in words how a state is a crash; "" where it is none. ``up_z``: of the body's upward axis."""
+        """Return in words why a state is a crash; "" where it is none. ``up_z``: z of the body's upward axis."""
         if self.floor_m is not None and position[2] < self.floor_m:
             return "hit the floor"
         if (np.abs(position - self.center) > self.half).any():
@@ -41,7 +41,7 @@ class Bounds:
 
 
 class Aboard(NamedTuple):
-    """The drone's state at a control step; a pilot may use what a real drone knows of it."""
+    """The drone's state at a control step; a pilot may use the part that a real drone measures."""
 
     position: Array
     """(3,) [m], true."""
@@ -50,11 +50,11 @@ class Aboard(NamedTuple):
     acceleration: Array
     """(3,) mean over the last control period, world axes [m/s^2], true."""
     centre_m: float
-    """Height of the centre of mass over the origin, whose position and velocity these are [m]."""
+    """Height of the centre of mass above the origin [m]; ``position`` and ``velocity`` are those of the origin."""
 
 
 class Steering(Protocol):
-    """What steers a flight: a pilot."""
+    """A pilot, who steers a flight."""
 
     def steer(self, time_s: float, aboard: Aboard, wanted: Reference) -> tuple[Array, float]:
         """Return the specific force (3,) [m/s^2] and the yaw [rad] that act from ``time_s`` for a control period."""
@@ -62,22 +62,22 @@ class Steering(Protocol):
 
 
 class LiveFlight:
-    """A flight under way; ``configuration_at`` of a scene. Any thread may ask, one after the other.
+    """A flight in progress; ``configuration_at`` of a scene. Any thread may call it, one at a time.
 
     Parameters
     ----------
     model
         One free body with four rotors.
     reference
-        Where it should be.
+        The reference path.
     pilot
         Steers each control period.
     bounds
-        Outside, the flight has crashed: the drone then stays where it is.
+        Outside them the flight has crashed, and the drone stays where it is.
     gust_n
         Rms force of gusts on each axis [N].
     first_s
-        First instant that may be asked for; the flight starts a second before it.
+        First instant that may be requested; the flight starts a second before it.
     rng
         Draws the gusts.
     """
@@ -109,11 +109,11 @@ class LiveFlight:
 
     @property
     def now_s(self) -> float:
-        """How far the flight has come [s]."""
+        """Time up to which the flight has been simulated [s]."""
         return self._begin_s + (len(self._qpos) - 1) * PHYSICS_STEP_S
 
     def __call__(self, time_s: float) -> Array:
-        """Return qpos (7,) at session time ``time_s``, carrying the flight on where that is later than ``now_s``."""
+        """Return qpos (7,) at session time ``time_s``; the flight is continued where that is later than ``now_s``."""
         with self._lock:
             self.advance(time_s)
             k = max(0, int(np.floor((time_s - self._begin_s) / PHYSICS_STEP_S)))
@@ -126,14 +126,14 @@ class LiveFlight:
             return self._arcs[k](time_s)
 
     def position(self, time_s: float) -> Array:
-        """Return the origin's true position (3,) [m], carried on from the physics' step before: to micrometres."""
+        """Return the origin's true position (3,) [m], extrapolated from the last physics step, to micrometres."""
         self.advance(time_s)
         k = int(np.floor((time_s - self._begin_s) / PHYSICS_STEP_S))
         left: float = time_s - self._begin_s - k * PHYSICS_STEP_S
         return np.asarray(self._qpos[k][:3] + left * self._qvel[k][:3])
 
     def advance(self, time_s: float) -> None:
-        """Carry the flight on until the step after ``time_s``."""
+        """Continue the flight until the step after ``time_s``."""
         while self.now_s <= time_s + PHYSICS_STEP_S:
             k = len(self._qpos) - 1
             control, between = divmod(k, CONTROL_STEPS)
@@ -147,7 +147,7 @@ class LiveFlight:
             self._qvel.append(self._data.qvel.copy())
 
     def _steer(self, control: int) -> None:
-        """Ask the pilot for what acts in a control period."""
+        """Ask the pilot for the force and yaw of a control period."""
         velocity = self._data.qvel[:3].copy()
         acceleration = (velocity - self._before) / (PHYSICS_STEP_S * CONTROL_STEPS)
         self._before = velocity

@@ -35,7 +35,7 @@ _WAVES = 8
 
 @dataclass(frozen=True, eq=False)
 class CarrierShake:
-    """Rigid motion of the carrier: waves (w,) of each of three displacements [m] and three small angles [rad]."""
+    """Rigid motion of the carrier: w waves for each of three displacements [m] and three small angles [rad]."""
 
     amplitude: Array
     """(w, 6)"""
@@ -54,7 +54,7 @@ class CarrierShake:
 
 @dataclass(frozen=True, eq=False)
 class PanelMotion:
-    """qpos (6 + 3 m,): the carrier's displacements and angles, of each target its deflection and two slopes."""
+    """qpos (6 + 3 m,): the carrier's displacements and angles, then the deflection and two slopes of each target."""
 
     modes: PlateModes
     response: ModalResponse
@@ -63,7 +63,7 @@ class PanelMotion:
     line_m: float
     """A steady line, such as an engine's order: frequency, and amplitude of the first mode's deflection."""
     mixing: Array
-    """(3 m, k): of each target deflection, dw/dy, -dw/dx by a unit of each mode."""
+    """(3 m, k): deflection, dw/dy and -dw/dx of each target for a unit of each mode."""
 
     def __call__(self, time_s: float) -> Array:
         """Return qpos at session time ``time_s`` [s]."""
@@ -94,15 +94,15 @@ def build_panel(
     Parameters
     ----------
     duration_s, box_center_m, box_size_m, rng
-        Length of the scene, working space ((3,) each), and what draws the forces.
+        Length of the scene, working space ((3,) each), and the generator that draws the forces.
     size_m, plate, damping
-        The sheet, its edges, and the damping of each of its lowest modes.
+        Edges and plate of the sheet, and the damping of each of its lowest modes.
     grid, target_diameter_m
         Targets along x and y, in the middles of as many cells: P1..Pm, x fastest.
     rms_m, band_hz
-        Deflection of all modes together, each where it is largest, and the band of the white forces.
+        Rms deflection of all modes together, each where it is largest, and the band of the white forces.
     shake_m, line_hz, line_m
-        Rigid motion (rms an axis; its tilt moves the edges as far), and a steady line.
+        Rigid motion (rms on each axis; its tilt moves the edges as far), and a steady line.
 
     Raises InputError where the panel does not fit the working space, or its targets the panel.
     """
@@ -131,7 +131,7 @@ def build_panel(
 
 
 def _shake(rms_m: float, edges: Array, rng: np.random.Generator) -> CarrierShake:
-    """Return motion of ``rms_m`` [m] an axis, and angles that move the edges as far up and down."""
+    """Return motion of ``rms_m`` [m] on each axis, and angles that move the edges as far up and down."""
     angle = 2 * rms_m / np.array([edges[1], edges[0], edges.max()])
     amplitude = np.concatenate([np.full(3, rms_m), angle]) * np.sqrt(2 / _WAVES) * np.ones((_WAVES, 1))
     rate = 2 * np.pi * rng.uniform(*_SHAKE_HZ, (_WAVES, 6))

@@ -14,7 +14,7 @@ from mosca.data.arrays import Array, read_only
 
 
 def quaternion_addresses(model: mujoco.MjModel) -> tuple[Array, Array]:
-    """Return where quaternions start in qpos and their angular velocities in qvel: (k,) and (k,)."""
+    """Return the addresses at which quaternions start in qpos and their angular velocities in qvel: (k,) and (k,)."""
     free = model.jnt_type == mujoco.mjtJoint.mjJNT_FREE
     turning = free | (model.jnt_type == mujoco.mjtJoint.mjJNT_BALL)
     shift = 3 * free[turning].astype(np.int64)
@@ -34,9 +34,9 @@ def normalized(qpos: Array, quaternions: Array) -> Array:
 class SplinePath:
     """A natural cubic spline through known configurations, in seconds after ``start_s`` of the record.
 
-    Quaternions are splined by component and normalised: the record's signs run on without flips, so at
+    Quaternions are splined by component and normalised. Their signs do not flip within the record, so that at
     motion capture rates this differs from a spline on the sphere by the cube of the angle between
-    frames. The path is C2; outside the record it goes on with the velocity at its end, C2 as well
+    frames. The path is C2. Outside the record it continues with the velocity at the record's end, which is C2 as well
     because a natural spline ends without acceleration.
     """
 
@@ -59,7 +59,7 @@ class SplinePath:
 def spline_path(time_s: Array, qpos: Array, quaternions: Array, *, start_s: float = 0.0) -> SplinePath:
     """Return the path through ``qpos`` (n, nq) at rising ``time_s`` (n,) of a record, n > 1.
 
-    ``quaternions`` (k,): addresses of quaternions in qpos; their signs are made to run on here.
+    ``quaternions`` (k,): addresses of quaternions in qpos; sign flips between frames are removed here.
     Session time 0 is ``start_s`` of the record.
     """
     known = normalized(qpos, quaternions)
@@ -82,9 +82,9 @@ class StepPath:
     """Time of the first step."""
     step_s: float
     qpos: Array
-    """(n, nq) configurations."""
+    """(n, nq): configurations."""
     qvel: Array
-    """(n, nv)"""
+    """(n, nv): velocities."""
     linear: tuple[Array, Array]  # addresses in qpos and qvel of all that is no quaternion
     angular: tuple[Array, Array]
     turns: Array  # (n - 1, k, 3) rotation vector from a step to the next, in the body's axes

@@ -2,8 +2,8 @@
 
 Kirchhoff's plate: mode (m, n) has the shape sin(m pi x / a) sin(n pi y / b) and the frequency
 (pi / 2) (m^2 / a^2 + n^2 / b^2) sqrt(D / (rho h)), D = E h^3 / (12 (1 - nu^2)) (Leissa, Vibration of Plates, NASA
-SP-160, 1969, equation 4.20). All modes have the same generalised mass, so that forces that are random over the whole
-plate drive all of them with the same spectrum, independently.
+SP-160, 1969, equation 4.20). All modes have the same generalised mass. So forces that are random over the whole plate
+drive all modes independently, with the same spectrum.
 """
 
 from dataclasses import dataclass
@@ -13,21 +13,21 @@ import numpy as np
 from mosca.data.arrays import Array, read_only, set_read_only
 
 FORCE_STEPS = 20
-"""Steps of the force in a period of its highest frequency: what holding it between steps takes from that frequency's
-amplitude is pi^2 / (6 * 20^2) = 0.4 %, and less below."""
+"""Steps of the force in a period of its highest frequency. Holding the force between steps reduces the amplitude at
+that frequency by pi^2 / (6 * 20^2) = 0.4 %, and by less below."""
 _RUN_IN = 7.0  # time constants of the slowest mode: e^-7 of the start is left
 
 
 @dataclass(frozen=True, eq=False)
 class PlateModes:
-    """Modes of a plate, lowest first, at the places of its m targets."""
+    """Modes of a plate, lowest first, at the positions of its m targets."""
 
     frequency_hz: Array
     """(k,) undamped natural frequencies [Hz]."""
     damping: Array
     """(k,) shares of critical damping."""
     shapes: Array
-    """(m, k) deflection of each target by a unit of each mode; the largest anywhere on the plate is 1."""
+    """(m, k) deflection of each target for a unit of each mode; the largest deflection on the plate is 1."""
     slopes: Array
     """(m, k, 2) derivatives of the shapes along x and y [1/m]."""
 
@@ -52,7 +52,7 @@ class ThinPlate:
         a, b = self.size_m
         rigidity = self.youngs_pa * self.thickness_m**3 / (12 * (1 - self.poisson**2))
         speed = np.pi / 2 * np.sqrt(rigidity / (self.density_kg_m3 * self.thickness_m))
-        # the n-th lowest has no more than n half waves either way
+        # the n-th lowest mode has at most n half waves in either direction
         waves = np.stack(np.meshgrid(np.arange(1, n + 1), np.arange(1, n + 1), indexing="ij"), -1).reshape(-1, 2)
         frequency = speed * ((waves / np.array([a, b])) ** 2).sum(axis=1)
         lowest = np.argsort(frequency, kind="stable")[:n]
@@ -95,8 +95,8 @@ def random_response(
 ) -> ModalResponse:
     """Return the modes' steady response to independent Gaussian forces, white within ``band_hz``.
 
-    ``rms_m``: root of the sum of the modes' mean squares, as white forces of all frequencies would give it: a force
-    of one-sided density S gives S / (8 zeta w^3). ``span_s``: first and last time wanted [s].
+    ``rms_m``: root of the sum of the modes' mean squares, as with forces that are white at all frequencies: a force
+    of one-sided density S gives a mean square of S / (8 zeta w^3). ``span_s``: first and last time needed [s].
     """
     w = 2 * np.pi * modes.frequency_hz
     density = rms_m**2 / np.sum(1 / (8 * modes.damping * w**3))

@@ -1,9 +1,9 @@
-"""Postures of a person given by where hands and feet are, and the joint rotations that bring them there.
+"""Postures of a person given by the positions of hands and feet, and the joint rotations for them.
 
-Arms and legs are chains of two bones, solved in closed form by the law of cosines; a target out of reach is
-drawn in smoothly, so that elbows and knees never lock. The skeleton is ``gait.walker_skeleton``: at rest it
-faces -y, its left at +x. Targets of hands are given in (outward, forward, up): the same numbers mean the
-same thing left and right.
+Arms and legs are chains of two bones, solved in closed form by the law of cosines. A target out of reach is
+moved in smoothly, so that elbows and knees never lock. The skeleton is ``gait.walker_skeleton``: at rest it
+faces -y, its left at +x. Targets of hands are given as (outward, forward, up), so that the same numbers describe
+mirrored positions left and right.
 """
 
 from dataclasses import dataclass, fields, replace
@@ -22,7 +22,7 @@ from mosca.data.motion.motion import (
 )
 
 STATURE_M = 1.75
-"""Choreographies are written for a person of this height and scaled."""
+"""Height of the person for whom choreographies are written; they are scaled for others."""
 _LONGEST_SHARE = 0.985  # of a limb's length: an elbow or knee stays bent by 10 deg at least
 _SOFT_SHARE = 0.02  # of a limb's length: how early it is drawn in
 _BALANCE_STEPS, _BALANCE_GAIN = 7, 1.25
@@ -34,13 +34,13 @@ class Postures:
     """A person at n instants, floor z = 0 [m, rad]; second axis of limbs: left, right."""
 
     pelvis_xyz: Array
-    """(n, 3) of the root."""
+    """(n, 3): position of the root."""
     facing: Array
     """(n,) heading: angle to the left from -y."""
     pelvis: Array
     """(n, 3) rotation to the left, lean forward, bend to the left; relative to ``facing``."""
     spine: Array
-    """(n, 3) likewise, of the chest relative to the pelvis."""
+    """(n, 3): the same rotations of the chest relative to the pelvis."""
     gaze: Array
     """(n, 2) rotation and nod of the head relative to ``facing``."""
     hands: Array
@@ -59,7 +59,7 @@ class Postures:
     """(n, 2) rotation outward of the knee relative to the foot."""
 
     def mirrored(self) -> "Postures":
-        """Return the same with left and right exchanged."""
+        """Return the same postures with left and right exchanged."""
         flip = {f.name: getattr(self, f.name).copy() for f in fields(self)}
         for name in ("hands", "elbows", "forearms", "wrists", "balls", "feet", "knees"):
             flip[name] = flip[name][:, ::-1].copy()
@@ -132,8 +132,8 @@ def posed(performer: Performer, p: Postures, frame_rate_hz: float) -> Motion:
 def balanced(performer: Performer, p: Postures, frame_rate_hz: float, wanted: Array) -> Motion:
     """Return the motion through ``p`` with the pelvis moved so that the centre of mass is at ``wanted`` (n, 3).
 
-    Fixed-point iteration on the remaining error. Since the feet stay in place, a correction falls short by 0 to 40 %:
-    it is over-relaxed by a quarter, and seven iterations leave micrometres.
+    The remaining error is reduced by a fixed-point iteration. Since the feet stay in place, a correction is 0 to 40 %
+    too small; it is over-relaxed by a quarter, and seven iterations leave micrometres.
     """
     for _ in range(_BALANCE_STEPS):
         motion = posed(performer, p, frame_rate_hz)
@@ -177,8 +177,8 @@ def _leg(performer: Performer, p: Postures, k: int, root: Array, local: dict[str
 def _two_bones(start: Array, end: Array, bones: list[float], pole: Array) -> tuple[Array, Array, Array]:
     """Return a chain's first bone's direction (n, 3), the side (n, 3) to which it bends, and its flexion (n,).
 
-    ``start`` and ``end`` (n, 3) of the chain, its two ``bones``' lengths [m], ``pole`` (n, 3): to which its
-    middle joint points. The side is across the first bone; the flexion is the angle between the bones.
+    ``start`` and ``end`` (n, 3): ends of the chain; ``bones``: lengths of its two bones [m]; ``pole`` (n, 3): the
+    direction of its middle joint. The side is across the first bone; the flexion is the angle between the bones.
     """
     first, second = bones
     way = end - start
@@ -196,7 +196,7 @@ def _two_bones(start: Array, end: Array, bones: list[float], pole: Array) -> tup
 
 
 def _along(facing: Array, values: Array, sign: float) -> Array:
-    """Return (outward, forward, up) values (n, 3) of a side as world vectors for someone ``facing`` there."""
+    """Return (outward, forward, up) values (n, 3) of a side as world vectors, for a person with this ``facing``."""
     at_rest = np.stack([sign * values[:, 0], -values[:, 1], values[:, 2]], axis=-1)
     c, s = np.cos(facing), np.sin(facing)
     x, y = at_rest[:, 0], at_rest[:, 1]

@@ -1,8 +1,8 @@
 """The calibration movement of a laboratory: every joint through much of its range, one after the other.
 
-Standing on one leg, the other is swung to the front, back and side, round in a circle, its knee and ankle bent
-(star-arc with a circle: Camomilla et al. 2006, J. Biomech. 39, 1096); then the other leg; trunk and head; both arms.
-The standing feet stay where they are: the pelvis follows from them. Angles [rad], written for a loop of 24 s.
+The person stands on one leg and swings the other to the front, back and side and round in a circle, with knee and
+ankle bent (star-arc with a circle: Camomilla et al. 2006, J. Biomech. 39, 1096). Then follow the other leg, trunk and
+head, and both arms. Feet that stand are fixed, and the pelvis follows from them. Angles [rad], for a loop of 24 s.
 """
 
 from collections.abc import Mapping
@@ -22,7 +22,7 @@ from twin.scenes.posture import Performer
 from twin.scenes.submovements import MovementSequence
 
 LENGTH_S = 24.0
-"""Of a loop as written."""
+"""Length of a loop as written."""
 _LEG_S, _ARMS_AT_S = 7.1, 17.9
 _APART, _HIP, _KNEE = 0.03, 0.03, 0.06  # abduction and flexion of legs that stand
 _HANGING = 0.3  # abduction of an arm at rest
@@ -48,7 +48,7 @@ _SIDED: Mapping[str, tuple[float, ...]] = {
 
 
 def range_of_motion(performer: Performer, rng: np.random.Generator, length_s: float = LENGTH_S) -> Motion:
-    """Return a loop of about ``length_s``; ``rng`` draws sizes, the leg that comes first, ways round and tempo."""
+    """Return a loop of about ``length_s``; ``rng`` draws sizes, first leg, directions of rotation and tempo."""
     sequence = MovementSequence()
     sequence.begin(**_START, **{f"{side}_{name}": value for name, value in _SIDED.items() for side, _ in _SIDES})
     first = int(rng.integers(2))
@@ -66,7 +66,7 @@ def _swing_leg(sequence: MovementSequence, side: str, clock: float, rng: np.rand
     outward = 1.0 if side == "l" else -1.0
     hip, knee, ankle = (f"{side}_{name}" for name in ("hip", "knee", "ankle"))
     sequence.visit("sway", (clock, clock + 0.8), (clock + 6.5, clock + 7.1), -outward * _SWAY)
-    # the weight changes feet while the pelvis is level: only then do both feet say the same of where it is
+    # the weight changes feet while the pelvis is level: only then do both feet give the same pelvis position
     sequence.visit("on_right", (clock, clock + 0.4), (clock + 6.9, clock + 7.1), 0.5 + 0.5 * outward)
     lift_s, down_s = (clock + 0.4, clock + 1.0), (clock + 6.3, clock + 6.9)
     sequence.visit("pelvis", lift_s, down_s, (0.0, 0.0, -outward * _HIKE))
@@ -93,12 +93,12 @@ def _swing_leg(sequence: MovementSequence, side: str, clock: float, rng: np.rand
 
 
 def _round(way: float, points: int) -> Array:
-    """Return the angles (points,) of once round, to the left (1) or right (-1)."""
+    """Return the angles (points,) of one revolution to the left (1) or right (-1)."""
     return np.asarray(way * np.linspace(0.0, 2 * np.pi, points))
 
 
 def _bend_trunk(sequence: MovementSequence, clock: float, rng: np.random.Generator) -> None:
-    """Write: trunk forward, to both sides, turned both ways; the head goes along later, twice as far."""
+    """Write: trunk forward, to both sides, turned both ways; the head follows later, twice as far."""
     side = 1.0 if rng.random() < 0.5 else -1.0
     upright = sequence.target("spine")
     bends = [(0.0, 0.45, 0.0), (0.0, -0.1, 0.0), (0.0, 0.0, 0.42 * side), (0.0, 0.0, -0.42 * side),
@@ -139,7 +139,7 @@ def _raise_arm(sequence: MovementSequence, side: str, clock: float, rng: np.rand
 
 
 def _posed(performer: Performer, v: dict[str, Array], rate_hz: float) -> Motion:
-    """Return the motion through channels' values (n, k)."""
+    """Return the motion through the channels' values (n, k)."""
     skeleton = performer.skeleton
     n = len(v["sway"])
     rotations = np.zeros((n, len(skeleton.names), 4))
@@ -169,9 +169,9 @@ def _posed(performer: Performer, v: dict[str, Array], rate_hz: float) -> Motion:
 
 
 def _leg(v: dict[str, Array], side: str, sign: float) -> tuple[Array, Array, Array, tuple[Array, Array]]:
-    """Return rotations (n, 4): world_from_thigh, of knee and ankle; and of a standing leg's thigh and knee.
+    """Return rotations (n, 4): world_from_thigh, those of knee and ankle, and those of a standing thigh and knee.
 
-    The ankle of a leg that stands keeps the foot flat, and that of one in the air moves from there.
+    The ankle of a standing leg keeps the foot flat; for a leg in the air, its motion is added to that.
     """
     sway = quaternions_from_euler(v["sway"], "Y")
     moved = np.concatenate([v[f"{side}_hip"], v[f"{side}_knee"]], axis=1)
@@ -189,7 +189,7 @@ def _leg(v: dict[str, Array], side: str, sign: float) -> tuple[Array, Array, Arr
 
 
 def _root_over(performer: Performer, side: str, sign: float, pelvis: Array, standing: tuple[Array, Array]) -> Array:
-    """Return where the root is (n, 3) [m] when the leg ``standing`` (thigh, knee) stands on its foot."""
+    """Return the position of the root (n, 3) [m] when the leg ``standing`` (thigh, knee) stands on its foot."""
     at, skeleton = performer.skeleton.offsets, performer.skeleton
     hip, knee, ankle, ball = (at[skeleton.index(f"{side}{bone}")] for bone in ("femur", "tibia", "foot", "toes"))
     thigh, shank = standing[0], multiply_quaternions(*standing)

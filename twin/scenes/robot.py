@@ -1,8 +1,8 @@
 """A four-wheeled skid-steered robot like the Mosca paper's Hercules, with 13 flat targets on its deck.
 
-0.36 m long, 0.32 m wide, 4 kg. Simulated with contact physics: turning drags its wheels sideways over the floor, so
-that its dynamics are not trivial to identify. Body axes: x forward, y left, z up, origin on the floor under the
-deck's centre.
+It is 0.36 m long and 0.32 m wide and weighs 4 kg. It is simulated with contact physics: turning drags its wheels
+sideways over the floor, so that its dynamics are not trivial to identify. Body axes: x forward, y left, z up, origin
+on the floor under the deck's centre.
 
 Targets (paper, figure 8): #8 in the centre; #6 and #10 on the x axis, #3 and #13 on the y axis. The paper
 has no drawing of the others; here they are in rows 1-5, 6-10 and 11-13, so that the pattern has no symmetry.
@@ -49,7 +49,7 @@ _DECK_M = np.array([0.34, 0.25, 0.006])
 _FRICTION = 0.5
 _ROTOR_INERTIA_KG_M2 = 0.01  # of motor and gear, seen at the wheel
 _TURN_BACK_M = 0.15
-"""Safety margin of the distance from the box's side at which the robot's direction is reversed."""
+"""Safety margin on the distance from the box's side at which the robot's direction is reversed."""
 
 TARGET_XY_M: tuple[tuple[float, float], ...] = (
     *((x, 0.10) for x in (-0.15, -0.075, 0.0, 0.075, 0.15)),
@@ -58,7 +58,7 @@ TARGET_XY_M: tuple[tuple[float, float], ...] = (
 )
 """Targets #1..#13 on the deck, body axes [m]."""
 DECK_CENTRE_M = (0.0, 0.0, _DECK_TOP_M)
-"""Of target #8, body axes."""
+"""Centre of target #8, body axes."""
 
 
 def build_robot(
@@ -74,10 +74,10 @@ def build_robot(
     commands: Sequence[tuple[int, str]] | None = None,
     heading_rad: float | None = None,
 ) -> Scene:
-    """Return a robot that white noise, or ``commands``, drive about the working space, on the floor z = 0.
+    """Return a robot on the floor z = 0 that white noise, or ``commands``, drive about the working space.
 
-    The scene's commands hold pwm_average, pwm_difference, pwm_left, pwm_right from 0 s on. Raises InputError naming
-    what is wrong.
+    The scene's commands hold pwm_average, pwm_difference, pwm_left, pwm_right from 0 s on. Raises InputError that
+    names the fault.
 
     Parameters
     ----------
@@ -86,16 +86,16 @@ def build_robot(
     rng
         Draws the first heading and the noise.
     average_pwm, difference_pwm
-        Amplitudes a_m and d_m of the noise, of 255; near the side of the box an average that would drive the robot
-        out is negated (see ``driving.noise``).
+        Amplitudes a_m and d_m of the noise, out of 255. Near the side of the box, an average that would drive the
+        robot out is negated (see ``driving.noise``).
     hold_s
         Duration of each command.
     target_diameter_m
-        Of the flat targets T1..T13 of the rigid body "robot".
+        Diameter of the flat targets T1..T13 of the rigid body "robot".
     commands
-        Session time [ns] and line of text of each (see ``driving.given``), instead of noise.
+        Session time [ns] and line of text of each command (see ``driving.given``), instead of noise.
     heading_rad
-        Of its x axis relative to the world's at the start.
+        Angle of the robot's x axis to that of the world at the start.
     """
     box = Box(box_center_m, box_size_m)
     positive({"duration_s": duration_s, "hold_s": hold_s, "target_diameter_m": target_diameter_m})
@@ -113,7 +113,7 @@ def build_robot(
         box.half_inside(np.array([HALF_DIAGONAL_M, HALF_DIAGONAL_M, 0.0]), "this robot")
         sides = given(commands, box)
     else:
-        # The fastest the robot can go in the time that it takes to obey one command.
+        # The largest distance that the robot can move while it obeys one command.
         overrun = (average_pwm / FULL_PWM) * FREE_SPEED_RAD_S * _WHEEL_RADIUS_M * hold_s
         margin = HALF_DIAGONAL_M + _TURN_BACK_M + overrun
         box.half_inside(np.array([margin, margin, 0.0]), "a robot that can turn back")
@@ -151,7 +151,7 @@ def _add_wheel(spec: mujoco.MjSpec, robot: mujoco.MjsBody, name: str, x: float, 
     hinge.armature = _ROTOR_INERTIA_KG_M2
     axle = np.array([0.0, _WHEEL_WIDTH_M / 2, 0.0])
     add_shape(wheel, cylinder(-axle, axle, _WHEEL_RADIUS_M), mass=_WHEEL_MASS_KG)
-    # A ball inside the wheel touches the floor in one steady point, which a rolling cylinder does not.
+    # A ball inside the wheel touches the floor in one steady point; a rolling cylinder does not.
     tread = ellipsoid(np.zeros(3), np.full(3, _WHEEL_RADIUS_M))
     geom = add_shape(wheel, tread, name=name, solid=True, mass=0.0)
     geom.type, geom.group = mujoco.mjtGeom.mjGEOM_SPHERE, UNSEEN_GROUP

@@ -1,10 +1,10 @@
 """A runner on a treadmill: a stride that repeats, with both feet off the belt between steps.
 
-The centre of mass of the whole body is led, as in a jump: it falls freely in flight, and the force of the ground is
-half a sine over each stance (Alexander 1984, Am. Zool. 24, 85), which gives 2.2 times the weight at the times of
-contact and flight taken here. A foot on the belt moves back at the belt's speed. Times and sizes are those of people
-who run at 2.7 to 3.1 m/s: 160 to 170 steps a minute, contact 0.25 s, centre of mass up and down by 8 cm, heel at the
-height of the knee in swing (Novacheck 1998, Gait Posture 7, 77).
+The path of the whole body's centre of mass is prescribed, as in a jump. It falls freely in flight, and the ground
+force is half a sine over each stance (Alexander 1984, Am. Zool. 24, 85), which gives 2.2 times the weight for the
+contact and flight times used here. A foot on the belt moves back at the belt's speed. Times and sizes are those of
+people who run at 2.7 to 3.1 m/s: 160 to 170 steps a minute, contact 0.25 s, centre of mass up and down by 8 cm, heel
+at the height of the knee in swing (Novacheck 1998, Gait Posture 7, 77).
 """
 
 import numpy as np
@@ -25,7 +25,7 @@ _SPEED_MPS, _STRIDE_HZ = (2.7, 3.1), (1.34, 1.42)
 
 def run(performer: Performer, rng: np.random.Generator) -> Motion:
     """Return a stride; ``rng`` draws the belt's speed and the cadence."""
-    # Equal Froude numbers: a person of another size runs as fast as the root of it.
+    # Equal Froude numbers: speed is in proportion to the square root of a person's size.
     speed = float(rng.uniform(*_SPEED_MPS)) / np.sqrt(performer.scale)
     time_s, rate_hz = loop_times(np.sqrt(performer.scale) / float(rng.uniform(*_STRIDE_HZ)))
     stride_s = float(time_s[-1])
@@ -46,7 +46,7 @@ def run(performer: Performer, rng: np.random.Generator) -> Motion:
 def rise(time_s: Array, stride_s: float) -> Array:
     """Return the height of the centre of mass (n,) above that in the middle of a stance [m].
 
-    Stances begin at 0 and half a stride; they end with as much speed upward as they began with downward.
+    Stances begin at 0 and half a stride; their upward speed at the end equals their downward speed at the beginning.
     """
     contact = _CONTACT_SHARE * stride_s
     flight = stride_s / 2 - contact
@@ -64,7 +64,7 @@ def rise(time_s: Array, stride_s: float) -> Array:
 
 
 def _postures(performer: Performer, time_s: Array, stride_s: float, speed_mps: float) -> Postures:
-    """Return the postures, the left foot's stance beginning at 0; the pelvis at the height of standing."""
+    """Return the postures with the left foot's stance beginning at 0, and the pelvis at standing height."""
     scale, n = performer.scale, len(time_s)
     phase = 2 * np.pi * time_s / stride_s
     fore, zero = np.cos(phase), np.zeros(n)  # fore: the left leg's, and the right arm's
@@ -95,7 +95,7 @@ def _postures(performer: Performer, time_s: Array, stride_s: float, speed_mps: f
 
 
 def _foot(since_s: Array, stride_s: float, speed_mps: float, scale: float) -> tuple[Array, Array, Array]:
-    """Return a ball's place ahead and above [m] and its foot's pitch [rad], (n,) each, ``since_s`` touch-down."""
+    """Return a ball's position ahead and above [m] and its foot's pitch [rad], (n,) each, ``since_s`` touch-down."""
     contact = _CONTACT_SHARE * stride_s
     swing = stride_s - contact
     front = speed_mps * contact / 2 - scale * _BEHIND_M

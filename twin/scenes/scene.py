@@ -1,8 +1,8 @@
 """A scene: a compiled MuJoCo model, its markers, and its configuration at any instant.
 
-How the subject moves (a recorded motion, a flown path, contact physics) is hidden behind one function,
-``configuration_at``: time -> qpos, defined between physics steps too. What hides the markers are the
-model's geoms outside the marker group.
+The motion of the subject (a recorded motion, a flown path, contact physics) is hidden behind one function,
+``configuration_at``: time -> qpos, which is also defined between physics steps. The geoms outside the marker group
+hide the markers.
 """
 
 from collections.abc import Callable, Mapping
@@ -26,8 +26,8 @@ UNSEEN_GROUP = 5
 
 
 FINEST = 2.0**40
-"""Steps a metre (or radian) that a configuration is rounded to, 1e-12: the last digits of a sine differ from one
-version of a mathematics library to the next, and frames must not.
+"""Steps per metre (or radian) to which a configuration is rounded, 1e-12: the last digits of a sine differ between
+versions of a mathematics library, and frames must not.
 """
 
 
@@ -64,15 +64,15 @@ class Scene:
     bodies: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     """Rigid body -> names of the markers that it carries."""
     commands: Commands | None = None
-    """What drove the subject, if anything did."""
+    """Commands that drove the subject; None where there were none."""
     figures: Mapping[str, Figure] = field(default_factory=dict)
-    """Marker -> what is printed on its +z face. A marker without one shines as a whole; a box must have one."""
+    """Marker -> figure on its +z face. A marker without a figure shines as a whole; a box must have one."""
     glows: Mapping[str, Glow] = field(default_factory=dict)
     """Marker -> its light (default: ``Glow()``)."""
     joints: JointFrames | None = None
-    """A person's joints; None where the subject is none."""
+    """A person's joints; None for other subjects."""
     modes: PlateModes | None = None
-    """A panel's modes at its markers; None where the subject is none."""
+    """A panel's modes at its markers; None for other subjects."""
 
     def __post_init__(self) -> None:
         for name in ("bodies", "figures", "glows"):

@@ -1,12 +1,12 @@
-"""Soft tissue: how an actor's markers slide on the bones beneath the skin.
+"""Soft tissue: sliding of an actor's markers on the bones beneath the skin.
 
-Two things move a marker. *Posture*: skin is drawn along by the joints at both ends of a segment, a smooth function
-of their rotations. *Wobble*: the tissue is a mass on a damped spring, which a footfall sets ringing. Half of the
-variance by posture is common to the markers of a segment (what no average over a cluster takes away), half is each
-marker's own. Four fifths of the variance lie along the skin. Coefficients are drawn anew for each person.
+Two effects move a marker. *Posture*: the joints at both ends of a segment pull the skin along, by a smooth function
+of their rotations. *Wobble*: the tissue is a mass on a damped spring, which rings after a footfall. Half of the
+variance by posture is common to the markers of a segment, so that an average over a cluster does not remove it; half
+is each marker's own. Four fifths of the variance lie along the skin. Coefficients are drawn anew for each person.
 
-Sizes are after reviews of pins in bones and of fluoroscopy: Leardini et al. 2005 (Gait Posture 21, 212), Peters et
-al. 2010 (Gait Posture 31, 1), Benoit et al. 2006 (Gait Posture 24, 152); docs/people.md says how they were taken.
+Sizes are from reviews of pins in bones and of fluoroscopy: Leardini et al. 2005 (Gait Posture 21, 212), Peters et
+al. 2010 (Gait Posture 31, 1), Benoit et al. 2006 (Gait Posture 24, 152); docs/people.md states how they were derived.
 """
 
 from collections.abc import Callable, Mapping
@@ -42,9 +42,9 @@ _MOVED_BY: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "wrist": ("forearm", "wrist", "hand"), "hand": ("hand",),
     }
 )  # fmt: skip
-"""Part -> parts at whose first joints its skin is drawn; those that a skeleton lacks are left out."""
+"""Part -> parts whose first joints pull its skin; parts that a skeleton lacks are left out."""
 SLIDES = "skin/"
-"""How the names of the markers' bodies and slide joints begin; the marker's name follows."""
+"""Prefix of the names of the markers' bodies and slide joints; the marker's name follows."""
 _LINEAR_SHARE, _COMMON_SHARE, _NORMAL_SHARE = 0.7, 0.5, 0.2  # of the variance
 _NORMAL = np.sqrt(2 * _NORMAL_SHARE / (1 - _NORMAL_SHARE))  # of an isotropic vector's normal part, against tangents
 _KEPT = np.sqrt(3 / (2 + _NORMAL**2))
@@ -57,19 +57,19 @@ _TERMS = 9  # of a joint: three linear, six quadratic
 
 @dataclass(frozen=True, eq=False)
 class SoftTissue:
-    """A configuration whose markers slide: that of the bones, and the slides' positions added."""
+    """A configuration whose markers slide: that of the bones, plus the positions of the slides."""
 
     bones: Callable[[float], Array]
     slides: Array
     """(m, 3) addresses in qpos."""
     joints: Array
-    """(j,) addresses of the quaternions of the joints that draw the skin."""
+    """(j,) addresses of the quaternions of the joints that pull the skin."""
     from_reference: Array
     """(j, 4) conjugates of these quaternions when standing with hanging arms, signed so that w > 0 at the start."""
     posture: Array
-    """(3 m, 9 j) displacement by each term of the joints' rotations [m]."""
+    """(3 m, 9 j) displacement for each term of the joints' rotations [m]."""
     wobble: Array
-    """(3 m, 3 p) displacement by that of the tissue of p parts: as much as the thigh's, in proportion to STRONG_M."""
+    """(3 m, 3 p) displacement for that of the tissue of p parts: as for the thigh, in proportion to STRONG_M."""
     tissue: CubicSpline
     """Displacement (3 p,) of the parts' tissue over the session's time, in the bones' axes [m]."""
 
@@ -84,10 +84,10 @@ class SoftTissue:
 
 
 def terms(wxyz: Array) -> Array:
-    """Return the terms (j, 9) by which rotations (j, 4) draw the skin: unit vectors at 1 rad, bounded.
+    """Return the terms (j, 9) by which rotations (j, 4) pull the skin: unit vectors at 1 rad, bounded.
 
-    Linear ones are g = sqrt(2) u / sqrt(1 + u^2) with u = 2 sin(angle / 2) along the axis: skin gives way less and
-    less. The others are the products of two components, those of different ones times sqrt(2).
+    The linear terms are g = sqrt(2) u / sqrt(1 + u^2) with u = 2 sin(angle / 2) along the axis: skin yields less and
+    less. The others are products of two components of g; products of different components are times sqrt(2).
     """
     u = 2 * wxyz[:, 1:]
     g = np.sqrt(2 / (1 + np.sum(u * u, axis=1, keepdims=True))) * u
@@ -112,7 +112,7 @@ def soft_tissue(
     duration_s: float,
     rng: np.random.Generator,
 ) -> SoftTissue:
-    """Return the configuration of an actor with slides (``add_slides``) whose bones move as ``bones`` says.
+    """Return the configuration of an actor with slides (``add_slides``) whose bones move by ``bones``.
 
     ``skin``: "moderate" or "strong"; ``rng`` draws the person's coefficients.
     """
@@ -128,7 +128,7 @@ def soft_tissue(
 
 @dataclass(frozen=True, eq=False)
 class DrawnSkin:
-    """A person's skin: ``posture`` and ``wobble`` as of SoftTissue, for p ``parts`` and for ``joints`` (j).
+    """A person's skin: ``posture`` and ``wobble`` as in SoftTissue, for p ``parts`` and for ``joints`` (j).
 
     Each joint is named by the part that starts at it.
     """
@@ -164,7 +164,7 @@ def along_skin(normal: Array) -> Array:
 
 
 def _coefficients(part: str, drawing: list[str], anatomy: Anatomy, rng: np.random.Generator) -> Array:
-    """Return coefficients (3, 9 j), drawn: unit variance of the displacement at 1 rad in all joints of a part."""
+    """Return drawn coefficients (3, 9 j) for unit variance of the displacement at 1 rad in all joints of a part."""
     drawn = np.zeros((3, len(drawing), _TERMS))
     at = [drawing.index(joint) for joint in _moved_by(part, anatomy)]
     share = np.repeat([_LINEAR_SHARE, 1 - _LINEAR_SHARE], [3, 6]) / (3 * len(at))
@@ -183,9 +183,9 @@ def _ringing(
 ) -> CubicSpline:
     """Return the displacement (3 p,) of tissue on a damped spring, x'' + 2 z w x' + w^2 x = -a, over time.
 
-    ``a``: acceleration of the middle of a part's markers in the bone's axes, linear between the grid's instants, for
-    which the response is exact. The tissue stiffens: a displacement x becomes x / sqrt(1 + x^2 / s^2), s the thigh's
-    size by posture.
+    ``a``: acceleration of the middle of a part's markers in the bone's axes, taken as linear between the grid's
+    instants, for which the response is exact. The tissue stiffens: a displacement x becomes x / sqrt(1 + x^2 / s^2),
+    s the thigh's size by posture.
     """
     time_s = np.arange(-_BEFORE_S, duration_s + _AFTER_S, 1 / _GRID_HZ)
     ids = [int(model.body(_body(anatomy, part)).id) for part in parts]
@@ -219,7 +219,7 @@ def _kind(part: str) -> str:
 
 
 def _moved_by(part: str, anatomy: Anatomy) -> list[str]:
-    """Return the parts at whose first joints the skin of ``part`` is drawn."""
+    """Return the parts whose first joints pull the skin of ``part``."""
     kind = _kind(part)
     side = part.removesuffix(kind)
     near = [joint if joint in anatomy.parts else side + joint for joint in _MOVED_BY[kind]]

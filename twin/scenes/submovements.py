@@ -1,9 +1,9 @@
-"""Sequences of movements: channels that go from target to target, smooth however they overlap.
+"""Sequences of movements: channels that go from target to target, smooth also where movements overlap.
 
-Each movement adds its way times the minimum-jerk curve 10 u^3 - 15 u^4 + 6 u^5 (Flash and Hogan 1985), and
-movements that overlap are summed (Flash and Henis 1991, superposition): a hand that is sent on before it
-has arrived flows through. Position, velocity and acceleration of the curve are zero at its start and
-velocity and acceleration at its end, so that every sum is C2.
+Each movement adds its displacement times the minimum-jerk curve 10 u^3 - 15 u^4 + 6 u^5 (Flash and Hogan 1985), and
+movements that overlap are summed (Flash and Henis 1991, superposition): a hand with a new target before it has
+arrived does not stop. The curve's position, velocity and acceleration are zero at its start, and its velocity and
+acceleration are zero at its end, so that every sum is C2.
 """
 
 from collections.abc import Sequence
@@ -17,7 +17,7 @@ Values = float | Sequence[float] | Array
 
 
 def minimum_jerk(u: Array) -> Array:
-    """Return the way gone (n,), 0 to 1, at shares of the time ``u`` (n,); held outside 0..1."""
+    """Return the completed share (n,) of a movement, 0 to 1, at shares of its time ``u`` (n,); held outside 0..1."""
     held = np.clip(u, 0.0, 1.0)
     return np.asarray(held**3 * (10 - 15 * held + 6 * held * held))
 
@@ -30,7 +30,7 @@ def there_and_back(u: Array) -> Array:
 
 @dataclass(eq=False)
 class MovementSequence:
-    """Named channels and the movements of each with their times; written by a choreography, then read once."""
+    """Named channels with the movements of each and their times; written by a choreography, then read once."""
 
     _start: dict[str, Array] = field(default_factory=dict)
     _target: dict[str, Array] = field(default_factory=dict)
@@ -45,23 +45,23 @@ class MovementSequence:
             self._moves[name], self._hills[name] = [], []
 
     def move(self, channel: str, start_s: float, end_s: float, target: Values) -> None:
-        """Send ``channel`` from where it was last sent to ``target`` (k,) between two times."""
+        """Move ``channel`` from its last target to ``target`` (k,) between two times."""
         goal = np.atleast_1d(np.asarray(target, dtype=np.float64))
         self._moves[channel].append((start_s, end_s, goal - self._target[channel]))
         self._target[channel] = goal
 
     def visit(self, channel: str, out_s: tuple[float, float], back_s: tuple[float, float], there: Values) -> None:
-        """Send ``channel`` ``there`` (k,) between the times ``out_s``, and back again between ``back_s``."""
+        """Move ``channel`` to ``there`` (k,) between the times ``out_s``, and back between the times ``back_s``."""
         home = self._target[channel]
         self.move(channel, *out_s, there)
         self.move(channel, *back_s, home)
 
     def hill(self, channel: str, start_s: float, end_s: float, height: Values) -> None:
-        """Let ``channel`` go up by ``height`` (k,) and back between two times."""
+        """Raise ``channel`` by ``height`` (k,) and lower it again between two times."""
         self._hills[channel].append((start_s, end_s, np.atleast_1d(np.asarray(height, dtype=np.float64))))
 
     def target(self, channel: str) -> Array:
-        """Return where ``channel`` was last sent (k,)."""
+        """Return the last target (k,) of ``channel``."""
         return self._target[channel]
 
     def at(self, time_s: Array) -> dict[str, Array]:

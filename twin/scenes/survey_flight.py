@@ -1,8 +1,8 @@
-"""A drone before a test field: what the rig sees of it, and what its own camera sees.
+"""A drone before a test field: the scene for the rig, and the scene for its own camera.
 
-Two scenes of one flight. The rig, with short exposures under ring lights, sees its markers and a blinking lamp;
-printed targets stay dark there. The camera of the drone sees the test field, lit evenly, and the lamp. Field axes: x
-right and y up for who faces it, z towards the drone.
+There are two scenes of one flight. The rig, with short exposures under ring lights, sees the drone's markers and a
+blinking lamp; printed targets stay dark there. The camera of the drone sees the evenly lit test field and the lamp.
+Field axes: x right and y up for a viewer who faces the field, z towards the drone.
 """
 
 from collections.abc import Sequence
@@ -41,10 +41,10 @@ class SurveyField:
     """True positions, in the field's own axes."""
     world_from_field: Pose
     light_m: Array
-    """(3,) of the lamp's middle, the field's axes [m]."""
+    """(3,): middle of the lamp, the field's axes [m]."""
     light_diameter_m: float
     bit_s: float
-    """Length of a bit of the lamp's code; its edges fall between and into exposures."""
+    """Length of a bit of the lamp's code; the bits' edges lie both between exposures and within them."""
 
     @property
     def blink(self) -> Blink:
@@ -92,7 +92,7 @@ def seen_by_rig(flight: Flight, there: SurveyField, markers: Sequence[str], mark
 
 
 def seen_by_drone(flight: Flight, there: SurveyField, light_strength: float = 0.6) -> Scene:
-    """Return the flight before the field and the lamp; nothing is on the drone but its camera.
+    """Return the flight before the field and the lamp; the drone carries only its camera.
 
     ``light_strength``: the lamp's light over that of white paper, so that its image is not saturated.
     """
@@ -120,7 +120,7 @@ def seen_by_drone(flight: Flight, there: SurveyField, light_strength: float = 0.
 
 
 def field_at_rest(there: SurveyField, duration_s: float) -> Scene:
-    """Return the field alone where it stands."""
+    """Return a scene of the field alone, at rest in its place."""
     path = standing(there.world_from_field.translation, there.world_from_field.rotation)
     laid = LaidOutField(there.field, ())
     return field_scene(laid, path, duration_s, origin=np.zeros(3), glow=PAPER, floor=False)
@@ -130,8 +130,9 @@ def field_by_hand(
     field: TestField, first: Pose, stands: int, hold_s: float, *, lead_s: float, tilt_rad: float, shift_m: float,
     rng: np.random.Generator,
 ) -> Scene:  # fmt: skip
-    """Return a field that rests at ``first`` (world_from_field), then at poses about it: turned about all three axes
-    by up to ``tilt_rad`` (about its normal by any angle), moved by up to ``shift_m`` along each.
+    """Return a field that rests at ``first`` (world_from_field), then at poses about it.
+
+    It is turned by up to ``tilt_rad`` (about its normal by any angle) and moved by up to ``shift_m`` on each axis.
     """
     rows = []
     for k in range(stands):

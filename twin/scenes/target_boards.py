@@ -1,7 +1,7 @@
 """A checkerboard or ChArUco board, waved before the cameras by hand.
 
-The board is one target with one figure: white paper with black parts taken away. Black squares meet in points
-only, so no edge is given twice and every corner is exactly where ``Board.corners`` has it.
+The board is one target with one figure: white paper with black parts subtracted. Black squares meet in points only,
+so that no edge is given twice and every corner is exactly at its position in ``Board.corners``.
 """
 
 import cv2
@@ -84,7 +84,7 @@ def default_board(box: Box) -> Board:
 
 
 def board_figure(board: Board, black: float = 0.0) -> Figure:
-    """Return the figure of a board whose black parts send ``black`` of the white ones' light."""
+    """Return the figure of a board; ``black``: light of its black parts over that of its white parts."""
     width, height = board.size_m
     half = board.square_m / 2
     white = set(board.white_squares())
@@ -107,7 +107,7 @@ def board_figure(board: Board, black: float = 0.0) -> Figure:
 
 
 def marker_cells(dictionary: str, number: int) -> Array:
-    """Return which cells of a marker and its border are black, bool (b + 2, b + 2), first row uppermost."""
+    """Return the black cells of a marker and its border, bool (b + 2, b + 2), first row uppermost."""
     bits, _ = DICTIONARIES[dictionary]
     markers = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary))
     pixels = cv2.aruco.generateImageMarker(markers, number, bits + 2, borderBits=1)

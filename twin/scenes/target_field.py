@@ -66,7 +66,7 @@ def field_scene(
 ) -> Scene:
     """Return the scene of a field on a body that moves along ``path``.
 
-    ``origin`` (3,): where the field's origin lies in the axes of that body [m]; the axes are parallel.
+    ``origin`` (3,): the field's origin in the axes of that body [m]; the axes are parallel.
     """
     spec = new_stage(floor=floor)
     body = carried_body(spec, BODY)

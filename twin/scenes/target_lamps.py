@@ -18,26 +18,26 @@ LAMP = Glow("lamp", half_deg=60.0)
 ALL_ROUND = Glow("lamp", half_deg=ALL_SIDES_DEG)
 LIGHT_MARKER = "light"
 LEAD = 0.25
-"""A bit begins this share of a frame's period before the pulse: exposures up to the rest lie within one bit."""
+"""Share of a frame's period by which a bit begins before the pulse; exposures up to the rest lie within one bit."""
 BLINKS_FROM_S = -0.1
-"""The light marker blinks from this session time on [s]: scenes are defined from there."""
+"""Session time from which the light marker blinks [s]: scenes are defined from there."""
 _SIZE_SHARE = 0.012  # of the box's shortest edge: the light marker's default diameter
 
 
 def in_step(bits: Sequence[bool], frame_rate_hz: float, frames_per_bit: int = 1) -> Blink:
     """Return the blink that shows ``bits`` in step with the pulses, the first one at pulse 0.
 
-    A camera that is triggered sees each lamp on or off for ``frames_per_bit`` frames, never half lit, as long
-    as its exposure and delays keep within 3/4 of a period. Raises InputError for a rate or a count of 0.
+    A triggered camera sees each lamp on or off for ``frames_per_bit`` frames, never half lit, if its exposure and
+    delays stay within 3/4 of a period. Raises InputError for a rate or a count of 0.
     """
     positive({"frame_rate_hz": frame_rate_hz, "frames_per_bit": frames_per_bit})
     return Blink(tuple(bits), frames_per_bit / frame_rate_hz, -LEAD / frame_rate_hz)
 
 
 def with_lamps(scene: Scene, blinks: Mapping[str, Blink | None], glow: Glow = LAMP) -> Scene:
-    """Return ``scene`` whose markers named in ``blinks`` are lamps that blink so (None: always on).
+    """Return ``scene`` with the markers named in ``blinks`` as lamps that blink with these codes (None: always on).
 
-    ``glow``: a lamp's strength and angle. Other markers stay as they are. InputError for an unknown marker.
+    ``glow``: a lamp's strength and angle. Other markers are unchanged. InputError for an unknown marker.
     """
     for name in blinks:
         if name not in scene.marker_names:
@@ -54,9 +54,9 @@ def with_numbered_lamps(
     frames_per_bit: int = 1,
     glow: Glow = LAMP,
 ) -> Scene:
-    """Return ``scene`` whose markers (or those in ``names``) are lamps that blink numbers 0, 1, ... in that order.
+    """Return ``scene`` with its markers (or those in ``names``) as lamps that blink 0, 1, ... in that order.
 
-    Numbers: ``mosca.data.lamp_codes``; there are 75. Raises InputError for more lamps or an unknown one.
+    ``mosca.data.lamp_codes`` has the codes of 75 numbers. Raises InputError for more lamps or an unknown one.
     """
     lamps = scene.marker_names if names is None else tuple(names)
     if len(lamps) > LAMP_NUMBERS:
@@ -80,8 +80,8 @@ def build_light_marker(
 ) -> Scene:
     """Return one lamp, "light", that shines to all sides, is waved through the working space and blinks the time.
 
-    It shows the maximum length sequence of ``order`` (2^order - 1 bits of ``bit_s``; by default 10 s), from
-    session time -0.1 s on: ``order`` bits read in a row identify the instant, whatever clock a camera has.
+    From session time -0.1 s on it shows the maximum length sequence of ``order`` (2^order - 1 bits of ``bit_s``; by
+    default 10 s): any ``order`` successive bits identify the instant, for any clock of a camera.
     ``diameter_m``: by default 1.2 % of the box's shortest edge. Raises InputError where it does not fit.
     """
     box = Box(box_center_m, box_size_m)

@@ -77,7 +77,7 @@ class CarriedPath:
 
 
 def standing(center: Array, rotation: Array | None = None, spin: float = 0.0, phase: float = 0.0) -> CarriedPath:
-    """Return a body at rest at ``center`` (3,), or rotating there about the vertical by ``spin`` [rad/s]."""
+    """Return a body at rest at ``center`` (3,), or rotating there about the vertical at ``spin`` [rad/s]."""
     rest = quaternion_from_rotation(np.eye(3) if rotation is None else rotation)
     none = np.zeros((0, 3))
     return CarriedPath(center, none, none, none, rest, none, none, none, spin, phase)
@@ -96,8 +96,8 @@ def carried_by_hand(
 ) -> CarriedPath:
     """Return a path that fills ``center`` +- ``room`` (3,) [m] and never leaves it.
 
-    ``rotation`` (3, 3) attitude at rest; ``sway_rad`` (3,) how far the rotation vector goes along each of its
-    axes; ``speed_mps`` rms speed, ``turn_rad_s`` rms rate of the rotation vector; ``spin`` about the vertical
+    ``rotation`` (3, 3): attitude at rest; ``sway_rad`` (3,): range of the rotation vector along each of its
+    axes; ``speed_mps``: rms speed; ``turn_rad_s``: rms rate of the rotation vector; ``spin``: rate about the vertical
     [rad/s]; ``rng`` draws phases and frequencies.
     """
     rates, sway_rates = (
@@ -120,7 +120,7 @@ def carried_by_hand(
 
 
 def carried_body(spec: mujoco.MjSpec, name: str) -> mujoco.MjsBody:
-    """Add a free body to ``spec`` whose pose a ``CarriedPath`` gives."""
+    """Add a free body to ``spec``, whose pose is given by a ``CarriedPath``."""
     body = spec.worldbody.add_body(name=name)
     body.add_freejoint(name=name)
     # MuJoCo requires a mass of moving bodies; nothing here is simulated
@@ -147,7 +147,7 @@ def carried_scene(
 
 
 def room_around(box: Box, reach: float, what: str) -> Array:
-    """Return how far (3,) a body that reaches ``reach`` [m] to all sides may swing; InputError if not at all."""
+    """Return the distance (3,) [m] by which a body of radius ``reach`` [m] may swing; InputError if not at all."""
     return box.half_inside(np.full(3, reach), what)
 
 
@@ -164,11 +164,11 @@ class SteppedPath:
     stands: Array
     """(s, 7) positions [m] and attitudes wxyz."""
     hold_s: float
-    """Duration of each; the last one does not end."""
+    """Duration of each pose; the last one does not end."""
     lead_s: float
-    """How much earlier it is moved there, so that no exposure shows the step."""
+    """Time by which a step to the next pose is earlier, so that no exposure shows the step."""
     first_s: float = 0.0
-    """Additional duration of the first."""
+    """Additional duration of the first pose."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "stands", read_only(self.stands, (None, 7), "stands"))

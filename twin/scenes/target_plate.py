@@ -1,4 +1,4 @@
-"""Targets as geoms: plates that carry a figure, discs and balls, each with its centre exactly where it is specified.
+"""Targets as geoms: plates that carry a figure, discs and balls, each with its centre exactly as specified.
 
 A plate is a sheet so thin (2 um) that its face, centre and back coincide; its carrier is ``FILM_M`` behind. White
 parts have gain 1, black ones 0, or ``INK`` where they are printed.
@@ -27,7 +27,7 @@ _BLACK = (0.02, 0.02, 0.02, 1.0)
 
 
 def black_of(glow: Glow) -> float:
-    """Return the light of a target's black parts, as a share of the white ones' light."""
+    """Return the light of a target's black parts, as a share of the light of its white parts."""
     return INK if glow.kind == "paper" else 0.0
 
 
@@ -47,7 +47,7 @@ def coded_figure(target: CodedTarget, black: float = 0.0) -> Figure:
 def white_runs(bits: Sequence[bool]) -> tuple[tuple[int, int], ...]:
     """Return the runs of ones on a ring of ``bits`` that has a zero: (start, end) in sectors, start < end.
 
-    A run that passes the ring's start ends beyond its length: white neighbours have no seam between them.
+    A run across the ring's start ends beyond the ring's length, so that white neighbours have no seam between them.
     """
     n = len(bits)
     starts = [k for k in range(n) if bits[k] and not bits[k - 1]]
@@ -71,7 +71,7 @@ def add_plate(
 
 def add_ball_at(body: mujoco.MjsBody, name: str, center: Array, diameter: float) -> None:
     """Add a ball marker with its centre at ``center`` (3,) of the body's axes."""
-    up = np.array([0.0, 0.0, 1.0])  # take back what seats a marker on a skin
+    up = np.array([0.0, 0.0, 1.0])  # undo the offset that seats a marker on a skin
     add_ball_marker(body, name, np.asarray(center) - (diameter / 2 + SEAT_M) * up, up, diameter)
 
 
@@ -88,7 +88,7 @@ def add_target(body: mujoco.MjsBody, placed: PlacedTarget) -> None:
 
 
 def figures_of(targets: Sequence[PlacedTarget], glow: Glow) -> dict[str, Figure]:
-    """Return the figures by name of those of ``targets`` that have one."""
+    """Return the figures, by target name, of those ``targets`` that have one."""
     return {
         placed.name: coded_figure(placed.target, black_of(glow))
         for placed in targets

@@ -1,7 +1,7 @@
 """Wand, scale bar and L-frame before the cameras.
 
-Balls are on thin stems at a distance from the bar, so that it occludes little of them from the front; their centres
-are exactly those of the target definition.
+Balls are on thin stems at a distance from the bar, so that the bar hides little of them from the front. Their
+centres are exactly those of the target definition.
 """
 
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""Markers on a user's own model: their table, or the model's own sites and geoms; seated on surfaces with trimesh."""
+"""Markers on a user's own model, from a table or the model's own sites and geoms, placed on surfaces by trimesh."""
 
 import csv
 import re
@@ -43,9 +43,9 @@ class OwnMarker(Table):
 
 @dataclass(frozen=True)
 class MarkersInModel:
-    """The model's own sites, or its spheres, whose names match ``pattern`` (shell wildcards) are its markers.
+    """Choice of the model's own sites, or spheres, with names like ``pattern`` (shell wildcards) as its markers.
 
-    A site is a place near the surface that a ball of the site's size is seated on; a sphere is the ball itself.
+    A site marks a place near the surface on which a ball of the site's size is seated; a sphere is the ball itself.
     """
 
     kind: Literal["sites", "geoms"]
@@ -53,7 +53,7 @@ class MarkersInModel:
 
     @classmethod
     def of_words(cls, words: str) -> Self | None:
-        """Return what "sites", "sites:PATTERN" and "geoms:PATTERN" mean, None for others (the path of a table)."""
+        """Return the choice in "sites", "sites:PATTERN" or "geoms:PATTERN"; None for others (the path of a table)."""
         found = re.fullmatch(r"(sites|geoms)(?::(.+))?", words)
         return None if found is None else cls(found[1], found[2] or "*")  # type: ignore[arg-type]
 
@@ -61,7 +61,7 @@ class MarkersInModel:
         return f"{self.kind}:{self.pattern}"
 
     def found(self, model: mujoco.MjModel, source: Path) -> tuple["OwnMarker", ...]:
-        """Return the markers of ``model``; InputError where there are none, or one is on no named body."""
+        """Return the markers of ``model``; InputError where there are none, or where the body of one has no name."""
         if self.kind == "sites":
             there = [model.site(k) for k in range(model.nsite)]
         else:
@@ -86,7 +86,7 @@ class MarkersInModel:
         return tuple(markers)
 
     def place(self, spec: mujoco.MjSpec, surfaces: "Surfaces", markers: Sequence["OwnMarker"], source: Path) -> None:
-        """Add ``markers`` to the bodies of ``spec``; a sphere that is a marker is seen as the marker alone."""
+        """Add ``markers`` to the bodies of ``spec``; a sphere that is a marker is visible as the marker only."""
         if self.kind == "sites":
             seat_markers(spec, surfaces, markers, source)
             return
@@ -157,7 +157,7 @@ class Surfaces:
 
 
 def surfaces_of(model: mujoco.MjModel) -> Surfaces:
-    """Return the seen surfaces of all bodies of ``model`` (planes, height fields and markers left out)."""
+    """Return the visible surfaces of all bodies of ``model`` (planes, height fields and markers left out)."""
     import trimesh  # takes a third of a second to import
 
     meshes: dict[str, Trimesh] = {}
@@ -189,7 +189,7 @@ def seat_markers(spec: mujoco.MjSpec, surfaces: Surfaces, markers: Sequence[OwnM
 
 
 def _geom_mesh(model: mujoco.MjModel, geom: int) -> "Trimesh | None":
-    """Return the geom as a triangle mesh in its body's axes; None for what has no closed surface here."""
+    """Return the geom as a triangle mesh in its body's axes; None for geoms without a closed surface here."""
     import trimesh  # takes a third of a second to import
 
     kinds = mujoco.mjtGeom

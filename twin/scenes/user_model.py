@@ -1,7 +1,7 @@
 """A user's own model, MJCF or URDF with its meshes, with markers on it.
 
-Visible is what MuJoCo's viewer shows: geom groups 0 to 2. Geoms of other groups (collision shapes) are neither
-visible nor occlude; nor do the collision shapes of a URDF link with visuals.
+The visible geoms are those that MuJoCo's viewer shows: geom groups 0 to 2. Geoms of other groups (collision shapes)
+are not visible and do not occlude; nor do the collision shapes of a URDF link with visuals.
 """
 
 import re
@@ -29,7 +29,7 @@ _LAST_SEEN_GROUP = 2
 _URDF_EXTENSION = '<mujoco><compiler discardvisual="false" fusestatic="false" strippath="false"/></mujoco>'
 _TILT_RAD = 0.35
 DIVERGED = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
-"""MuJoCo resets itself to the start when it warns of one of these."""
+"""Warnings after which MuJoCo resets itself to the start."""
 
 
 def build_own(
@@ -58,14 +58,14 @@ def build_own(
     rng
         Draws the start of the turntable.
     model_file, markers_file
-        Model, and table of its markers or which of the model's own sites or spheres they are.
+        Model, and table of its markers or the choice of the model's own sites or spheres as markers.
     motion
         "turntable": the whole model, joints at rest, moves about the box, rotates and tilts; "physics": simulated
         from its first keyframe, else its rest pose, at -0.1 s; "table": ``motion_file``.
     motion_file
         CSV with header, column 1 the time [s], then all of qpos.
     speed_mps, turn_rad_s
-        Of the turntable: largest speed per axis, and rotation rate.
+        Largest speed of the turntable per axis, and its rotation rate.
     floor
         Add the plane z = 0 unless the model has a plane.
     """
@@ -118,13 +118,13 @@ class Turntable:
     swing: Array
     """(3,) amplitude of the motion along each axis [m]."""
     rates: Array
-    """(3,) of the swing [rad/s]."""
+    """(3,): frequencies of the swing [rad/s]."""
     phases: Array
     turn_rad_s: float
     pivot: Array
     """(3,) the body's middle in its own axes [m]."""
     rest: Array
-    """qpos of what is mounted on it."""
+    """qpos of the model mounted on it."""
 
     def __call__(self, time_s: float) -> Array:
         """Return qpos (nq,) at session time ``time_s``."""

@@ -1,7 +1,7 @@
 """Floor, working space, solid shapes, and markers on them.
 
-Everything that shows, hides or carries a marker is a MuJoCo primitive added through MjSpec. Markers are
-geoms that touch nothing and weigh nothing; their names in the model begin with ``marker/``.
+Everything that shows, hides or carries a marker is a MuJoCo primitive added through MjSpec. Markers are geoms
+without contacts and mass; their names in the model begin with ``marker/``.
 """
 
 from collections.abc import Mapping, Sequence
@@ -52,7 +52,7 @@ class Box:
         return np.asarray(self.center + self.size / 2)
 
     def half_inside(self, margin: Array, what: str) -> Array:
-        """Return half sizes (3,) less ``margin`` (3,) [m]; InputError where nothing is left for ``what``."""
+        """Return half sizes (3,) less ``margin`` (3,) [m]; InputError where no room remains for ``what``."""
         half: Array = self.size / 2 - margin
         if not (half > 0).all():
             needs = " x ".join(f"{2 * m:.2f}" for m in np.asarray(margin))
@@ -114,13 +114,13 @@ def rotation_to(z_axis: Array) -> Array:
 
 
 def outermost(shapes: Sequence[Shape], origin: Array, direction: Array) -> tuple[Array, Array]:
-    """Return where the ray from ``origin`` along ``direction`` (3,) leaves the union of ``shapes`` for good.
+    """Return the point where the ray from ``origin`` along ``direction`` (3,) last leaves the union of ``shapes``.
 
     Returns the point (3,) [m] and the unit outward normal (3,) there. Raises ValueError where the ray
     misses all shapes.
     """
     outward = direction / np.linalg.norm(direction)
-    eye = origin + _FAR_M * outward  # looking back in: the first thing seen is the outermost
+    eye = origin + _FAR_M * outward  # the ray is cast inwards: its first hit is the outermost
     nearest, normal = np.inf, outward
     for shape in shapes:
         seen = np.zeros(3)
@@ -143,7 +143,7 @@ def new_stage(*, floor: bool = True) -> mujoco.MjSpec:
 
 
 def add_floor(spec: mujoco.MjSpec) -> None:
-    """Add the plane z = 0 (geom ``floor``, without end for rays and contacts)."""
+    """Add the plane z = 0 (geom ``floor``, infinite for rays and contacts)."""
     spec.worldbody.add_geom(name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 0.1], rgba=_FLOOR)
 
 
@@ -172,7 +172,7 @@ def add_shape(
 
 
 def add_ball_marker(body: mujoco.MjsBody, name: str, surface: Array, normal: Array, diameter: float) -> None:
-    """Add a ball of ``diameter`` [m] on the skin: on its base, off ``surface`` (3,) along ``normal`` (3,)."""
+    """Add a ball of ``diameter`` [m] with its base on the skin at ``surface`` (3,), off it along ``normal`` (3,)."""
     center = ball_centre(surface, normal, diameter)
     add_marker(body, name, mujoco.mjtGeom.mjGEOM_SPHERE, [diameter / 2, 0, 0], center, np.eye(3))
 
@@ -195,7 +195,7 @@ def compiled(
 ) -> tuple[mujoco.MjModel, tuple[int, ...]]:
     """Return the compiled model and the markers' geom ids in the order of ``marker_names``.
 
-    ``prefix``: what an attachment has put before the markers' names in the model.
+    ``prefix``: the prefix that an attachment has added to the markers' names in the model.
     """
     model = spec.compile()
     return model, tuple(int(model.geom(prefix + MARKER_PREFIX + name).id) for name in marker_names)
@@ -231,7 +231,7 @@ def add_marker(
     rotation: Array,
     rgba: tuple[float, float, float, float] = _WHITE,
 ) -> None:
-    """Add a marker at ``center`` (3,), turned by ``rotation`` (3, 3): without mass, and touching nothing."""
+    """Add a marker at ``center`` (3,), turned by ``rotation`` (3, 3), without mass and contacts."""
     body.add_geom(
         name=MARKER_PREFIX + name,
         type=kind,

@@ -15,17 +15,17 @@ from witness.mitsuba.scene_file import read_scene
 
 
 def cache_folder() -> Path:
-    """Return where renders are kept unless ``--cache`` says so."""
+    """Return the folder in which renders are kept unless ``--cache`` names one."""
     base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     return Path(base) / "mosca-witness"
 
 
 MOST_RENDER_NOISE = 0.05
-"""Share by which the rendering may raise the places' rms; more calls for more samples."""
+"""Largest share by which rendering noise may raise the rms error of positions; above it, more samples are needed."""
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Render the scenes named; 1 where a render is too noisy, 2 for a scene file that cannot be used."""
+    """Render the named scenes; return 1 where a render is too noisy, 2 for a scene file that cannot be used."""
     parser = argparse.ArgumentParser(prog="python -m witness.mitsuba", description=__doc__)
     parser.add_argument("scenes", nargs="+", type=Path, metavar="SCENE.toml")
     parser.add_argument("--out", required=True, type=Path, help="a folder NAME is made in it for each scene")
@@ -56,7 +56,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _figures(values: dict[str, Any]) -> str:
-    """Return the median bounds and the rendering's noise in words."""
+    """Return the median bounds and the noise of the rendering in words."""
     image, point = values["bound_px2"].trace(axis1=-2, axis2=-1), values["bound_m2"].trace(axis1=-2, axis2=-1)
     if not np.isfinite(point).any():
         return "no target whose place has a bound"

@@ -1,9 +1,10 @@
-"""Least variances of places, given noise and light: of markers' images, and of points in space.
+"""Cramer-Rao bounds of positions for given noise and light: of markers' images, and of points in space.
 
-Fisher information of a window: J = sum over pixels of D^T D / variance, D the derivatives of the expected
-photoelectrons by place x, y, amplitude of the target's light and level of the background (nuisances): the noise is
-taken as normal with known variance. The bound is the upper left 2 x 2 of J^-1. Size and shape count as known. In
-space: the sum of P^T C^-1 P over the cameras, P the derivative of the image by the point, cameras known.
+Fisher information of a window: J = sum over pixels of D^T D / variance. D are the derivatives of the expected
+photoelectrons by the position x, y, and by the amplitude of the target's light and the level of the background
+(nuisances). The noise is taken as normal with known variance. The bound is the upper left 2 x 2 of J^-1. Size and
+shape count as known. In space the information is the sum of P^T C^-1 P over the cameras, P the derivative of the
+image by the point; cameras count as known.
 """
 
 import numpy as np
@@ -20,7 +21,7 @@ CLEAR = 0.999
 def scale_e(scene: WitnessScene, render: Render) -> float:
     """Return photoelectrons per radiance: the 95th percentile of targets' brightest pixels gets ``peak_e``.
 
-    Without targets that of all windows' pixels.
+    Without targets, the 95th percentile of all windows' pixels does.
     """
     peaks = [
         render.total[:, a:b].mean(0).max()
@@ -36,8 +37,8 @@ def scale_e(scene: WitnessScene, render: Render) -> float:
 def image_bounds(scene: WitnessScene, render: Render, scale: float) -> tuple[Array, Array]:
     """Return bounds (F, C, M, 2, 2) [px^2] of unobstructed targets, NaN elsewhere, and the render's own noise.
 
-    The second (F, C, M, 2) [px]: how far an efficient estimator would move between both halves, over two: one draw
-    of the error that the rendering's noise adds to the place.
+    The render's noise (F, C, M, 2) [px] is half the difference of an efficient estimator's results on both halves:
+    one draw of the error that the rendering adds to the position.
     """
     shape = render.visible.shape
     bounds, moved = np.full((*shape, 2, 2), np.nan), np.full((*shape, 2), np.nan)
@@ -62,7 +63,7 @@ def image_bounds(scene: WitnessScene, render: Render, scale: float) -> tuple[Arr
 
 
 def render_noise_share(bounds: Array, moved: Array) -> float:
-    """Return by which share the rendering's noise raises the places' rms over the Cramer-Rao bound."""
+    """Return the share by which rendering noise raises the rms error of positions above the Cramer-Rao bound."""
     good = np.isfinite(moved[..., 0])
     if not good.any():
         return float("nan")

@@ -1,8 +1,8 @@
-"""The noise-free images of a scene: a still background for each camera, and windows around what moves.
+"""The noise-free images of a scene: a still background for each camera, and windows around moving parts.
 
-Radiance of the mean ray of a pixel, in the lamps' units. Markers' windows have many samples, in two independent
-halves, whose difference is the noise of the rendering; boards, plates and meshes fewer. What stands outside of all
-windows is the room without the moving things: their shadows on it are missing there.
+Values are radiances of the mean ray of a pixel, in the lamps' units. Markers' windows have many samples, in two
+independent halves, whose difference is the noise of the rendering; boards, plates and meshes have fewer. Outside all
+windows the image is that of the room without the moving parts: their shadows on it are missing there.
 """
 
 from dataclasses import dataclass, fields
@@ -20,24 +20,26 @@ from witness.mitsuba.textures import PLATE_RADII
 from witness.mitsuba.transport import SUB, PixelLight, PixelRenderer, Pixels
 
 MOST_SLICES = 128
-"""Instants of an exposure: each holds its scene in memory, some 20 MB with textures."""
+"""Most instants of an exposure: each holds its scene in memory, some 20 MB with textures."""
 MARGIN_PX = 2.5
 """Dark pixels around a target's image in its window."""
 SLICE_PX = 0.4
-"""Farthest motion of an image in one of the instants that make up an exposure."""
+"""Largest motion of an image during one of the instants that make up an exposure."""
 PROBE_SAMPLES = 16
-"""Rays a pixel and instant that find where targets are; a neighbourhood of 3 x 3 covers what they miss."""
+"""Rays per pixel and instant that find the targets; a neighbourhood of 3 x 3 pixels covers what they miss."""
 BACKGROUND_BLUR_PX = 1.0
-"""Takes the rendering's noise from the room where no target is; its textures are coarser."""
+"""Blur that removes the rendering's noise from the room where no target is; the room's textures are coarser."""
 PROBE_SEES = 0.2
-"""Where no pixel's rays meet the target more often, it is blurred over more than its size: rays may miss it."""
+"""Share of a pixel's rays that meet a target. Where no pixel has more, it is blurred over more than its size, and
+rays may miss it."""
 INNER_SHARE = 0.25
-"""Of an edge's samples, for pixels inside of a target: only lamps and shading vary there."""
+"""Samples of pixels inside a target as a share of those at an edge: only lamps and shading vary there."""
 PRINTED_EDGE = 0.15
-"""Share of a window's brightest light from which pixels are bright; twice as large a range over 3 x 3 is an edge."""
+"""Share of a window's brightest light above which pixels count as bright; a range over 3 x 3 pixels of twice this
+share counts as an edge."""
 VISIBLE_RAYS = 256
 SPHERE_POINTS = 120
-"""A Fibonacci sphere's; 3 % larger, their hull holds the ball."""
+"""Points of a Fibonacci sphere; enlarged by 3 %, their hull encloses the ball."""
 
 
 @dataclass(frozen=True)
@@ -55,11 +57,13 @@ class Markers:
 
 @dataclass(frozen=True)
 class Render:
-    """``background`` (cameras, H, W); windows: ``place`` (n, 7) frame, camera, marker (-1: a surface), x, y, w, h, in
-    the order in which they are laid into the images; ``start`` (n + 1) of each one's pixels in ``total`` (two halves,
-    pixels), ``contrast``, ``by_x``, ``by_y``: the target's light less the background it hides, and its derivatives by
-    the image's position [radiance, radiance/px]. ``light_px`` (F, C, M, 2): centroid of that light on sub-pixels;
-    ``area_px2``; ``visible`` (F, C, M): share of the target's disc that is seen from the lens's centre.
+    """A rendered scene: ``background`` (cameras, H, W) and n windows, in the order in which they overlay the images.
+
+    ``place`` (n, 7): frame, camera, marker (-1: a surface), x, y, w, h. ``start`` (n + 1): where each window's pixels
+    begin in ``total`` (two halves, pixels), ``contrast``, ``by_x`` and ``by_y``: the target's light less the
+    background that it hides, and its derivatives by the image's position [radiance, radiance/px]. ``light_px`` (F, C,
+    M, 2): centroid of that light on sub-pixels; ``area_px2``; ``visible`` (F, C, M): share of the target's disc that
+    is visible from the lens's centre.
     """
 
     background: Array
@@ -81,7 +85,7 @@ class Render:
 
     @classmethod
     def load(cls, path: Path) -> "Render":
-        """Read what ``save`` wrote."""
+        """Return the render in a file of ``save``."""
         with np.load(path) as data:
             return cls(**{f.name: data[f.name] for f in fields(cls)})
 
@@ -96,7 +100,7 @@ class Render:
 
 
 def markers(scene: WitnessScene) -> Markers:
-    """Return all balls' and discs' places; the mean over the exposure by 9 Gauss-Legendre points."""
+    """Return the positions of all balls and discs; means over the exposure are by 9 Gauss-Legendre points."""
     parts = [
         (body, part) for body in scene.bodies for part in body.parts if isinstance(part, MarkerBall | MarkerDisc)
     ]
@@ -173,8 +177,8 @@ class Film:
         return out
 
     def _paths(self, frame: int) -> list[tuple[int, Array]]:
-        """Return each part's number (markers count from 0, others are -1) and its outline (3, n, 3) when the shutter
-        opens, at mid-exposure and when it closes.
+        """Return each part's number (markers from 0, others -1) and its outline (3, n, 3) at the shutter's opening,
+        at mid-exposure and at its closing.
         """
         scene, marker, found = self.scene, 0, []
         times = scene.mid_exposure_s(frame) + np.array([-0.5, 0.0, 0.5]) * scene.exposure_s
@@ -189,7 +193,7 @@ class Film:
         return found
 
     def _windows(self, frame: int) -> list[tuple[int, ...]]:
-        """Return frame, camera, marker, x, y, w, h of each window; what is nearer comes later."""
+        """Return frame, camera, marker, x, y, w, h of each window; nearer parts come later."""
         found: list[tuple[int, ...]] = []
         paths = self._paths(frame)
         for c, camera in enumerate(self.scene.cameras):
@@ -217,7 +221,7 @@ class Film:
         return (int(x0), int(y0), int(x1 - x0), int(y1 - y0)) if x1 > x0 and y1 > y0 else None
 
     def slices(self, frame: int) -> int:
-        """Return of how many instants an exposure is made up: a power of two."""
+        """Return the number of instants that make up an exposure, a power of two."""
         scene = self.scene
         farthest = 0.0
         ends = np.concatenate([path[[0, 2]] for _, path in self._paths(frame)], axis=1)
@@ -237,7 +241,7 @@ class Film:
     ) -> list[tuple[PixelLight, PixelLight]]:
         """Return each window's light in two independent halves of ``samples / 2`` each.
 
-        ``behind`` (cameras, H, W) is what pixels show that no target is near.
+        ``behind`` (cameras, H, W): light of pixels that no target is near.
         """
         if not windows:
             return []
@@ -279,8 +283,8 @@ class Film:
         ]
 
     def _shares(self, scenes: list[Any], pixels: Pixels, grids: list[Array], frame: int) -> Array:
-        """Return which share of the samples each pixel (n) needs: none where a few rays meet no target near it, few
-        where all of them do, all at edges.
+        """Return the share of the samples that each pixel (n) needs: none where a few rays meet no target near it,
+        few where all of them do, all at edges.
         """
         hits = sum(
             self._transport.render(one, pixels, PROBE_SAMPLES, _seed(self.scene.seed, frame, 2)).hits.mean((1, 2))
@@ -296,8 +300,8 @@ class Film:
         return np.concatenate(pieces)
 
     def _surface_shares(self, scenes: list[Any], pixels: Pixels, grids: list[Array], frame: int) -> Array:
-        """Return which share of the samples each pixel (n) of surfaces needs: all at printed edges, fewer where the
-        surface is bright, the fewest where it is dark.
+        """Return the share of the samples that each pixel (n) of surfaces needs: all at printed edges, fewer where
+        the surface is bright, the fewest where it is dark.
         """
         quality = self.scene.quality
         if quality.edge_samples <= quality.plate_samples:
@@ -318,7 +322,7 @@ class Film:
         return np.concatenate(pieces)
 
     def _visible(self, frame: int) -> Array:
-        """Return the share (cameras, markers) of each disc that the lens's centre sees, inside the image."""
+        """Return the share (cameras, markers) of each disc visible from the lens's centre, inside the image."""
         import mitsuba as mi
 
         scene, m = self.scene, len(self.markers.names)
@@ -344,7 +348,7 @@ class Film:
             towards = ((disc - origin) / length[..., None]).reshape(-1, 3).T.astype(np.float32)
             ray = mi.Ray3f(mi.Point3f(origin.tolist()), mi.Vector3f(towards))
             reached = np.array(instant.ray_intersect_preliminary(ray).t).reshape(m, VISIBLE_RAYS)
-            # what is met more than a radius before the disc stands in the way
+            # a hit more than a radius before the disc is an occluder
             free = reached > length - 1.02 * radius - 1e-4
             front = ((origin - centre) * axis).sum(1) > 0
             out[c] = (inside & free).mean(1) * front
@@ -356,7 +360,7 @@ def _seed(scene: int, frame: int, half: int) -> int:
 
 
 def _outline(part: Part, frame: int) -> Array:
-    """Return points (n, 3) in the body's frame whose hull holds the part."""
+    """Return points (n, 3) in the body's frame whose hull encloses the part."""
     if isinstance(part, MarkerBall | MarkerDisc):
         k = np.arange(SPHERE_POINTS) + 0.5
         z, turn = 1 - 2 * k / SPHERE_POINTS, k * np.pi * (1 + np.sqrt(5))
@@ -397,8 +401,8 @@ def _window_maps(
     def pixels(a: Array) -> Array:
         return np.asarray(a.reshape(h, SUB, w, SUB).mean((1, 3)).ravel())
 
-    # the image moved by one sub-pixel to either side, zeros coming in; inside of the target by a pixel, since there
-    # light is smooth, and the few samples of a sub-pixel would add their noise to the Fisher information
+    # the image moved by one sub-pixel to either side, with zeros coming in; inside the target by a pixel, since light
+    # is smooth there, and the few samples of a sub-pixel would add their noise to the Fisher information
     wide, whole = np.pad(fine, 1), np.pad(pixels(fine).reshape(h, w), 1)
     inner = minimum_filter(hits.mean((1, 2)).reshape(h, w), 3, mode="constant").ravel() > 1 - 1e-6
     by_x = np.where(

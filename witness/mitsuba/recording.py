@@ -1,8 +1,8 @@
-"""A recording folder of a rendered scene, in files that others read: images, times, rig, truth.
+"""A recording folder of a rendered scene, in files of common formats: images, times, rig, truth.
 
 ``cam1/000000.png`` ..., ``frames.csv`` (frame, camera, time_ns of the exposure's start, exposure_ns, status),
 ``rig.toml`` (OpenCV lenses and poses), ``truth.csv`` (label, time_ns of mid-exposure, x, y, z), ``target.toml`` where
-something is filmed that calibrates, ``witness.npz`` (its keys are in ``README.md`` beside it).
+the scene has a calibration target, ``witness.npz`` (its keys are in ``README.md`` beside it).
 """
 
 import shutil
@@ -46,7 +46,7 @@ KEYS = {
 
 
 def rendered(scene: WitnessScene, cache: Path, progress: Any = None) -> tuple[Render, bool]:
-    """Return the noise-free images, from ``cache`` if they are there; and whether they were."""
+    """Return the noise-free images, and whether they were taken from ``cache``."""
     path = cache / f"{scene.render_key()}.npz"
     if path.is_file():
         return Render.load(path), True
@@ -57,7 +57,7 @@ def rendered(scene: WitnessScene, cache: Path, progress: Any = None) -> tuple[Re
 
 
 def truth(scene: WitnessScene, render: Render, draw: int) -> dict[str, Any]:
-    """Return what goes into ``witness.npz``."""
+    """Return the contents of ``witness.npz``."""
     made = markers(scene)
     scale = scale_e(scene, render)
     bounds, moved = image_bounds(scene, render, scale)
@@ -93,7 +93,7 @@ def truth(scene: WitnessScene, render: Render, draw: int) -> dict[str, Any]:
 
 
 def write_recording(scene: WitnessScene, render: Render, out: Path, draw: int = 0) -> dict[str, Any]:
-    """Write the folder ``out`` and return what ``witness.npz`` holds; ``draw`` selects the noise.
+    """Write the folder ``out`` and return the contents of ``witness.npz``; ``draw`` selects the noise.
 
     A folder of an earlier draw is replaced.
     """
@@ -163,7 +163,7 @@ def _camera_table(camera: LensCamera) -> str:
 
 
 def _target_table(scene: WitnessScene) -> str:
-    """Return the description of what calibrates, or nothing."""
+    """Return the description of the calibration target; "" where there is none."""
     if len(scene.bodies) != 1:
         return ""
     parts = scene.bodies[0].parts

@@ -1,4 +1,4 @@
-"""A scene in plain values: cameras, rigid things that move, lights, room, sensor. Lengths in m, times in s."""
+"""A scene in plain values: cameras, rigid bodies that move, lights, room, sensor. Lengths in m, times in s."""
 
 import ast
 import hashlib
@@ -19,7 +19,7 @@ Triple = tuple[float, float, float]
 FIRST_MID_S = 0.1
 """Middle of the first exposure."""
 HOLD_FROM_S = 0.05
-"""Stands begin this much after multiples of their length: never within an exposure whose middle is a multiple."""
+"""Delay of a stand's begin after multiples of its length: no stand begins in an exposure centred on a multiple."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class LensCamera:
     """world_from_camera."""
     aperture_m: float = 0.0
     focus_m: float = 3.0
-    """Distance along the axis of what is sharp."""
+    """Distance of sharp focus along the axis."""
 
     @property
     def rotation(self) -> Array:
@@ -48,8 +48,8 @@ class LensCamera:
 class Swing:
     """Position ``centre + amplitude sin(2 pi frequency t + phase)``, axis by axis; the same for the rotation vector.
 
-    Turns follow the base orientation: world_from_body = Exp(turn) base. With ``hold_s`` it stands still for that long
-    and is somewhere else then.
+    The rotation is applied to the base orientation: world_from_body = Exp(turn) base. With ``hold_s`` the body stands
+    still for that long, and then jumps to the next pose.
     """
 
     centre_m: Triple = (0.0, 0.0, 0.0)
@@ -119,7 +119,7 @@ class Chessboard:
 
 @dataclass(frozen=True)
 class CodedPlate:
-    """White dot, ring of ``sectors`` on a black plate; sector k counter-clockwise from ``x_axis``, from the front."""
+    """White dot and ring of ``sectors`` on a black plate; sectors counter-clockwise from ``x_axis`` in front view."""
 
     name: str
     at_m: Triple
@@ -135,7 +135,7 @@ class Mesh:
 
     file: str
     digest: str
-    """Of the file's content."""
+    """Digest of the file's content."""
     reflectance: float
 
 
@@ -192,9 +192,9 @@ class SensorValues:
     bits: int = 8
     peak_e: float = 4000.0
     peak_dn: float = 200.0
-    """Count of ``peak_e`` above the black level, of 8 bits; with more bits 2^(bits - 8) times as much."""
+    """Count of ``peak_e`` above the black level, at 8 bits; with more bits it is 2^(bits - 8) times as large."""
     read_dn: float = 0.7
-    """Temporal dark noise, of 8 bits as well."""
+    """Temporal dark noise in counts, also at 8 bits."""
     black_dn: float = 2.0
     stray_e: float = 30.0
     """Even light from elsewhere, photoelectrons a pixel."""
@@ -206,25 +206,25 @@ class SensorValues:
 
     @property
     def gain_dn_per_e(self) -> float:
-        """Counts of a photoelectron."""
+        """Counts per photoelectron."""
         return self.peak_dn / self.peak_e * 2.0 ** (self.bits - 8)
 
 
 @dataclass(frozen=True)
 class Quality:
-    """Samples a pixel; powers of two."""
+    """Samples per pixel; powers of two."""
 
     window_samples: int = 512
     background_samples: int = 64
     plate_samples: int = 64
-    """In windows around boards, plates and meshes."""
+    """Samples in windows around boards, plates and meshes."""
     edge_samples: int = 64
-    """At edges printed on them, where more than ``plate_samples``."""
+    """Samples at edges printed on them, where this is more than ``plate_samples``."""
 
 
 @dataclass(frozen=True)
 class WitnessScene:
-    """All of it; ``finish`` of balls and discs: ``lambert`` or ``retro``."""
+    """A whole scene; ``finish`` of balls and discs: ``lambert`` or ``retro``."""
 
     name: str
     cameras: tuple[LensCamera, ...]
@@ -244,7 +244,7 @@ class WitnessScene:
         return FIRST_MID_S + frame / self.rate_hz
 
     def render_key(self) -> str:
-        """Return the digest of what the noise-free images depend on: scene without sensor, and the code."""
+        """Return the digest of all inputs of the noise-free images: scene without sensor, and the code."""
         values = asdict(self)
         del values["sensor"], values["name"]
         text = json.dumps(values, sort_keys=True) + code_digest()
@@ -261,7 +261,7 @@ def code_digest() -> str:
     trees = [ast.parse((folder / name).read_text(encoding="utf-8")) for name in RENDER_CODE]
     for tree in trees:
         for node in ast.walk(tree):
-            # texts that are statements: docstrings and the lines under constants
+            # string statements: docstrings, also those under constants
             if isinstance(getattr(node, "body", None), list):
                 node.body = [  # type: ignore[attr-defined]
                     one

@@ -94,11 +94,11 @@ CARRIED: dict[str, Any] = {
 }
 TRIES = 200_000
 ABOUT = {"lens": 0.02, "principal_px": 6.0, "k1": 0.02}
-"""How far the cameras' lenses differ from the table, rms: relative focal length, principal point, k1."""
+"""Differences of the cameras' lenses from the table, rms: relative focal length, principal point, k1."""
 
 
 def read_scene(path: Path) -> WitnessScene:
-    """Return the scene of a file; ValueError naming file and key."""
+    """Return the scene of a file; ValueError names file and key."""
     with path.open("rb") as file:
         table = tomllib.load(file)
     try:
@@ -108,7 +108,7 @@ def read_scene(path: Path) -> WitnessScene:
 
 
 def scene_of(table: dict[str, Any], name: str, folder: Path) -> WitnessScene:
-    """Return the scene of tables; ``folder`` is where files that it names lie."""
+    """Return the scene of tables; ``folder``: that of the files named in it."""
     table = dict(table)
     table.pop("title", None)
     cameras = _cameras_of(table, folder)
@@ -148,7 +148,7 @@ def scene_of(table: dict[str, Any], name: str, folder: Path) -> WitnessScene:
 
 
 def _cameras_of(table: dict[str, Any], folder: Path) -> tuple[LensCamera, ...]:
-    """Return the cameras of ``table``, whose keys ``cameras`` and ``rig`` are taken out."""
+    """Return the cameras of ``table``, from which the keys ``cameras`` and ``rig`` are removed."""
     given, rig = table.pop("cameras", {}), table.pop("rig", None)
     if rig is None:
         return _cameras(_filled(given, CAMERAS, "cameras"))
@@ -187,7 +187,7 @@ def _cameras(table: dict[str, Any]) -> tuple[LensCamera, ...]:
 
 
 def _cloud(table: dict[str, Any], cameras: tuple[LensCamera, ...], frames: int, rate: float, seed: int) -> list[Body]:
-    """Return markers at random places that never meet and are in the view of ``seen_by`` cameras throughout."""
+    """Return markers at random positions that never meet and are always in the view of ``seen_by`` cameras."""
     random = np.random.default_rng([seed, 1])
     half, reach = np.array(table["half_size_m"]), float(table["amplitude_m"])
     apart = table["diameter_m"] + table["gap_m"]

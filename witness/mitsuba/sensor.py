@@ -1,6 +1,6 @@
-"""From light to counts, after the linear model of EMVA 1288 (Release 4.0, sections 2 and 4).
+"""Counts from light by the linear model of EMVA 1288 (Release 4.0, sections 2 and 4).
 
-Photoelectrons: Poisson of light times (1 + PRNU) plus stray light and what hot pixels collect; capped at the full
+Photoelectrons: Poisson of light times (1 + PRNU) plus stray light and the excess of hot pixels; capped at the full
 well. Counts: gain times electrons, plus black level, DSNU and temporal dark noise (both normal); rounded, clipped.
 PRNU, DSNU and hot pixels belong to the camera: the same in all frames and draws.
 """
@@ -22,11 +22,11 @@ class VirtualSensor:
 
     @property
     def _scale(self) -> float:
-        """Counts for one count of 8 bits."""
+        """Counts of this sensor for one count at 8 bits."""
         return 2.0 ** (self.sensor.bits - 8)
 
     def counts(self, electrons: Array, seed: tuple[int, ...]) -> Array:
-        """Return an image (H, W), uint8 or uint16, of expected photoelectrons (H, W); ``seed`` names the draw."""
+        """Return an image (H, W), uint8 or uint16, for expected photoelectrons (H, W); ``seed`` names the draw."""
         sensor, random = self.sensor, np.random.default_rng([*seed, 72])
         mean = (electrons + sensor.stray_e) * self._response + self._hot
         drawn = np.minimum(random.poisson(np.maximum(mean, 0)), sensor.full_well_e)

@@ -1,8 +1,8 @@
 """The Mitsuba scene of one instant: shapes, surfaces and lamps as Mitsuba's own plugins.
 
-Retroreflection is a surface of our own: Mitsuba has none. Its luminance coefficient for a lamp at observation angle a
-and entrance angle b is ``exp(-(a / LOBE)^2)`` times a falloff of b that is even up to EVEN_RAD and ends at
-DARK_RAD: the form of curves that makers of glass-bead tape print (angles as in ASTM E810).
+The retroreflective surface is defined here, since Mitsuba has none. Its luminance coefficient for a lamp at
+observation angle a and entrance angle b is ``exp(-(a / LOBE)^2)`` times a falloff with b, which is even up to
+EVEN_RAD and ends at DARK_RAD: the form of the curves that makers of glass-bead tape print (angles as in ASTM E810).
 """
 
 import glob
@@ -22,7 +22,7 @@ VARIANT = "llvm_ad_mono"
 LOBE_RAD = math.radians(1.2)
 EVEN_RAD, DARK_RAD = math.radians(50.0), math.radians(87.0)
 RETRO_GAIN = 300.0
-"""Of retroreflective tape over a white Lambert surface, on its axis."""
+"""Brightness of retroreflective tape over a white Lambert surface, on its axis."""
 LAMBERT = 0.8
 RING_SIDES = 48
 LIMB_SIDES = 48
@@ -32,11 +32,11 @@ MARKER = "marker_"
 
 
 LEAST_LLVM = 16
-"""Older ones end the process: they cannot compile the minimum of two floats that Dr.Jit asks for."""
+"""Oldest usable version. Older ones end the process: they cannot compile the minimum of two floats for Dr.Jit."""
 
 
 def load_mitsuba() -> Any:
-    """Return Mitsuba with its variant set, and the surfaces of this file known to it.
+    """Return Mitsuba with its variant set, and the surfaces of this file registered.
 
     ImportError without it, or without an LLVM library; where several are installed, the newest is used unless
     DRJIT_LIBLLVM_PATH names one.
@@ -64,7 +64,7 @@ def _register_retro() -> None:
     import mitsuba as mi
 
     class Retro(mi.BSDF):  # type: ignore[misc, name-defined, unused-ignore]
-        """Sends light back to where it came from; ``eval`` alone is used: it is never the start of a bounce."""
+        """Retroreflective surface; only ``eval`` is used, since no bounce starts at it."""
 
         def __init__(self, props: Any) -> None:
             mi.BSDF.__init__(self, props)
@@ -271,7 +271,7 @@ def limb_mesh(limb: Limb) -> tuple[Array, Array]:
     side = np.cross(axis, [0.0, 0.0, 1.0] if abs(axis[2]) < 0.9 else [1.0, 0.0, 0.0])
     side /= np.linalg.norm(side)
     radius, n = limb.diameter_m / 2, LIMB_SIDES
-    # rings from pole to pole; its two middle ones are the ends of the cylinder
+    # rings from pole to pole; the two middle ones are the ends of the cylinder
     latitude = np.linspace(-np.pi / 2, np.pi / 2, n // 2)
     centre = np.where(latitude[:, None] < 0, start, end) + radius * np.sin(latitude)[:, None] * axis
     turn = np.arange(n) * 2 * np.pi / n

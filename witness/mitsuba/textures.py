@@ -10,7 +10,7 @@ WHITE, BLACK = 0.85, 0.04
 TEXELS_A_SQUARE = 64
 PLATE_TEXELS = 1024
 PLATE_RADII = 8.0
-"""Edge of a coded target's plate in dot radii; its ring runs from 2 to 3 of them."""
+"""Edge of a coded target's plate in dot radii; its ring reaches from 2 to 3 dot radii."""
 SUB = 2
 
 

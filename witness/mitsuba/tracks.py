@@ -1,7 +1,7 @@
-"""Cameras and moving markers from files: rigs as recordings hold them, positions as a table.
+"""Cameras and moving markers from files: the rig file of a recording, and a table of positions.
 
 A table of positions (CSV) has the columns ``label,time_ns,x,y,z,diameter_m`` and, for discs, ``nx,ny,nz``, the normal
-on the side that is seen; times as in ``truth.csv``. Between its times markers move along cubic splines.
+on the visible side; times as in ``truth.csv``. Between these times markers move along cubic splines.
 """
 
 import csv
@@ -18,18 +18,18 @@ from witness.mitsuba.scene import Array, Body, LensCamera, MarkerBall, MarkerDis
 
 LENS = ("k1", "k2", "p1", "p2", "k3")
 FEWEST = 4
-"""Times of a marker: what a cubic spline needs."""
+"""Least number of times of a marker: a cubic spline needs these."""
 
 
 @dataclass(frozen=True)
 class Track(Swing):
-    """A path through places at given times; ``normal`` (as many, or none) turns the body's z axis to it."""
+    """A path through positions at given times; ``normal`` (as many, or none): direction of the body's z axis."""
 
     time_s: tuple[float, ...] = ()
     place_m: tuple[Triple, ...] = ()
     normal: tuple[Triple, ...] = ()
     law: str = "cubic spline"
-    """What happens between the times: part of what a kept render depends on."""
+    """Interpolation between the times, on which a kept render depends."""
 
     @cached_property
     def _splines(self) -> tuple[CubicSpline, CubicSpline | None]:
@@ -47,7 +47,7 @@ class Track(Swing):
 
 
 def tracked(path: Path, first_s: float, last_s: float) -> list[Body]:
-    """Return the markers of a table, whose times reach from ``first_s`` to ``last_s`` at least."""
+    """Return the markers of a table, whose times must cover ``first_s`` to ``last_s``."""
     rows: dict[str, list[dict[str, str]]] = {}
     with path.open(newline="", encoding="utf-8") as file:
         for row in csv.DictReader(file):

@@ -1,9 +1,10 @@
 """Light on each pixel: rays through OpenCV's lens and a thin lens, Mitsuba's intersections, surfaces and lamps.
 
-A sample of pixel (i, j) has six low-discrepancy coordinates: two in the pixel, two on the lamps, two on the lens. The
-pixel is a square of even response. Distortion is undone by Newton steps for each sample, so that the integral over
-each distorted pixel is exact but for noise. Thin lens: the ray of a sample goes from its point on the lens to where
-the ray through the lens's centre meets the plane of focus. Sobol points with digital shifts, one for each pixel.
+A sample of pixel (i, j) has six low-discrepancy coordinates: two in the pixel, two on the lamps, two on the lens.
+They are Sobol points with digital shifts, one for each pixel. The pixel is a square of even response. Distortion is
+undone by Newton steps for each sample, so that the integral over each distorted pixel is exact but for noise. Thin
+lens: the ray of a sample goes from its point on the lens to where the ray through the lens's centre meets the plane
+of focus.
 """
 
 from dataclasses import dataclass
@@ -16,18 +17,18 @@ from witness.mitsuba.scene import Array, LensCamera
 from witness.mitsuba.surfaces import MARKER, load_mitsuba
 
 SUB = 8
-"""Sub-pixels an axis of the maps of targets."""
+"""Sub-pixels along each axis of a pixel in the maps of targets."""
 NEWTON_STEPS = 5
-"""Of the samples' undistortion in float32; the start is off by at most some per cent."""
+"""Newton steps of the samples' undistortion in float32; the start is off by at most some per cent."""
 MOST_SAMPLES = 1 << 23
-"""In one launch."""
+"""Most samples in one launch."""
 DIMENSIONS = 6
 
 
 @dataclass(frozen=True)
 class PixelLight:
-    """What came of a list of pixels: ``total`` (n) mean radiance, ``target`` (n, SUB, SUB) that from targets,
-    ``hits`` (n, SUB, SUB) the share of rays that met one; sub-pixels (row, column).
+    """Light of n pixels: ``total`` (n) mean radiance, ``target`` (n, SUB, SUB) that from targets, ``hits``
+    (n, SUB, SUB) the share of rays that met a target; sub-pixels are (row, column).
     """
 
     total: Array
@@ -45,7 +46,7 @@ class Pixels:
         return len(self.x)
 
     def where(self, chosen: Array) -> "Pixels":
-        """Return those that ``chosen`` (n) marks."""
+        """Return the pixels that ``chosen`` (n) marks."""
         return Pixels(self.camera[chosen], self.x[chosen], self.y[chosen])
 
     def part(self, first: int, last: int) -> "Pixels":
@@ -73,7 +74,7 @@ class PixelRenderer:
         self._row = len(rows[0])
         self._table = mi.Float(np.array(rows, dtype=np.float32).ravel())
         self._bounces = bounces
-        # the first coordinates are spread best: pixel and lamp, or lens and pixel where edges are blurred
+        # the first coordinates are spread best: for pixel and lamp, or for lens and pixel where edges are blurred
         self._order = (2, 3, 4, 5, 0, 1) if any(camera.aperture_m for camera in cameras) else (0, 1, 2, 3, 4, 5)
 
     def render(
@@ -81,7 +82,8 @@ class PixelRenderer:
     ) -> PixelLight:
         """Return the light on ``pixels`` in Mitsuba's ``scene`` by ``samples`` (a power of two) a pixel.
 
-        ``part``: which of how many equal parts of one series of points: instants of one exposure share a series.
+        ``part``: number of the part, and number of equal parts, of one series of points, which the instants of an
+        exposure share.
         """
         n, step = len(pixels), max(1, MOST_SAMPLES // samples)
         total = np.zeros(n)
@@ -133,7 +135,7 @@ class PixelRenderer:
 
         bits = dr.gather(mi.UInt32, points, k * DIMENSIONS + dimension)
         bits = bits ^ _mix(mi, shift + mi.UInt32(0x9E3779B9 * (dimension + 1) & 0xFFFFFFFF))
-        # 24 bits: what a float32 below 1 holds
+        # a float32 below 1 holds 24 bits
         return mi.Float(bits >> 8) * (1.0 / (1 << 24))
 
     def _ray(self, camera: Any, u: Any, v: Any, lens_1: Any, lens_2: Any) -> Any:

@@ -1,1 +1,1 @@
-"""Acceptance tests of twins, recordings and takes, and the certificate that holds their results."""
+"""Acceptance tests of twins, recordings and takes."""

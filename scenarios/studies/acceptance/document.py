@@ -1,4 +1,4 @@
-"""The result of an acceptance test as one document: what ``acceptance.json`` holds and the page shows."""
+"""The result of an acceptance test as one document, for ``acceptance.json`` and the page."""
 
 import hashlib
 import math
@@ -56,7 +56,7 @@ def acceptance_document(take: Take, folder: Path) -> dict[str, Any]:
 
 
 def not_covered(result: AcceptanceResult) -> list[str]:
-    """Return what was not tested, a line each."""
+    """Return lines on the parts that were not tested."""
     lines = []
     if result.lengths is None:
         lines.append("length measurement errors on measuring lines")
@@ -72,7 +72,7 @@ def not_covered(result: AcceptanceResult) -> list[str]:
 
 
 def inputs(files: Sequence[tuple[str, Path]], folder: Path) -> list[dict[str, str]]:
-    """Return what each file is, where it lies as seen from ``folder``, and its SHA-256."""
+    """Return each file's role, its path relative to ``folder``, and its SHA-256."""
     return [
         {"what": what, "file": Path(os.path.relpath(path, folder)).as_posix(), "sha256": sha256_of(path)}
         for what, path in files
@@ -82,7 +82,7 @@ def inputs(files: Sequence[tuple[str, Path]], folder: Path) -> list[dict[str, st
 def sha256_of(path: Path) -> str:
     """Return the SHA-256 of a file, read piece by piece; InputError where it cannot be read.
 
-    Of a folder: of the lines "SHA-256 PLACE" of all files in it, sorted by their places, as sha256sum writes them.
+    For a folder it is that of the lines "SHA-256 PLACE" of all files in it, sorted by place, as written by sha256sum.
     """
     digest = hashlib.sha256()
     if path.is_dir():
@@ -97,7 +97,7 @@ def sha256_of(path: Path) -> str:
 
 
 def plain(value: Any) -> Any:
-    """Return nested values as JSON has them: lists, and None for what is no number."""
+    """Return nested values in JSON's types: lists, and None for NaN."""
     if isinstance(value, dict):
         return {key: plain(one) for key, one in value.items()}
     if isinstance(value, list | tuple):

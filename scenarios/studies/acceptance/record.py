@@ -1,4 +1,4 @@
-"""Reads the result of an acceptance test back; what is not shown elsewhere is not looked at."""
+"""Reads the result of an acceptance test back; fields that are not shown elsewhere are ignored."""
 
 from pathlib import Path
 from typing import Any, Literal
@@ -81,7 +81,7 @@ class _Limits(_Fields):
 
 
 class InputFile(_Fields):
-    """A file that went in."""
+    """An input file."""
 
     what: str
     file: str
@@ -89,7 +89,7 @@ class InputFile(_Fields):
 
 
 class AcceptanceRecord(_Fields):
-    """What ``acceptance.json`` holds."""
+    """Contents of ``acceptance.json``."""
 
     kind: Literal["acceptance"]
     title: str
@@ -108,12 +108,12 @@ class AcceptanceRecord(_Fields):
 
 
 def read_acceptance_result(path: Path) -> AcceptanceRecord:
-    """Read what ``mosca accept`` wrote; InputError where it is missing or something else."""
+    """Return the result in a file of ``mosca accept``; InputError where it is missing or another kind of file."""
     return check(AcceptanceRecord, json_document(path, "'mosca accept'"), path)
 
 
 def json_document(path: Path, maker: str) -> dict[str, Any]:
-    """Return the JSON object in a file; InputError where there is none. ``maker``: what writes such files."""
+    """Return the JSON object in a file; InputError where there is none. ``maker``: command that writes such files."""
     try:
         document = parse_json(read_bytes(path, MOST_TABLE_BYTES))
     except FileNotFoundError:

@@ -1,4 +1,4 @@
-"""The tracks that an acceptance test is of: a scenario's run, a take, or a recording that is reconstructed."""
+"""The tracks of an acceptance test, from a scenario's run, a take, or a recording that is reconstructed."""
 
 import os
 from collections.abc import Callable
@@ -44,19 +44,19 @@ class Take:
     """Tracks with the acceptance file that tests them."""
 
     name: str
-    """What it is called on the page."""
+    """Name on the page."""
     source: str
-    """"twin", "recording", "rig" or "tracks", and which."""
+    """"twin", "recording", "rig" or "tracks", and its name."""
     tracks: Tracks
     given: AcceptanceFile
     files: tuple[tuple[str, Path], ...]
-    """What went in: what it is, and where it lies."""
+    """Input files: role and path of each."""
     arrivals: ResultArrivals | None
     notes: tuple[str, ...] = ()
 
 
 def take_of(options: AcceptOptions, out: Path, told: Told) -> Take:
-    """Return the take that ``options`` name; a recording's tracks go into ``out``. InputError for wrong inputs."""
+    """Return the take named by ``options``; a recording's tracks go into ``out``. InputError for wrong inputs."""
     path = Path(options.what)
     if path.is_dir() or path.suffix.lower() in SUFFIXES:
         tracks = next((path / n for n in TRACKS_FILES if (path / n).is_file()), None) if path.is_dir() else path

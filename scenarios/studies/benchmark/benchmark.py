@@ -1,4 +1,4 @@
-"""The benchmark as a whole: data sets made, entrants installed and run, all of them scored alike."""
+"""The whole benchmark: data sets are made, entrants are installed and run, and all are scored in the same way."""
 
 import logging
 import os
@@ -30,37 +30,37 @@ from scenarios.types import Score
 
 LOG = logging.getLogger(__name__)
 LIMIT_S = 300.0
-"""Longest that one phase of an entrant may take on one data set [s]."""
+"""Longest duration of one phase of an entrant on one data set [s]."""
 Shown = Callable[[int, int], object]
 
 
 @dataclass(frozen=True)
 class BenchmarkRow:
-    """What an entrant gave on a data set, in one of the two tables."""
+    """Result of an entrant on a data set, in one of the two tables."""
 
     table: str
     set: str
     entrant: str
     scores: dict[str, Score]
     error: str
-    """Why it is scored as nothing found; "" where it is not."""
+    """Reason why it is scored as nothing found; "" where it is not."""
     seconds: float
     peak_mb: float | None
     settings: dict[str, Any] = field(default_factory=dict)
     again: str = ""
-    """With ``--twice``: how the second run differs; "" where it does not."""
+    """Differences of the second run with ``--twice``; "" where there are none."""
 
 
 @dataclass(frozen=True)
 class BenchmarkJob:
-    """Where things lie, and how long an entrant may take."""
+    """Folders of a benchmark, and the time limit of an entrant."""
 
     data: Path
     """Data sets and their truth."""
     work: Path
-    """What entrants write."""
+    """Files that entrants write."""
     cache: Path
-    """Environments that are kept."""
+    """Cached environments."""
     limit_s: float = LIMIT_S
     workers: int = 1
     """Threads that render, and entrants that run side by side."""
@@ -69,17 +69,17 @@ class BenchmarkJob:
 
 @dataclass(frozen=True)
 class Benchmarked:
-    """All rows, the sets that were made, and why others were not."""
+    """All rows, the sets that were made, and the reasons why others were not."""
 
     rows: tuple[BenchmarkRow, ...]
     sets: dict[str, AboutSet]
     left_out: dict[str, str]
     pythons: dict[str, Path]
-    """Of the entrants that could be installed."""
+    """Pythons of the entrants that could be installed."""
 
     @property
     def failures(self) -> list[str]:
-        """One line for each row without a result, and for each that a second run gave otherwise."""
+        """One line for each row without a result, and for each that differs in a second run."""
         lines = [f"{row.entrant} on {row.set} ({row.table}): {row.error}" for row in self.rows if row.error]
         return lines + [
             f"{row.entrant} on {row.set} ({row.table}): not the same twice: {row.again}"
@@ -136,7 +136,7 @@ def run_benchmark(
 def _kept(
     one: SetFile, entrants: Sequence[Entrant], passphrase: Passphrase, job: BenchmarkJob, reasons: dict[str, str]
 ) -> list[BenchmarkRow] | None:
-    """Return the rows of all entrants on a set where an earlier run left them; None where one is missing."""
+    """Return the cached rows of all entrants on a set; None where one is missing."""
     if not (job.data / one.name / "dataset.json").is_file():
         return None
     rows = []
@@ -162,7 +162,7 @@ def _on_set(
     installed: tuple[dict[str, Path], dict[str, str]],
     step: Callable[[str], None],
 ) -> list[BenchmarkRow]:
-    """Run all entrants on a set, ``job.workers`` of them side by side; rows with results are kept."""
+    """Run all entrants on a set, ``job.workers`` of them in parallel; rows with results are cached."""
     on_set = OnSet(one.name, job, *installed)
     rows: dict[str, list[BenchmarkRow]] = {}
     finding = [entrant for entrant in entrants if entrant.detections_of is None]
@@ -176,7 +176,7 @@ def _on_set(
                     rows[entrant.name] = own
                     step(f"{entrant.name} on {one.name}")
         finally:
-            # after Ctrl-C nothing runs on
+            # after Ctrl-C nothing keeps running
             on_set.stopped.set()
     return [row for entrant in entrants for row in rows[entrant.name]]
 
@@ -190,11 +190,11 @@ class OnSet:
         low, high = np.array(read_about(job.data / name / "dataset.json").volume_m)
         self.working_space_m = float((high - low).max())
         self.stopped = Event()
-        """Set: what runs is ended, and nothing more is begun."""
+        """When it is set, running entrants are ended and no more are started."""
         self._matched: dict[tuple[str, str], Path | str] = {}
 
     def rows_of(self, entrant: Entrant) -> list[BenchmarkRow]:
-        """Return the entrant's rows, one for each table in which it stands."""
+        """Return the entrant's rows, one for each of its tables."""
         settings = settings_for(entrant, self.name)
         rows = []
         for table in entrant.tables:
@@ -212,7 +212,7 @@ class OnSet:
     def scored(
         self, entrant: Entrant, table: str, settings: dict[str, Any], turn: str
     ) -> tuple[dict[str, Score], str, Execution]:
-        """Run an entrant and score it; as nothing found, with the reason, where it gives no result."""
+        """Run an entrant and score it; without a result it is scored as nothing found, with the reason."""
         out = self.job.work.absolute() / turn / self.name / entrant.name / f"{table}.csv"
         out.unlink(missing_ok=True)
         spent = Execution(self.reasons.get(entrant.name, ""), 0.0, None)
@@ -259,7 +259,7 @@ class OnSet:
 
 
 def _difference(scores: dict[str, Score], again: tuple[dict[str, Score], str, Execution]) -> str:
-    """Return how a second run's metrics differ from the first's; "" where all are the same to the last bit."""
+    """Return the differences of a second run's metrics from the first; "" where all are the same to the last bit."""
     others, error, _ = again
     if error:
         return error
@@ -274,5 +274,5 @@ def _difference(scores: dict[str, Score], again: tuple[dict[str, Score], str, Ex
 
 
 def default_cache() -> Path:
-    """Return where environments are kept unless the user says where."""
+    """Return the folder of cached environments unless the user names one."""
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "mosca-benchmark"

@@ -1,4 +1,4 @@
-"""What an entrant is: its file's table, its settings for a data set, and the environment in which it runs."""
+"""An entrant: its table in the file, its settings for a data set, and the environment in which it runs."""
 
 import hashlib
 import json
@@ -21,7 +21,7 @@ from mosca.errors import InputError
 HERE = Path(__file__).parent
 ENTRANTS, TUNED, ADAPTERS = HERE / "entrants.toml", HERE / "settings.toml", HERE / "entrants"
 BUILD_S = 1200
-"""Longest that building an environment may take."""
+"""Longest duration of building an environment."""
 BoardName = Literal["images", "matched"]
 
 
@@ -50,11 +50,11 @@ class Entrants(Table):
 
 
 class EnvironmentFailed(Exception):
-    """An environment cannot be built; says why in one line."""
+    """An environment cannot be built; the message states the reason in one line."""
 
 
 def read_entrants(names: Sequence[str] = (), path: Path = ENTRANTS) -> tuple[Entrant, ...]:
-    """Return all entrants, or those named and those whose image points they get; InputError lists what there is."""
+    """Return all entrants, or those named and those whose image points they get; InputError lists known names."""
     there = {one.name: one for one in check(Entrants, read_toml(path), path).entrant}
     for one in there.values():
         if one.detections_of is not None and one.detections_of not in there:
@@ -70,7 +70,7 @@ def read_entrants(names: Sequence[str] = (), path: Path = ENTRANTS) -> tuple[Ent
 
 
 def settings_for(entrant: Entrant, name: str, tuned: Path = TUNED) -> dict[str, Any]:
-    """Return an entrant's settings for the set ``name``: those tuned where there are any, else its own."""
+    """Return an entrant's settings for the set ``name``: tuned ones where there are any, else its own."""
     table = read_toml(tuned) if tuned.is_file() else {}
     found = table.get(entrant.name, {}).get(name, {})
     for key in found:
@@ -82,10 +82,10 @@ def settings_for(entrant: Entrant, name: str, tuned: Path = TUNED) -> dict[str, 
 
 
 def python_of(entrant: Entrant, cache: Path) -> Path:
-    """Return the Python of an entrant's environment, which is built where it is not there yet.
+    """Return the Python of an entrant's environment, which is built if it does not exist yet.
 
-    It lies below ``cache`` under a digest of its requirements and of this Python's version. EnvironmentFailed where
-    it cannot be built; what was begun is removed.
+    It is below ``cache`` under a digest of its requirements and of this Python's version. EnvironmentFailed where it
+    cannot be built; the incomplete environment is removed.
     """
     if not entrant.requirements:
         return Path(sys.executable)
@@ -108,7 +108,7 @@ def python_of(entrant: Entrant, cache: Path) -> Path:
 
 
 def installed_versions(python: Path) -> list[str]:
-    """Return what is installed in an environment that ``python_of`` built, as pip freezes it; nothing for our own."""
+    """Return the packages in an environment built by ``python_of``, in the form of pip freeze; none for our own."""
     path = python.parent.parent / "installed.json"
     found = parse_json(read_text(path, "a list of packages")) if path.is_file() else []
     return [str(one) for one in found]
@@ -125,7 +125,7 @@ def own_environment(entrant: Entrant) -> dict[str, str]:
 
 
 def _called(command: list[str]) -> str:
-    """Return what a command prints; EnvironmentFailed with the last line of its complaint."""
+    """Return the output of a command; EnvironmentFailed with the last line of its error output."""
     done = subprocess.run(command, capture_output=True, text=True, timeout=BUILD_S, check=False)
     if done.returncode != 0:
         lines = [line for line in done.stderr.splitlines() if line.startswith("ERROR")] or done.stderr.splitlines()

@@ -1,4 +1,4 @@
-"""Runs an adapter in a process of its own: with a limit of time, what it took, and why it failed in one line."""
+"""Runs an adapter in a process of its own, with a time limit; returns its time, memory, and reason of failure."""
 
 import json
 import os
@@ -15,27 +15,27 @@ from mosca.data.files.bounded import open_file
 
 POLL_S = 0.02
 LAST_BYTES = 4096
-"""Of what a process printed that is looked at for its reason."""
+"""Last bytes of a process's output that are searched for the reason of its failure."""
 
 
 @dataclass(frozen=True)
 class Execution:
-    """What became of one call of an adapter."""
+    """Outcome of one call of an adapter."""
 
     error: str
-    """Why there is no result, in one line; "" where there is one."""
+    """Reason why there is no result, in one line; "" where there is one."""
     seconds: float
-    """From start to end of the process, with what it imports and compiles [s]."""
+    """Time from start to end of the process, with imports and compilation [s]."""
     peak_mb: float | None
-    """Most memory that it held [MB]; None where the operating system does not say."""
+    """Peak memory of the process [MB]; None where the operating system does not report it."""
 
 
 def execute(
     command: Sequence[str], environment: Mapping[str, str], folder: Path, limit_s: float, stopped: Event | None = None
 ) -> Execution:
-    """Run ``command`` in ``folder``; ended, with its children, after ``limit_s`` [s] or once ``stopped`` is set.
+    """Run ``command`` in ``folder``; end it, with its children, after ``limit_s`` [s] or once ``stopped`` is set.
 
-    What it prints is in ``folder/log.txt``.
+    Its output is in ``folder/log.txt``.
     """
     if stopped is None:
         stopped = Event()
@@ -75,7 +75,7 @@ def _started(
 
 
 def _waited(process: "subprocess.Popen[bytes]", until: float, stopped: Event) -> tuple[int | None, float | None]:
-    """Return the exit code, None where it was cut off before, and the most memory that was held [MB]."""
+    """Return the exit code, None where the process was ended before, and its peak memory [MB]."""
     peak: float | None = None
     try:
         while True:
@@ -88,9 +88,9 @@ def _waited(process: "subprocess.Popen[bytes]", until: float, stopped: Event) ->
 
 
 def _peak_mb(pid: int) -> float | None:
-    """Return the most memory that a process has held since it began its program [MB], where Linux says so.
+    """Return the peak memory of a process since it began its program [MB], where Linux reports it.
 
-    ``wait4`` counts the memory of the process that started it as well.
+    ``wait4`` would also count the memory of the process that started it.
     """
     try:
         text = Path(f"/proc/{pid}/status").read_text(encoding="ascii")
@@ -111,7 +111,7 @@ def _ended(process: "subprocess.Popen[bytes]") -> None:
 
 
 def _reason(code: int, log: Path) -> str:
-    """Return the last line that a process printed: of an exception in Python its name and message."""
+    """Return the last line that a process printed: for an exception in Python, its name and message."""
     with open_file(log) as file:
         file.seek(max(0, log.stat().st_size - LAST_BYTES))
         lines = [line for line in file.read().decode("utf-8", "replace").splitlines() if line.strip()]

@@ -1,7 +1,7 @@
-"""A data set as plain files, written and read; ``docs/benchmark.md`` is the format's description.
+"""A data set as plain files, written and read; the format is described in ``docs/benchmark.md``.
 
-``NAME/`` is what an entrant gets: ``dataset.json``, ``cameras.json``, ``images/CAMERA/000000.png``,
-``images/frames.csv``, ``calibration/points.csv``. ``truth/NAME/`` is what only scoring reads: ``points.csv`` and
+``NAME/`` is the input of an entrant: ``dataset.json``, ``cameras.json``, ``images/CAMERA/000000.png``,
+``images/frames.csv``, ``calibration/points.csv``. Only scoring reads ``truth/NAME/``: ``points.csv`` and
 ``images.csv``.
 """
 
@@ -33,13 +33,13 @@ FRAMES = ("frame", "camera", "time_ns", "exposure_ns", "status")
 GRID = 7
 """Points of the calibration list along each edge of the volume."""
 CALIBRATION_SIGMA_PX = 0.02
-"""Noise of its image coordinates, as good centroids of a test field have [px]."""
+"""Noise of its image coordinates, that of good centroids of a test field [px]."""
 LENS = ("k1", "k2", "p1", "p2", "k3")
 
 
 @dataclass(frozen=True, eq=False)
 class MadeSet:
-    """A data set before it is written: its rig with OpenCV's lenses, its truth, what is said of it."""
+    """A data set before it is written: its rig with OpenCV's lenses, its truth, its description."""
 
     name: str
     title: str
@@ -54,7 +54,7 @@ class MadeSet:
 
 
 def write_set(made: MadeSet, data: Path) -> None:
-    """Write all files of a set but its images below ``data``."""
+    """Write all files of a set, except its images, below ``data``."""
     folder, truth = data / made.name, made.truth
     for part in ("images", "calibration"):
         (folder / part).mkdir(parents=True, exist_ok=True)
@@ -104,7 +104,7 @@ def _write_frames(made: MadeSet, path: Path) -> None:
 
 
 def _write_calibration(made: MadeSet, path: Path) -> None:
-    """Write a list of known points and their images with noise: what a test field that fills the volume gives."""
+    """Write a list of known points and their images with noise, as from a test field that fills the volume."""
     rng = np.random.default_rng([made.seed, 7])
     low, high = np.array(made.volume_m)
     steps = np.stack(np.meshgrid(*[np.linspace(0, 1, GRID)] * 3, indexing="ij"), -1).reshape(-1, 3)
@@ -166,7 +166,7 @@ class AboutSet(Table):
 
 
 def read_about(path: Path) -> AboutSet:
-    """Return what ``dataset.json`` says; InputError names file, key, value and what is allowed."""
+    """Return the contents of ``dataset.json``; InputError names file, key, value and what is allowed."""
     try:
         document = parse_json(read_text(path, "a data set's dataset.json"))
     except (ValueError, RecursionError) as error:
@@ -177,9 +177,9 @@ def read_about(path: Path) -> AboutSet:
 
 
 def read_set_truth(folder: Path) -> Truth:
-    """Return the truth that ``points.csv`` and ``images.csv`` of a ``truth/NAME`` folder state.
+    """Return the truth in ``points.csv`` and ``images.csv`` of a ``truth/NAME`` folder.
 
-    InputError names file and row of what cannot be used.
+    InputError names file and row of unusable values.
     """
     path = folder / "points.csv"
     cells = read_columns(path, POINTS, "benchmark's true points")

@@ -1,7 +1,7 @@
-"""Rows that are kept, so that a run that was stopped goes on where it was.
+"""Cached rows, so that a stopped run continues where it was.
 
-A row is used again only where everything that it follows from is the same: all sources of this project that images,
-adapters and scores come from, the set's file and seed, all entrants' requirements and settings on it, the limit.
+A row is used again only where all its inputs are the same: all sources of this project for images, adapters and
+scores, the set's file and seed, all entrants' requirements and settings on it, the limit.
 """
 
 import hashlib
@@ -32,7 +32,7 @@ SOURCES = (
 
 @cache
 def sources_digest() -> str:
-    """Return SHA-256 of all sources that a row follows from."""
+    """Return SHA-256 of all sources on which a row depends."""
     found = hashlib.sha256()
     for room in SOURCES:
         for path in sorted((ROOT / room).rglob("*.py")):
@@ -41,8 +41,8 @@ def sources_digest() -> str:
 
 
 def row_key(entrant: Entrant, set_file: Path, seed: int, *more: Any) -> str:
-    """Return the digest of what an entrant's rows on a set follow from."""
-    # one may get the image points of another
+    """Return the digest of all inputs of an entrant's rows on a set."""
+    # an entrant may get the image points of another
     settings = {one.name: settings_for(one, set_file.stem) for one in read_entrants()}
     files = [hashlib.sha256(read_bytes(path)).hexdigest() for path in (ENTRANTS, set_file)]
     told = [sources_digest(), *files, seed, entrant.name, settings, *more]
@@ -50,7 +50,7 @@ def row_key(entrant: Entrant, set_file: Path, seed: int, *more: Any) -> str:
 
 
 def kept_rows(path: Path, key: str) -> list[dict[str, Any]] | None:
-    """Return the rows that were kept under ``key``, their scores as ``Score``; None where there are none."""
+    """Return the rows cached under ``key``, their scores as ``Score``; None where there are none."""
     try:
         document = parse_json(read_text(path, "kept rows"))
         if document["key"] != key:
@@ -63,7 +63,7 @@ def kept_rows(path: Path, key: str) -> list[dict[str, Any]] | None:
 
 
 def keep_rows(path: Path, key: str, rows: Sequence[Any]) -> None:
-    """Keep rows (dataclasses) under ``key``."""
+    """Cache rows (dataclasses) under ``key``."""
     path.parent.mkdir(parents=True, exist_ok=True)
     write_text(path, json.dumps({"key": key, "rows": [asdict(row) for row in rows]}) + "\n")
 

@@ -1,8 +1,8 @@
-"""Makes the data sets: the twin's from scenario files, and those of Mitsuba, which the twin has no part in.
+"""Makes the data sets: those of the twin from scenario files, and those of Mitsuba without the twin.
 
-Each set is drawn by its seed: noise, paths, and a rig whose cameras stand a little differently each time. The lenses
-are OpenCV's, exactly: every entrant gets the true calibration, and what is compared is detection, correspondence and
-triangulation.
+Each set is drawn by its seed: noise, paths, and a rig whose cameras have slightly different poses each time. The
+lenses are exactly OpenCV's: every entrant gets the true calibration, so that detection, correspondence and
+triangulation are compared.
 """
 
 import shutil
@@ -34,9 +34,9 @@ SETS = Path(__file__).with_name("sets")
 QUICK = ("pair_10", "cloud_50")
 """The sets of ``--quick``."""
 TURN_DEG, RAISE_M = 8.0, 0.1
-"""By how much cameras are turned about the volume and raised by the seed, at most."""
+"""Largest rotation of cameras about the volume, and largest rise, drawn by the seed."""
 LIMITS = ("limits.completeness=0.5",)
-"""A scenario needs a limit; a data set is judged by none."""
+"""Limit that a scenario must have; a data set is not judged by it."""
 NO_MITSUBA = "the extra 'witness' is not installed: pip install 'mosca-testbench[witness]', and an LLVM library"
 
 
@@ -48,7 +48,7 @@ class SetFile:
 
     @property
     def name(self) -> str:
-        """What the set is called."""
+        """Name of the set."""
         return self.path.stem
 
     @property
@@ -58,7 +58,7 @@ class SetFile:
 
 
 def set_files(names: Sequence[str] = (), quick: bool = False) -> list[SetFile]:
-    """Return all sets, or those named, or the quick ones; InputError lists what there is."""
+    """Return all sets, or those named, or the quick ones; InputError lists the known names."""
     there = [SetFile(path) for kind in ("twin", "mitsuba") for path in sorted((SETS / kind).glob("*.toml"))]
     known = [one.name for one in there]
     for name in names:
@@ -69,12 +69,12 @@ def set_files(names: Sequence[str] = (), quick: bool = False) -> list[SetFile]:
 
 
 def missing(one: SetFile) -> str:
-    """Return why a set cannot be made here; "" where it can."""
+    """Return the reason why a set cannot be made here; "" where it can."""
     return NO_MITSUBA if one.by_mitsuba and find_spec("mitsuba") is None else ""
 
 
 def make_set(one: SetFile, passphrase: Passphrase, data: Path, workers: int, frames: int | None = None) -> None:
-    """Make a set below the folder ``data``, with the first ``frames`` frames; one that is there is replaced."""
+    """Make a set below the folder ``data``, with the first ``frames`` frames; an existing set is replaced."""
     for folder in (data / one.name, data / "truth" / one.name):
         if folder.exists():
             shutil.rmtree(folder)
@@ -84,7 +84,7 @@ def make_set(one: SetFile, passphrase: Passphrase, data: Path, workers: int, fra
 
 
 def write_readme(folder: Path, passphrase: Passphrase) -> None:
-    """Write what the folder of exported sets holds, in words."""
+    """Write a description of the folder of exported sets."""
     write_text(
         folder / "README.md",
         "# Data sets of the mosca benchmark\n\n"
@@ -101,7 +101,7 @@ def write_readme(folder: Path, passphrase: Passphrase) -> None:
 
 
 def _drawn(seed: int, count: int) -> tuple[Array, Array]:
-    """Return how far each of ``count`` cameras is turned [deg] and raised [m]."""
+    """Return the rotation [deg] and the rise [m] of each of ``count`` cameras."""
     rng = np.random.default_rng([seed, 11])
     return rng.uniform(-TURN_DEG, TURN_DEG, count), rng.uniform(-RAISE_M, RAISE_M, count)
 
@@ -136,7 +136,7 @@ def _by_twin(one: SetFile, seed: int, data: Path, workers: int, frames: int | No
 
 
 def _with_opencv_lens(camera: Camera) -> Camera:
-    """Return the camera with the OpenCV lens that is nearest to its own: that is what it films through."""
+    """Return the camera with the OpenCV lens that is nearest to its own; it films through this lens."""
     assert isinstance(camera.lens, MoscaLens)
     fit = convert_lens(replace(camera.lens, a=0.0), "opencv", camera.width, camera.height)
     return replace(camera, lens=fit.lens)

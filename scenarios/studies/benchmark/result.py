@@ -1,4 +1,4 @@
-"""The result of a benchmark as plain values: ``result.json``, which the page is made of, and the overall figures."""
+"""The result of a benchmark as plain values: ``result.json``, from which the page is made, and overall figures."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -23,7 +23,7 @@ FORMAT = 1
 def document_of(
     found: Benchmarked, entrants: Sequence[Entrant], passphrase: Passphrase, job: BenchmarkJob
 ) -> dict[str, Any]:
-    """Return all of a benchmark's result."""
+    """Return the whole result of a benchmark."""
     pythons = found.pythons
     rows = [_plain_row(row) for row in found.rows]
     boards = {board: _overall(found.rows, entrants, board) for board in ("images", "matched")}
@@ -56,7 +56,7 @@ def write_result(document: Mapping[str, Any], path: Path) -> None:
 
 
 def plain_scores(scores: Mapping[str, Score]) -> dict[str, dict[str, Any]]:
-    """Return metrics as they go into ``result.json``."""
+    """Return metrics in the form of ``result.json``."""
     return {
         name: {"value": one.value, "ci95": None if one.ci95 is None else list(one.ci95), "n": one.n}
         for name, one in scores.items()
@@ -71,13 +71,13 @@ class Overall(NamedTuple):
     ospa_m: float
     ospa_ci95_m: tuple[float, float]
     rms_m: float | None
-    """Of the sets on which it found anything; None where there is none."""
+    """Mean over the sets on which it found anything; None where there is none."""
     completeness: float
     ghosts_per_frame: float
     best: int
-    """Sets on which its OSPA is the least."""
+    """Number of sets on which its OSPA is the least."""
     failed: int
-    """Sets on which it gave no result."""
+    """Number of sets on which it gave no result."""
     sets: int
 
     def words(self) -> tuple[str, ...]:
@@ -125,7 +125,7 @@ def _overall(rows: Sequence[BenchmarkRow], entrants: Sequence[Entrant], board: s
 
 
 def mean_interval(scores: Sequence[Score]) -> tuple[float, float]:
-    """Return the 95 % interval of the mean of several roots of ratios, blocks of frames drawn anew in each."""
+    """Return the 95 % interval of the mean of several roots of ratios, by resampling blocks of frames in each."""
     rng = np.random.default_rng(0)
     drawn = np.zeros(RESAMPLES)
     for one in scores:

@@ -1,8 +1,8 @@
-"""One scoring for all entrants: their tables of points against the truth, as ``scenarios.score.tracks`` does.
+"""Scoring of all entrants: their tables of points against the truth, as in ``scenarios.score.tracks``.
 
 OSPA (Schuhmacher, Vo and Vo 2008, IEEE Trans. Signal Process. 56(8), eq. 3) of order 2 is one figure for accuracy,
 misses and ghosts: over all frames, the root of ``(sum min(d, c)^2 + c^2 (k - pairs)) / sum k``, d the distance of a
-pair, c the cut-off, k the larger of the number of points and that of markers that could be seen.
+pair, c the cut-off, k the larger of the number of points and the number of visible markers.
 """
 
 from dataclasses import dataclass
@@ -26,16 +26,16 @@ POINTS, DETECTIONS, MATCHED = (
     ("frame", "target", "camera", "u", "v"),
 )
 COVARIANCE = ("var_u", "cov_uv", "var_v")
-"""Columns [px^2] that an entrant may add to its image points, and then finds in what it triangulates."""
+"""Columns [px^2] that an entrant may add to its image points; it then gets them back for triangulation."""
 CUT_OFF_M = 0.01
-"""Of OSPA: a miss or a ghost weighs as much as an error of 10 mm, far beyond any set's typical one."""
+"""Cut-off of OSPA: a miss or a ghost counts as an error of 10 mm, far above the typical error of any set."""
 KEPT = ("position_rms", "position_p95", "position_max", "completeness", "ghosts_per_frame")
 MOST_POINTS = 20
-"""Points a frame that are read, as a multiple of the markers; and 1000."""
+"""Most points per frame that are read, as a multiple of the markers; and 1000 more."""
 NEAREST_PX = 1.0
-"""An image point is a marker's within half of its image's diameter, but at least within so much."""
+"""Least gate of an image point: it belongs to a marker within half of the diameter of its image, or within this."""
 SEEN_SHARE = 0.1
-"""Share of its disc that must be visible for a marker's image to be matched."""
+"""Visible share of a marker's disc from which its image is matched."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +47,7 @@ class FoundPoints:
 
 
 def read_found(path: Path, truth: Truth) -> FoundPoints:
-    """Return the points that an entrant wrote; InputError in one line for what cannot be points of this set."""
+    """Return the points that an entrant wrote; InputError in one line for a table that cannot be of this set."""
     cells = read_columns(path, POINTS, "table of points")
     frame = parsed(cells["frame"], "frame", int, path)
     xyz = np.stack([parsed(cells[name], name, float, path) for name in POINTS[1:]], axis=1)
@@ -65,7 +65,7 @@ def score_found(found: FoundPoints, truth: Truth, working_space_m: float) -> dic
     """Return the metrics of an entrant's points, by name; lengths in m."""
     n = len(found.frame)
     order = np.argsort(found.frame, kind="stable")
-    # no entrant states covariances in its table, and none has to track
+    # entrants state no covariances in their tables, and need not track
     tracks = Tracks(
         found.frame[order], truth.time_ns[found.frame[order]], np.zeros(n), np.full(n, ""), found.xyz[order],
         np.tile(np.eye(3), (n, 1, 1)), np.zeros(n), np.full(n, np.nan), np.full(n, "measured"),
@@ -76,7 +76,7 @@ def score_found(found: FoundPoints, truth: Truth, working_space_m: float) -> dic
 
 
 def ospa(matched: TruthPairs) -> Score:
-    """Return OSPA of order 2 [m] with its block bootstrap over frames; 0 where nothing was to be found."""
+    """Return OSPA of order 2 [m] with its block bootstrap over frames; 0 where there was nothing to find."""
     frames = len(matched.seen)
     block = block_of(frames)
     count = int(block.max(initial=-1)) + 1
@@ -94,10 +94,10 @@ def nothing_found(truth: Truth, working_space_m: float) -> dict[str, Score]:
 
 
 def match_detections(path: Path, truth: Truth, out: Path) -> int:
-    """Write which of an entrant's image points are of one marker, from the truth; return how many.
+    """Write the assignment of an entrant's image points to markers, from the truth; return the number assigned.
 
-    In each image, one to one with the least total distance from the true images of the markers' centres. InputError
-    in one line for a table that cannot be of this set.
+    In each image it is one to one, with the least total distance from the true images of the markers' centres.
+    InputError in one line for a table that cannot be of this set.
     """
     cells = read_named(path, DETECTIONS, COVARIANCE, "table of image points")
     frame = parsed(cells["frame"], "frame", int, path)

@@ -1,9 +1,9 @@
-"""Held-out seeds: drawn from a passphrase whose SHA-256 stood in the repository before the passphrase did.
+"""Held-out seeds: drawn from a passphrase whose SHA-256 was in the repository before the passphrase was.
 
-A round goes: the hash of a passphrase is committed, then settings are tuned and frozen; then the benchmark is run
-with the passphrase, which is published with the result. Anyone can check that the hash is that of the passphrase,
-and that it is older than the result. What is not proved is that nobody who knew the passphrase tuned on it: for that
-there is ``--fresh``, which draws a passphrase that nobody has known.
+The steps of a round are: the hash of a passphrase is committed; settings are tuned and frozen; the benchmark is run
+with the passphrase, which is published with the result. Anyone can check that the hash is that of the passphrase, and
+that it is older than the result. This does not prove that nobody who knew the passphrase tuned on it. For that there
+is ``--fresh``, which draws a passphrase that nobody has known.
 """
 
 import hashlib
@@ -16,7 +16,7 @@ from mosca.errors import InputError
 
 ROUNDS = Path(__file__).with_name("rounds.toml")
 TUNING = "tuning"
-"""The public passphrase of the seeds that settings are tuned on; a held-out one cannot be it."""
+"""The public passphrase of the seeds for tuning; a held-out passphrase must differ from it."""
 
 
 class Round(Table):
@@ -36,11 +36,11 @@ class Rounds(Table):
 
 @dataclass(frozen=True)
 class Passphrase:
-    """What seeds are drawn from, and what it is."""
+    """A passphrase from which seeds are drawn, and its description."""
 
     text: str
     told: str
-    """In words, for the result."""
+    """Description in words, for the result."""
     sets: tuple[str, ...] = ()
     """The data sets of its round; none: all."""
 
@@ -60,19 +60,19 @@ def digest(text: str) -> str:
 
 
 def tuning() -> Passphrase:
-    """Return that of the tuning seeds."""
+    """Return the passphrase of the tuning seeds."""
     return Passphrase(TUNING, "tuning seeds: settings were tuned on them")
 
 
 def fresh() -> Passphrase:
-    """Return one that nobody has known."""
+    """Return a passphrase that nobody has known."""
     return Passphrase(secrets.token_hex(16), "drawn for this run")
 
 
 def published(path: Path = ROUNDS) -> Passphrase | None:
-    """Return that of the newest published round, None where there is none yet.
+    """Return the passphrase of the newest published round, None where there is none yet.
 
-    InputError where it is not what was committed.
+    InputError where its hash is not the committed one.
     """
     rounds = check(Rounds, read_toml(path), path).round
     for number, one in reversed(list(enumerate(rounds, start=1))):
@@ -88,7 +88,7 @@ def published(path: Path = ROUNDS) -> Passphrase | None:
 
 
 def given(text: str) -> Passphrase:
-    """Return the passphrase that a user gives; InputError for that of the tuning seeds, and for none."""
+    """Return the passphrase that a user gives; InputError for that of the tuning seeds, and for an empty one."""
     if not text.strip() or text == TUNING:
         raise InputError(
             f"--passphrase {text!r}: settings were tuned on the seeds of '{TUNING}', and an empty one is none; "

@@ -1,8 +1,9 @@
-"""Settings of the entrants, tuned on seeds that are not held out: what ``settings.toml`` holds.
+"""Settings of the entrants in ``settings.toml``, tuned on seeds that are not held out.
 
-For each data set by itself, so that no peer is held back by what another set needs: one value after the other of
-those that ``entrants.toml`` lists, the others held, and what gives the least OSPA is kept. One that finds points in
-images by itself is tuned on that. mosca has no settings here: it runs with its defaults.
+Each data set is tuned separately, so that no peer is held back by the needs of another set. The values that
+``entrants.toml`` lists are tried one after the other, with other settings held, and the value with the least OSPA is
+kept. An entrant that finds points in images by itself is tuned on that. mosca has no settings here: it runs with its
+defaults.
 """
 
 from collections.abc import Callable, Sequence
@@ -20,7 +21,7 @@ from scenarios.studies.benchmark.make import SetFile, make_set, missing
 from scenarios.studies.benchmark.seeds import tuning
 
 FRAMES = 6
-"""Of each set that settings are tuned on."""
+"""Number of frames of each set for tuning."""
 HEAD = (
     "# Made by 'mosca benchmark --tune' on the tuning seeds, of which nothing is scored: for each entrant and set\n"
     "# the settings with the least OSPA (scenarios/studies/benchmark/tuning.py); for a key that is missing see\n"
@@ -35,7 +36,7 @@ def tune(
     shown: Callable[[str], object],
     out: Path = TUNED,
 ) -> None:
-    """Tune the entrants on the sets and write ``out``, where others stay; InputError where one cannot run."""
+    """Tune the entrants on the sets and write ``out``, where other entries stay; InputError where one cannot run."""
     pythons = {}
     for entrant in entrants:
         try:
@@ -54,7 +55,7 @@ def tune(
                 changed = {key: value for key, value in best.items() if value != entrant.settings.get(key)}
                 tuned[entrant.name] = changed
                 shown(f"{one.name}: {entrant.name}: OSPA {1e3 * found:.4g} mm with {best}")
-        # read again: sets may be tuned side by side
+        # read again, since sets may be tuned in parallel
         table = read_toml(out) if out.is_file() else {}
         for name, changed in tuned.items():
             table.setdefault(name, {})[one.name] = changed
@@ -62,7 +63,7 @@ def tune(
 
 
 def _best(on_set: OnSet, entrant: Entrant) -> tuple[dict[str, Any], float]:
-    """Return the settings with the least OSPA [m] on a set, and it."""
+    """Return the settings with the least OSPA [m] on a set, and this OSPA."""
     board = entrant.tables[0]
 
     def found(settings: dict[str, Any]) -> float:
@@ -75,5 +76,5 @@ def _best(on_set: OnSet, entrant: Entrant) -> tuple[dict[str, Any], float]:
             settings = best | {key: value}
             if value != entrant.settings[key] and (now := found(settings)) < least:
                 best, least = settings, now
-    # the image points that others get are those of the best settings
+    # other entrants get the image points of the best settings
     return best, found(best)

@@ -1,1 +1,1 @@
-"""Error budgets: which source of error costs what, by switching sources off."""
+"""Error budgets: contribution of each source of error, by switching sources off."""

@@ -1,4 +1,4 @@
-"""The budget of a scenario: runs of all coalitions, in processes, and what they sum up to."""
+"""The budget of a scenario: runs of all coalitions, in processes, and the contributions computed from them."""
 
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -28,23 +28,23 @@ Progress = Callable[[int, int | None], None]
 
 @dataclass(frozen=True)
 class BudgetSettings:
-    """What a budget is made of."""
+    """Settings of a budget."""
 
     metric: str = "position_rms"
     by: str = "source"
     sources: tuple[str, ...] = ()
-    """Those that are switched off; none: all that the scenario has."""
+    """Sources that are switched off; none: all that the scenario has."""
     seeds: int = 3
     seconds: float = 2.0
     orders: int = 32
-    """Random orders of more than MOST_EXACT players."""
+    """Number of random orders for more than MOST_EXACT players."""
     workers: int = 2
 
 
 def error_budget(
     spec: Scenario, name: str, path: Path, settings: BudgetSettings, progress: Progress | None = None
 ) -> ErrorBudget:
-    """Return the budget of the scenario ``spec`` of the file ``path``. InputError where it cannot be made."""
+    """Return the budget of the scenario ``spec`` in the file ``path``. InputError where it cannot be made."""
     if settings.metric not in SQUARES:
         raise InputError(
             f"--metric {settings.metric}: squares that add up are those of {', '.join(SQUARES)}; name one of them"
@@ -78,7 +78,7 @@ def error_budget(
 
 @dataclass(frozen=True, eq=False)
 class Game:
-    """The measured squares of all coalitions, and what follows from them."""
+    """The measured squares of all coalitions, and the results computed from them."""
 
     players: tuple[Player, ...]
     runs: Mapping[int, list[Squares]]
@@ -110,7 +110,7 @@ class Game:
         return float(found.mean()), interval95(found)
 
     def contributions(self) -> tuple[Contribution, ...]:
-        """Return what each player adds, the largest first."""
+        """Return the contribution of each player, the largest first."""
         values, phi = self.values, self.shapley
         every = (1 << len(self.players)) - 1
         more = np.zeros(len(self.players))
@@ -132,7 +132,7 @@ class Game:
         return tuple(sorted(rows, key=lambda one: -one.square))
 
     def predicted(self) -> tuple[PredictedSquare, ...]:
-        """Return the stated covariances' mean squares beside the measured ones: random part, calibration."""
+        """Return mean squares predicted from stated covariances, with the measured ones: random part, calibration."""
         every = self.runs[(1 << len(self.players)) - 1]
         phi = self.shapley
         of_rig = [k for k, one in enumerate(self.players) if switch(one.name).acts_on != "take"]
@@ -151,7 +151,7 @@ class Game:
 
 
 def _run_all(jobs: Sequence[Job], workers: int, progress: Progress) -> dict[int, dict[int, Squares]]:
-    """Return seed -> mask -> squares of all jobs, done in so many processes; with 1 in this one."""
+    """Return seed -> mask -> squares of all jobs, done in ``workers`` processes; with 1, in this process."""
     found: dict[int, dict[int, Squares]] = {}
 
     def take(job: Job, squares: Mapping[int, Squares], done: int) -> None:
@@ -171,7 +171,7 @@ def _run_all(jobs: Sequence[Job], workers: int, progress: Progress) -> dict[int,
         return found
     with spawned_pool(min(workers, len(jobs))) as pool:
         seeded = {job.spec.seed: job for job in jobs}
-        # calibrations first: later jobs find them kept, and none waits for another's
+        # calibrations first: later jobs find them cached, and none waits for that of another job
         list(pool.map(_calibrate, seeded.values()))
         for done, (job, squares) in enumerate(zip(jobs, pool.map(Job.run, jobs), strict=True), start=1):
             take(job, squares, done)

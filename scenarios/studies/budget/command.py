@@ -1,4 +1,4 @@
-"""``mosca budget``: which source of error costs what."""
+"""``mosca budget``: contribution of each source of error."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

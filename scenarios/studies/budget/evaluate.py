@@ -1,8 +1,9 @@
-"""One run with some sources of error off: its squared errors by blocks of the take, and what the covariances say.
+"""One run with some sources of error off: squared errors by blocks of the take, and their prediction by covariances.
 
-What does not differ is made once: a take is rendered and its targets are detected once for all rigs that are believed
-in; a calibration is kept by its inputs (``scenarios.run.kept_calibrations``); a camera that rides on nothing sees the
-same whatever the others do, so that takes of which single cameras are without their errors are put together from two.
+Common parts are made once. A take is rendered and its targets are detected once for all rigs used with it. A
+calibration is cached by its inputs (``scenarios.run.kept_calibrations``). The images of a camera that is not on a
+body do not depend on the other cameras, so that takes in which single cameras are without errors are combined from
+two takes.
 """
 
 from collections.abc import Iterable, Sequence
@@ -46,29 +47,29 @@ class DetectedTake:
 
 @dataclass(frozen=True, eq=False)
 class Believed:
-    """The rig that a run believes in, and the session that it comes from; None: the true one."""
+    """The rig that a run uses, and the session from which it was estimated; None: the true rig."""
 
     rig: Rig
     session: SessionCalibration | None
 
 
 class Squares(NamedTuple):
-    """Of one run: sums of squares (b,) and their weights (b,) by blocks of the take, in the metric's unit squared."""
+    """Sums of squares (b,) and weights (b,) of one run by blocks of the take, in the metric's unit squared."""
 
     sums: Array
     weights: Array
     random: float = 0.0
-    """Mean square that the stated random covariance predicts."""
+    """Mean square predicted from the stated random covariance."""
     calibration: float = 0.0
-    """Mean square that the calibration's stated covariance predicts; 0 with the true rig."""
+    """Mean square predicted from the calibration's stated covariance; 0 with the true rig."""
 
 
 def evaluate(
     spec: Scenario, folder: Path, off: Sequence[str], metric: str, take: DetectedTake | None = None
 ) -> Squares:
-    """Return the squares of one run of ``spec`` with the sources ``off``: the one function that a budget is made of.
+    """Return the squares of one run of ``spec`` with the sources ``off``: the value of a coalition in a budget.
 
-    ``take``: the detected take of these sources, where it is known already.
+    ``take``: the detected take with these sources off, where it is known already.
     """
     take = detected_take(spec, folder, off) if take is None else take
     return squares_of(spec, take, believed_rig(spec, folder, off), metric)
@@ -77,7 +78,7 @@ def evaluate(
 def detected_take(
     spec: Scenario, folder: Path, off: Sequence[str], cameras: Sequence[str] | None = None
 ) -> DetectedTake:
-    """Render the take without the sources ``off``, of ``cameras`` alone where they are named, and detect in it."""
+    """Render the take without the sources ``off`` (only of ``cameras`` where they are named), and detect in it."""
     taken = off_in_take(spec, off, cameras)
     virtual = virtual_cameras(taken, true_rig(taken, folder))
     if "noise" in off:
@@ -109,10 +110,10 @@ def mixed(on: DetectedTake, off: DetectedTake, without: Iterable[str]) -> Detect
 
 
 def believed_rig(spec: Scenario, folder: Path, off: Sequence[str]) -> Believed:
-    """Return the rig that the run with the sources ``off`` believes in.
+    """Return the rig that the run with the sources ``off`` uses.
 
-    A session is that of the scenario as it is written, but for the lens: what is switched off is switched off in the
-    take. CalibrationError where it is insufficient.
+    A session is that of the scenario as written, except for the lens: sources are switched off in the take only.
+    CalibrationError where the session is insufficient.
     """
     taken = off_in_take(spec, off)
     cameras = virtual_cameras(taken, true_rig(taken, folder))
@@ -141,7 +142,7 @@ def squares_of(spec: Scenario, take: DetectedTake, believed: Believed, metric: s
 
 
 def off_in_take(spec: Scenario, off: Sequence[str], cameras: Sequence[str] | None = None) -> Scenario:
-    """Return the scenario whose take is rendered without the sources ``off``, of ``cameras`` alone where named."""
+    """Return the scenario whose take is rendered without the sources ``off``, only of ``cameras`` where named."""
     names = [name for name in off if switch(name).acts_on != "rig"]
     for camera in (None,) if cameras is None else cameras:
         spec = switched_off(spec, names, camera)
@@ -151,7 +152,7 @@ def off_in_take(spec: Scenario, off: Sequence[str], cameras: Sequence[str] | Non
 def _stated(
     tracks: Tracks, pairs: TruthPairs, session: SessionCalibration | None, metric: str, space_m: float
 ) -> tuple[float, float]:
-    """Return the mean squares that the covariances of the paired samples predict, random and of the calibration."""
+    """Return the mean squares predicted from the paired samples' covariances: random, and of the calibration."""
     if metric == REPROJECTION or not len(pairs.row):
         return 0.0, 0.0
     unit = space_m**2 if metric == "relative_accuracy" else 1.0
@@ -163,4 +164,4 @@ def _stated(
 
 
 THINNED = 10
-"""Of so many samples one has its calibration's share computed: it changes slowly in space."""
+"""The calibration's share is computed for one of this many samples, since it changes slowly in space."""

@@ -7,15 +7,15 @@ from mosca.data.distributions import t
 from scenarios.studies.budget.evaluate import Squares
 
 BLOCKS = 10
-"""Of a take: 0.2 s of two seconds, in which a marker that is hidden comes out again."""
+"""Number of blocks of a take: of two seconds each is 0.2 s, in which a hidden marker becomes visible again."""
 RISK = 0.05
 
 
 def by_seed_and_block(runs: list[Squares]) -> Array:
-    """Return mean squares (seeds, BLOCKS) of one coalition whose mean over a row is that seed's mean square.
+    """Return mean squares (seeds, BLOCKS) of one coalition, such that the mean of a row is that seed's mean square.
 
-    The mean square of a seed is a ratio of sums, v = sum(a) / sum(n); a block's value is v + (a - v n) / mean(n), the
-    ratio's first-order share (Cochran 1977, section 6.3), so that all that is linear in v is linear in the blocks.
+    The mean square of a seed is a ratio of sums, v = sum(a) / sum(n). A block's value is v + (a - v n) / mean(n), the
+    ratio's first-order share (Cochran 1977, section 6.3), so that functions linear in v are linear in the blocks.
     """
     rows = []
     for one in runs:
@@ -30,8 +30,8 @@ def interval95(values: Array, more: float = 0.0) -> tuple[float, float]:
     """Return the 95 % interval of the mean of values (seeds, blocks).
 
     Seeds and blocks are crossed: the variance of the mean is taken as the sum of that over seeds and that over blocks
-    (on the safe side, since what both share counts twice; Owen 2007), with Satterthwaite's degrees of freedom. One
-    seed has blocks alone. ``more``: half-width of a further, independent interval.
+    (on the safe side, since their common part counts twice; Owen 2007), with Satterthwaite's degrees of freedom. With
+    one seed only blocks are used. ``more``: half-width of a further, independent interval.
     """
     mean = float(values.mean())
     parts = [

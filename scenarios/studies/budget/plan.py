@@ -1,4 +1,4 @@
-"""Which runs a budget needs: its players, its coalitions, and jobs of runs that share a take."""
+"""The runs of a budget: its players, its coalitions, and jobs of runs that share a take."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ from scenarios.studies.budget.evaluate import (
 
 @dataclass(frozen=True)
 class Player:
-    """What is on or off together: a source of error of all cameras, or all sources of one camera."""
+    """Sources of error that are on or off together: one source of all cameras, or all sources of one camera."""
 
     name: str
     told: str
@@ -33,7 +33,7 @@ class Job:
     """Runs of one seed that one process does: the coalitions ``masks`` of ``players``."""
 
     spec: Scenario
-    """Of this seed."""
+    """Scenario with this seed."""
     folder: Path
     players: tuple[Player, ...]
     masks: tuple[int, ...]
@@ -68,7 +68,7 @@ class Job:
 
 
 def check_budget(spec: Scenario, where: Path) -> None:
-    """Raise InputError where a budget cannot be made of a scenario."""
+    """Raise InputError where no budget can be made for a scenario."""
     for table, has in {
         "continuous": spec.continuous is not None,
         "zone": bool(spec.zone),
@@ -86,14 +86,14 @@ def check_budget(spec: Scenario, where: Path) -> None:
 
 
 def source_players(spec: Scenario, wanted: Sequence[str]) -> tuple[Player, ...]:
-    """Return the sources of a scenario as players; ``wanted``: only these. InputError for one that it has not on."""
+    """Return the sources of a scenario as players; ``wanted``: only these. InputError for one that is not on."""
     there = sources_of(spec)
     for name in wanted:
         switch(name)
         if name not in there:
             raise InputError(f"--sources {name}: the scenario does not have it on; it has {', '.join(there)}")
     chosen = [one for one in SWITCHES if one.name in (wanted or there)]
-    # what needs no render of its own is the lowest bit: neighbouring masks then share a take
+    # sources that need no render of their own are the lowest bits: neighbouring masks then share a take
     chosen.sort(key=lambda one: one.acts_on != "rig")
     return tuple(Player(one.name, one.told) for one in chosen)
 
@@ -109,7 +109,7 @@ def camera_players(spec: Scenario, folder: Path) -> tuple[Player, ...]:
 def jobs_of(
     spec: Scenario, folder: Path, players: tuple[Player, ...], masks: Sequence[int], metric: str, seeds: int
 ) -> list[Job]:
-    """Return the jobs, so that runs that share a take are in one."""
+    """Return the jobs, such that runs that share a take are in one job."""
     rig_bits = sum(
         1 << k for k, one in enumerate(players) if one.camera is None and switch(one.name).acts_on == "rig"
     )

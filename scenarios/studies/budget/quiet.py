@@ -1,4 +1,4 @@
-"""Cameras without sensor noise and scenes in which nothing hides a marker: what no key of a scenario can say."""
+"""Cameras without sensor noise, and scenes without occlusion of markers: no key of a scenario can set these."""
 
 import copy
 from collections.abc import Collection
@@ -8,13 +8,13 @@ from twin.cameras.virtual_camera import VirtualCamera
 from twin.scenes.scene import MARKER_GROUP, UNSEEN_GROUP, Scene
 
 BRIGHTER = 10_000.0
-"""Times the electrons of every pixel: shot noise falls to 1/100 of its share, read noise to 1/10,000. More would
-only let the steps of 12 bits show, which are then the largest (0.3 steps rms of 4,095)."""
+"""Factor on the electrons of every pixel: shot noise falls to 1/100 of its share, read noise to 1/10,000. With more,
+the quantisation of 12 bits, which is then the largest noise (0.3 steps rms of 4,095), would remain."""
 FINEST_BITS = 12
 
 
 def quiet_camera(one: VirtualCamera) -> VirtualCamera:
-    """Return a camera with the same image and next to no noise: more light, 12 bits, no fixed patterns."""
+    """Return a camera with the same image and almost no noise: more light, 12 bits, no fixed patterns."""
     sensor = replace(
         one.sensor,
         full_well_e=BRIGHTER * one.sensor.full_well_e,
@@ -35,7 +35,7 @@ def quiet_cameras(cameras: tuple[VirtualCamera, ...], names: Collection[str] | N
 
 
 def unhidden(scene: Scene) -> Scene:
-    """Return the scene with bodies that hide nothing; markers still hide each other."""
+    """Return the scene with bodies that do not occlude; markers still hide each other."""
     model = copy.copy(scene.model)
     solid = model.geom_group != MARKER_GROUP
     model.geom_group[solid] = UNSEEN_GROUP

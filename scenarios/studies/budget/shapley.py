@@ -1,4 +1,4 @@
-"""Shapley values: how much of a game's value each player has, over all orders in which they may come.
+"""Shapley values: the share of each player in a game's value, over all orders in which players may join.
 
 A coalition is a mask, bit i set where player i takes part. With k players, v the value and
 w(s) = s! (k - s - 1)! / k!,
@@ -19,7 +19,7 @@ from mosca.data.arrays import Array
 from mosca.errors import InputError
 
 MOST_EXACT = 8
-"""Players up to which all 2^k coalitions are computed."""
+"""Largest number of players for which all 2^k coalitions are computed."""
 
 
 def exact_values(values: Mapping[int, Array], players: int) -> Array:
@@ -67,10 +67,10 @@ class Orders:
     def by_salib(self, value: Callable[[int], float]) -> tuple[Array, Array]:
         """Return Shapley values (players,) and the half-widths of their 95 % intervals over orders, by SALib.
 
-        SALib's estimator (Goda 2021) is of a variance: a step from y to y' counts ((y' - y0)^2 - (y - y0)^2) / 2 with
-        y0 the output at the trajectory's start. With y0 = 0 at the empty coalition and y = sqrt(2 (v(S) - v(none)))
-        that is v(S + i) - v(S). So that no root is of a negative number, an additive game c |S| is added, which
-        gives each player c more, and is subtracted again.
+        SALib's estimator (Goda 2021) is for a variance: a step from y to y' counts ((y' - y0)^2 - (y - y0)^2) / 2
+        with y0 the output at the trajectory's start. With y0 = 0 at the empty coalition and y = sqrt(2 (v(S) -
+        v(none))) that is v(S + i) - v(S). To avoid roots of negative numbers, an additive game c |S| is added, which
+        adds c to the value of each player, and is subtracted again.
         """
         players = self.joined.shape[1]
         masks = [_growing(order) for order in self.joined.tolist()]

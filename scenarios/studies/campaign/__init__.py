@@ -1,1 +1,1 @@
-"""Campaigns: many runs of one scenario under stated conditions, and the verdict on what is claimed of them."""
+"""Campaigns: many runs of one scenario under stated conditions, and the verdict on claims about them."""

@@ -23,15 +23,15 @@ CLAIMS = Path(__file__).with_name("claims")
 
 @dataclass(frozen=True)
 class CampaignResult:
-    """What a campaign found."""
+    """Result of a campaign."""
 
     verdict: Verdict
     document: Mapping[str, Any]
-    """All of it, as the result file has it."""
+    """The whole result, as in the result file."""
 
 
 def find_claim(name: str) -> Path:
-    """Return the claim file that ``name`` means: a path, or the name of a built-in one; InputError for neither."""
+    """Return the claim file for ``name``: a path, or the name of a built-in claim; InputError for neither."""
     path = Path(name)
     if path.is_file() or path.suffix == ".toml":
         return path
@@ -55,20 +55,20 @@ def run_claim(
     work: Work = run_task,
     kept: KeptRuns | None = None,
 ) -> CampaignResult:
-    """Make as many runs of the claim file at ``path`` as its verdict takes, and return it.
+    """Make as many runs of the claim file at ``path`` as its verdict needs, and return the result.
 
     Parameters
     ----------
     path:
         The claim file.
     engine:
-        Where runs are made.
+        Engine that makes the runs.
     told:
-        Called with the number of runs done and the most there may be.
+        Called with the number of runs done and the largest number of runs.
     stopped:
-        Asked between runs; true: KeyboardInterrupt, and what is done is kept.
+        Called between runs; true: KeyboardInterrupt, and completed runs are kept.
     work:
-        What makes a run.
+        Function that makes a run.
     kept:
         Outcomes of earlier runs; default: the user's.
     """
@@ -85,17 +85,17 @@ def run_claim(
 
 
 def looks_of(claim: ClaimFile) -> Looks:
-    """Return when a claim is looked at; each of several claims has an equal part of the error rate (Bonferroni)."""
+    """Return the looks of a claim; each of several claims has an equal part of the error rate (Bonferroni)."""
     return Looks(claim.looks or default_looks(claim.runs), claim.error_rate / len(claim.claim))
 
 
 def question_of(claimed: ClaimedStatistic) -> Question:
-    """Return what is asked of the runs' values of the claimed metric."""
+    """Return the question on the runs' values of the claimed metric."""
     return Question(claimed.statistic, claimed.limit_value, claimed.upper, claimed.quantile, claimed.failed_share)
 
 
 def overall(found: Sequence[Judgement]) -> Verdict:
-    """Return the verdict on all claims of a file: conforming where each is, not conforming where one is not."""
+    """Return the verdict on all claims of a file: conforming if each is, not conforming if one is not."""
     verdicts = {one.verdict for one in found}
     if "not conforming" in verdicts:
         return "not conforming"
@@ -108,7 +108,7 @@ class _Judged:
     questions: Sequence[Question]
     looks: Looks
     taken: int = 0
-    """Looks that were taken without all claims being settled."""
+    """Number of looks taken without all claims being settled."""
 
     def all(self, outcomes: Sequence[RunOutcome]) -> list[Judgement]:
         """Return the verdict on each claim from the outcomes so far."""
@@ -118,7 +118,7 @@ class _Judged:
         ]
 
     def enough(self, outcomes: Sequence[RunOutcome]) -> int:
-        """Return the look at which every claim was settled, or one run more than there are."""
+        """Return the number of runs at which every claim was settled, or one more than there are."""
         for k, runs in enumerate(self.looks.at):
             if runs > len(outcomes):
                 break
@@ -139,7 +139,7 @@ def _document(
     found: Sequence[Judgement],
     looks: Looks,
 ) -> dict[str, Any]:
-    """Return the result file's content: nothing in it depends on how many workers there were, or on the time."""
+    """Return the result file's content, which depends neither on the number of workers nor on the time."""
     scenario = scenario_path(claim, path.parent)
     metrics = list(dict.fromkeys(one.metric for one in claim.claim))
     made = provenance()

@@ -1,4 +1,4 @@
-"""Runs on a Dask cluster: its scheduler hands chunks to workers, and again to others where one dies."""
+"""Runs on a Dask cluster: its scheduler gives chunks to workers, and gives them to others where a worker dies."""
 
 import logging
 import time
@@ -14,9 +14,9 @@ from scenarios.studies.campaign.worker import Work, code_stamp, run_chunk
 
 LOG = logging.getLogger(__name__)
 PATIENCE_S = 60.0
-"""For how long a scheduler that is gone is waited for."""
+"""Time to wait for a scheduler that was lost."""
 CONNECT_S = 10.0
-"""For how long one that is asked for the first time is."""
+"""Time to wait for the first connection to a scheduler."""
 POLL_S = 0.2
 
 
@@ -24,12 +24,12 @@ class ClusterEngine:
     """A Dask scheduler and its workers."""
 
     chunk_s = 1.0
-    """As Dask's own advice has it: its cost a task is some milliseconds."""
+    """Shortest chunk, by Dask's own advice: its overhead per task is some milliseconds."""
 
     def __init__(self, address: str, lost: str = "runs that are done are kept: the same command goes on") -> None:
         """Connect to the scheduler at ``address``; InputError where there is none, or where workers have threads.
 
-        ``lost``: what becomes of runs where it does not come back, in words.
+        ``lost``: words on what happens to runs if the scheduler does not come back.
         """
         self._address, self._lost = address, lost
         self._client = self._connected(CONNECT_S)
@@ -39,7 +39,7 @@ class ClusterEngine:
 
     @property
     def slots(self) -> int:
-        """Two chunks a worker: one is under way and one waits there."""
+        """Two chunks for each worker: one in progress and one waiting there."""
         return max(2, 2 * len(self._workers()))
 
     @property
@@ -50,7 +50,7 @@ class ClusterEngine:
     def submit(self, work: Work, tasks: Sequence[RunTask], contents: Mapping[str, bytes]) -> Chunk:
         """Begin a chunk."""
         small = [RunTask(**{**vars(one), "files": one.files.without_contents()}) for one in tasks]
-        # pure=False: a chunk that is given up and begun again is another one
+        # pure=False: a chunk that is given up and started again is a different one
         future = self._client.submit(run_chunk, work, small, self._scattered(contents), code_stamp(), pure=False)
         self._futures.add(future)
         chunk: Chunk = Future()
@@ -58,7 +58,7 @@ class ClusterEngine:
         return chunk
 
     def revive(self) -> None:
-        """Wait for the scheduler, for a minute at most; InputError where it does not come back."""
+        """Wait for the scheduler for at most a minute; InputError where it does not come back."""
         LOG.warning("%s: scheduler or worker lost; runs that were under way begin again", self._address)
         for future in self._futures:
             future.cancel()
@@ -72,7 +72,7 @@ class ClusterEngine:
             self._check_workers()
 
     def close(self) -> None:
-        """Give up what is under way, and leave the cluster."""
+        """Give up chunks in progress, and leave the cluster."""
         for future in self._futures:
             future.cancel()
         self._client.close(timeout=5)
@@ -114,7 +114,7 @@ class ClusterEngine:
             ) from None
 
     def _scattered(self, contents: Mapping[str, bytes]) -> Any:
-        """Return the files' contents as every worker has them, sent once and named by their content."""
+        """Return the files' contents on every worker; they are sent once and named by their content."""
         if not contents:
             return {}
         if self._contents is None or self._contents[0] is not contents:
@@ -130,5 +130,5 @@ class ClusterEngine:
             chunk.set_exception(BrokenProcessPool(str(error)))
         elif isinstance(error, MoscaError):
             chunk.set_exception(error)
-        else:  # cancelled, or lost with the scheduler or with what the files were on
+        else:  # cancelled, or lost with the scheduler or with the worker that had the files
             chunk.set_exception(ConnectionError(str(error)))

@@ -19,39 +19,39 @@ from scenarios.studies.campaign.worker import RunOutcome, Work, code_stamp, run_
 LOG = logging.getLogger(__name__)
 POLL_S = 0.2
 MOST_DEATHS = 3
-"""Processes that may die over one run before it counts as failed; from the first one on it runs alone."""
+"""Number of processes that may die during one run before it counts as failed; after the first death it runs alone."""
 LOST = (BrokenProcessPool, CancelledError, ConnectionError)
-"""What a chunk ends with whose worker died, or whose engine was lost."""
+"""Errors of a chunk whose worker died, or whose engine was lost."""
 DIED = "its process died three times: out of memory, or killed"
 
 
 class Outcomes(Protocol):
-    """Where outcomes come from and go to, besides being collected."""
+    """A store of outcomes besides their collection."""
 
     def find(self, task: RunTask) -> RunOutcome | None:
-        """Return the outcome of a run where it is known already."""
+        """Return the outcome of a run if it is known already."""
         ...
 
     def keep(self, task: RunTask, outcome: RunOutcome) -> None:
-        """Take an outcome as its run ends, in any order."""
+        """Store an outcome when its run ends, in any order."""
         ...
 
 
 class KeptRuns(Outcomes):
-    """Outcomes kept by the content of all that decides them: claims that share runs find each other's."""
+    """Outcomes cached by the content of all their inputs, so that claims can share runs."""
 
     def __init__(self, work: Work, folder: Path | None = None) -> None:
-        """``folder``: where; default: among the caches of the user."""
+        """Set the ``folder`` of the cache; default: among the caches of the user."""
         self._folder = folder or cache_folder("runs")
         self._code = (code_stamp(), f"{work.__module__}.{work.__qualname__}")
 
     def find(self, task: RunTask) -> RunOutcome | None:
-        """Return the outcome of this run where it is kept."""
+        """Return the outcome of this run if it is cached."""
         found = read_kept(self._path(task))
         return None if found is None else replace(found, number=task.number)
 
     def keep(self, task: RunTask, outcome: RunOutcome) -> None:
-        """Keep an outcome; where the folder cannot be written, nothing is kept."""
+        """Cache an outcome; where the folder cannot be written, nothing is cached."""
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
             write_kept(self._path(task), outcome)
@@ -65,7 +65,7 @@ class KeptRuns(Outcomes):
 
 @dataclass
 class _Collection:
-    """What is known so far, and what is under way."""
+    """Outcomes so far, and chunks in progress."""
 
     tasks: Sequence[RunTask]
     engine: Engine
@@ -77,7 +77,7 @@ class _Collection:
     next: int = 0
 
     def prefix(self) -> int:
-        """Return how many runs are done without a gap."""
+        """Return the number of runs, from the first, that are done without a gap."""
         count = 0
         while count in self.done:
             count += 1
@@ -94,11 +94,11 @@ def collect(
     told: Callable[[int], None] = lambda done: None,
     stopped: Callable[[], bool] = lambda: False,
 ) -> list[RunOutcome]:
-    """Return the outcomes of the first runs, as many as ``enough`` says when it is given all so far, in order.
+    """Return the outcomes of the first runs, as many as ``enough`` returns for all outcomes so far, in order.
 
-    ``enough`` returns the number of runs that settle it, or a larger number than there are. What it returns, and so
-    the result, is the same for any engine. ``told`` hears the number of runs done, ``stopped`` asks for a stop
-    (KeyboardInterrupt); what is done is kept.
+    ``enough`` returns the number of runs that settle the claim, or a larger number than there are. Its value, and so
+    the result, is the same for any engine. ``told`` is called with the number of runs done; ``stopped`` returns
+    whether to stop (KeyboardInterrupt), and completed runs are kept.
     """
     state = _Collection(tasks, engine, work, kept or KeptRuns(work), {}, {}, {})
     judged = -1
@@ -118,7 +118,7 @@ def collect(
 
 
 def _fill(state: _Collection) -> None:
-    """Put runs under way, or find them kept; a run over which a worker may have died goes alone."""
+    """Start runs, or find them cached; a run during which a worker may have died runs alone."""
     suspects = [k for k in state.deaths if k not in state.done]
     if suspects:
         if not state.pending:
@@ -133,7 +133,7 @@ def _fill(state: _Collection) -> None:
 
 
 def _not_kept(state: _Collection) -> Iterator[int]:
-    """Yield the next runs that have to be made, in order."""
+    """Yield the next runs that must be made, in order."""
     while state.next < len(state.tasks):
         number = state.next
         state.next += 1
@@ -146,7 +146,7 @@ def _not_kept(state: _Collection) -> Iterator[int]:
 
 
 def _chunk_size(state: _Collection) -> int:
-    """Return how many runs make a chunk long enough; one before any is known."""
+    """Return the number of runs for a chunk of sufficient length; one before any duration is known."""
     times = sorted(one.seconds for one in state.done.values() if one.seconds > 0)
     if not times or state.engine.chunk_s <= 0:
         return 1
@@ -165,7 +165,7 @@ def _submit(state: _Collection, numbers: list[int]) -> None:
 
 
 def _take(state: _Collection) -> None:
-    """Wait for what ends next, and take it in."""
+    """Wait for the next chunk that ends, and collect its outcomes."""
     ended, _ = wait(state.pending, POLL_S, FIRST_COMPLETED)
     if not ended and state.engine.lost:
         _recover(state, [], ConnectionError("lost"))
@@ -184,7 +184,7 @@ def _take(state: _Collection) -> None:
 
 
 def _recover(state: _Collection, numbers: list[int], error: BaseException) -> None:
-    """Begin again after a worker died or the engine was lost; a run over which several workers died has failed."""
+    """Start again after a worker died or the engine was lost; a run during which several workers died has failed."""
     LOG.warning("a worker or the scheduler was lost (%s); what was under way begins again", type(error).__name__)
     for chunk in [one for one in state.pending if _has_result(one)]:
         for outcome in chunk.result():

@@ -1,4 +1,4 @@
-"""Where runs are made: processes of this computer, or anything else that takes chunks of runs."""
+"""Engines that make runs: processes of this computer, or anything else that takes chunks of runs."""
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Future
@@ -16,17 +16,17 @@ class Engine(Protocol):
 
     @property
     def slots(self) -> int:
-        """How many chunks are worth being under way."""
+        """Useful number of chunks in progress."""
         ...
 
     @property
     def chunk_s(self) -> float:
-        """Shortest chunk that is worth its way [s]."""
+        """Shortest chunk that is worth its overhead [s]."""
         ...
 
     @property
     def lost(self) -> bool:
-        """Whether nothing that is under way will ever end."""
+        """Whether no chunk in progress will ever end."""
         ...
 
     def submit(self, work: Work, tasks: Sequence[RunTask], contents: Mapping[str, bytes]) -> Chunk:
@@ -34,11 +34,11 @@ class Engine(Protocol):
         ...
 
     def revive(self) -> None:
-        """Make it work again after an error; all chunks under way are given up. MoscaError where it cannot."""
+        """Restore the engine after an error; all chunks in progress are given up. MoscaError where that fails."""
         ...
 
     def close(self) -> None:
-        """End it, and what is under way."""
+        """End the engine and the chunks in progress."""
         ...
 
 
@@ -49,13 +49,13 @@ class LocalEngine:
     lost = False
 
     def __init__(self, jobs: int) -> None:
-        """Keep ``jobs`` processes, which begin with the first chunks."""
+        """Prepare ``jobs`` processes, which start with the first chunks."""
         self._jobs = jobs
         self._pool = spawned_pool(self._jobs, begin_worker)
 
     @property
     def slots(self) -> int:
-        """One more than there are processes: none waits for the next chunk."""
+        """One more than there are processes, so that none waits for the next chunk."""
         return self._jobs + 1
 
     def submit(self, work: Work, tasks: Sequence[RunTask], contents: Mapping[str, bytes]) -> Chunk:

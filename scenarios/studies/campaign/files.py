@@ -1,4 +1,4 @@
-"""The files that a scenario names, by their content: they travel to where the run is made."""
+"""The files that a scenario names, by their content; they are sent to where the run is made."""
 
 import hashlib
 import os
@@ -11,32 +11,32 @@ from typing import Any
 from mosca.data.files.bounded import read_bytes
 
 MOST_BYTES = 1 << 28
-"""Of one file that travels."""
+"""Largest size of one file that is sent."""
 TEXT_BYTES = 1 << 22
-"""Of a file that is searched for names of others: a model names its meshes."""
+"""Largest size of a file that is searched for names of other files: a model names its meshes."""
 NAME = re.compile(rb"[\w./\\ -]+\.\w+")
 
 
 @dataclass(frozen=True)
 class FileSet:
-    """Files around a scenario: their places, and which content each has."""
+    """Files around a scenario: their places, and the content of each."""
 
     folder: str = "."
-    """The scenario's, relative to the root of the places."""
+    """Folder of the scenario, relative to the root of the places."""
     digests: Mapping[str, str] = field(default_factory=dict)
     """Place of a file, relative to the root -> SHA-256 of its content."""
     contents: Mapping[str, bytes] = field(default_factory=dict, repr=False, compare=False)
     """SHA-256 -> content."""
 
     def without_contents(self) -> "FileSet":
-        """Return the places and digests alone."""
+        """Return only the places and digests."""
         return FileSet(self.folder, self.digests)
 
 
 def gathered(document: Mapping[str, Any], folder: Path) -> FileSet:
     """Return the files that a scenario's values name, those that these name, and so on.
 
-    Values with an absolute place are changed in ``document`` to one relative to ``folder``.
+    Values with an absolute path are changed in ``document`` to paths relative to ``folder``.
     """
     folder = folder.resolve()
     found: dict[Path, bytes] = {}
@@ -81,7 +81,7 @@ def _named(values: Any, folder: Path) -> Iterator[tuple[Any, Any, Path]]:
 
 
 def _named_inside(content: bytes, folder: Path) -> list[Path]:
-    """Return the files whose names stand in a text."""
+    """Return the files whose names are in a text."""
     names = {match.decode("ascii", "ignore").strip() for match in NAME.findall(content)}
     return [path for path in (_file(name, folder) for name in sorted(names)) if path is not None]
 

@@ -1,4 +1,4 @@
-"""The runs of a claim: what each has of its own, drawn from streams that no other run and no other key moves."""
+"""The runs of a claim: values of each run, drawn from streams that no other run and no other key changes."""
 
 import copy
 import operator
@@ -20,24 +20,24 @@ from scenarios.studies.campaign.files import FileSet, gathered
 from twin.streams import rng
 
 DIGITS = 6
-"""Of a draw: a command that repeats the run stays short."""
+"""Significant digits of a draw, so that a command that repeats the run is short."""
 
 
 @dataclass(frozen=True)
 class RunTask:
-    """One run of a claim: all that decides it besides the code."""
+    """One run of a claim: all its inputs besides the code."""
 
     number: int
-    """Among the runs of the claim, from 0 on."""
+    """Number among the runs of the claim, from 0 on."""
     name: str
-    """Of the scenario."""
+    """Name of the scenario."""
     seed: int
     drawn: Mapping[str, Any]
-    """Key -> its value in this run, of the keys that vary."""
+    """Key -> its value in this run, for the keys that vary."""
     document: Mapping[str, Any]
     """The scenario file with all changes."""
     files: FileSet
-    """What the document names."""
+    """Files named in the document."""
 
 
 def scenario_path(claim: ClaimFile, folder: Path) -> Path:
@@ -47,7 +47,7 @@ def scenario_path(claim: ClaimFile, folder: Path) -> Path:
 
 
 def run_tasks(claim: ClaimFile, where: Path) -> list[RunTask]:
-    """Return all runs of the claim file at ``where``; InputError where one of them is no scenario."""
+    """Return all runs of the claim file at ``where``; InputError where one of them is not a valid scenario."""
     path = scenario_path(claim, where.parent)
     base = read_toml(path)
     for key, value in claim.set.items():
@@ -79,7 +79,7 @@ def command(claim: ClaimFile, task: RunTask, path: Path) -> str:
 
 
 def _toml(value: Any) -> str:
-    """Return a value as TOML has it, on one line."""
+    """Return a value in TOML, on one line."""
     if isinstance(value, list | tuple):
         return f"[{', '.join(map(_toml, value))}]"
     if isinstance(value, dict):
@@ -108,7 +108,7 @@ def _of_file(base: Mapping[str, Any], draw: Draw, path: Path, where: Path) -> An
 
 
 def _drawn(draw: Draw, before: Any, seed: int, number: int) -> Any:
-    """Return a key's value in a run: a stream of its own for each key and run."""
+    """Return a key's value in a run, drawn from a stream of its own for each key and run."""
     stream = rng(seed, f"claim/{draw.key}", number)
     if isinstance(draw, ChoiceDraw):
         value = draw.values[int(stream.integers(len(draw.values)))]

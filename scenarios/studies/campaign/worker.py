@@ -1,4 +1,4 @@
-"""One run of a claim, wherever it is made: a process of this computer, or a worker of a cluster."""
+"""One run of a claim, made in a process of this computer or by a worker of a cluster."""
 
 import hashlib
 import os
@@ -20,33 +20,33 @@ from scenarios.studies.campaign.tasks import RunTask
 ROOT = Path(__file__).resolve().parents[3]
 ROOMS = ("mosca", "twin", "scenarios", "reports")
 NOT_CODE = {"baselines", "library", "claims"}
-"""Folders of what is read by its own content, or by no run."""
+"""Folders of files that count by their own content, or that no run reads."""
 SOURCES = (".py", ".toml", ".xml", ".csv", ".json")
 
 
 @dataclass(frozen=True)
 class RunOutcome:
-    """What became of a run."""
+    """Outcome of a run."""
 
     number: int
     metrics: Mapping[str, float] = field(default_factory=dict)
     """All metrics of its record; empty where it failed."""
     failed: str = ""
-    """Why there are none, in one line."""
+    """Reason why there are none, in one line."""
     processor: str = ""
     seconds: float = field(default=0.0, compare=False)
-    """How long it took; in no result."""
+    """Duration of the run; it is in no result."""
     made: object = field(default=None, compare=False, repr=False)
-    """What the run made besides, of work that keeps it."""
+    """Further output of the run, for work that keeps it."""
 
 
 Work = Callable[[RunTask, Mapping[str, bytes]], RunOutcome]
 
 
 def run_task(task: RunTask, contents: Mapping[str, bytes]) -> RunOutcome:
-    """Make a run and return its metrics; ``contents``: of its files, by their digests.
+    """Make a run and return its metrics; ``contents``: contents of its files, by their digests.
 
-    Whatever keeps it from giving metrics is what became of it: an error of the input or of the calibration, or a bug.
+    Any error that prevents metrics is the outcome: an error of the input or of the calibration, or a bug.
     """
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     from mosca.data.files.toml import check
@@ -61,20 +61,20 @@ def run_task(task: RunTask, contents: Mapping[str, bytes]) -> RunOutcome:
             record = run_scenario(spec, task.name, folder, RunOptions(page=False)).record
     except MoscaError as error:
         return RunOutcome(task.number, failed=str(error))
-    except Exception as error:  # a bug is a result of this run, and no reason to lose the others
+    except Exception as error:  # a bug is the result of this run only: the others must not be lost
         return RunOutcome(task.number, failed=bug_line(error))
     return RunOutcome(task.number, {metric.name: metric.value for metric in record.metrics})
 
 
 def bug_line(error: Exception) -> str:
-    """Return an error that should not be, and where it is from, as a line."""
+    """Return an unexpected error and its location as a line."""
     where = traceback.extract_tb(error.__traceback__)[-1]
     text = " ".join(f"{type(error).__name__}: {error}".split())
     return f"{text} ({Path(where.filename).name}:{where.lineno})"
 
 
 def run_chunk(work: Work, tasks: Sequence[RunTask], contents: Mapping[str, bytes], stamp: str) -> list[RunOutcome]:
-    """Return the outcomes of some runs, with the seconds that each took and the processor that made it.
+    """Return the outcomes of some runs, with the duration of each and the processor that made it.
 
     InputError where this worker's ``code_stamp`` is not ``stamp``.
     """
@@ -93,7 +93,7 @@ def run_chunk(work: Work, tasks: Sequence[RunTask], contents: Mapping[str, bytes
 
 @cache
 def code_stamp() -> str:
-    """Return a digest of all sources that can decide a run, and of the versions of what they use."""
+    """Return a digest of all sources that can affect a run, and of the versions of the packages that they use."""
     digest = hashlib.sha256(repr(numerics()["versions"]).encode())
     for room in ROOMS:
         for path in sorted((ROOT / room).rglob("*")):

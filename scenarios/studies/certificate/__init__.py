@@ -1,1 +1,1 @@
-"""The certificate that is handed to a customer: what was found, on what evidence, and what went in."""
+"""The certificate that is handed to a customer: results, evidence, and input files."""

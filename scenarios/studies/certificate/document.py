@@ -1,4 +1,4 @@
-"""A certificate as one document, and whether what it rests on is still what it was."""
+"""A certificate as one document, and the test of whether its input files are unchanged."""
 
 import hashlib
 import json
@@ -22,17 +22,17 @@ KIND = "certificate"
 
 @dataclass(frozen=True)
 class CertificateOptions:
-    """What stands on it besides the results."""
+    """Entries of a certificate besides the results."""
 
     title: str = "Certificate of measurement performance"
     customer: str = ""
     issued: str = ""
-    """The day, as YYYY-MM-DD."""
+    """Date of issue, as YYYY-MM-DD."""
 
 
 @dataclass(frozen=True)
 class FileState:
-    """A file whose hash was taken, beside what it is now."""
+    """A file whose hash was taken, and its present state."""
 
     file: str
     state: Literal["same", "changed", "not found"]
@@ -57,9 +57,9 @@ class _Certificate(BaseModel):
 def certificate_document(
     results: Sequence[CertifiedResult], options: CertificateOptions, folder: Path
 ) -> dict[str, Any]:
-    """Return the certificate of ``results``, which are written into ``folder``; the last of a kind and name counts.
+    """Return the certificate of ``results``, to be written into ``folder``; the last of a kind and name counts.
 
-    A file that went into a result and is no longer what it was is told of, and the certificate is undecided then.
+    An input file of a result that has changed since is named, and the certificate is then undecided.
     """
     if not results:
         raise InputError(
@@ -88,13 +88,13 @@ def certificate_document(
 
 
 def digest_of(document: Mapping[str, Any]) -> str:
-    """Return the SHA-256 of a certificate's content, its own digest left out."""
+    """Return the SHA-256 of a certificate's content without its own digest."""
     content = {key: value for key, value in document.items() if key != "digest"}
     return hashlib.sha256(json.dumps(content, sort_keys=True, ensure_ascii=True).encode()).hexdigest()
 
 
 def check_certificate(path: Path) -> list[FileState]:
-    """Return the state of a certificate and of each file that it names; InputError where it is none."""
+    """Return the state of a certificate and of each file that it names; InputError where it is not a certificate."""
     document = json_document(path, "'mosca certificate'")
     given = check(_Certificate, document, path)
     states = [FileState(str(path), "same" if digest_of(document) == given.digest else "changed")]
@@ -105,7 +105,7 @@ def check_certificate(path: Path) -> list[FileState]:
 
 
 def input_states(inputs: Sequence[InputFile], folder: Path) -> list[FileState]:
-    """Return the state of each file or folder: as it is named, or beside the result in ``folder``."""
+    """Return the state of each file or folder, found by its path or beside the result in ``folder``."""
     states = []
     for one in inputs:
         places = [folder / one.file, Path(one.file), folder / Path(one.file).name]
@@ -135,7 +135,7 @@ def _told(one: CertifiedResult, folder: Path, counts: bool) -> dict[str, Any]:
 
 
 def _history(results: Sequence[CertifiedResult]) -> list[dict[str, Any]]:
-    """Return, of what has several results, each one's commit, verdict and figure nearest to its limit."""
+    """Return commit, verdict and figure nearest to its limit of each result, for things with several results."""
     groups: dict[tuple[str, str], list[CertifiedResult]] = {}
     for one in results:
         groups.setdefault((one.kind, one.name), []).append(one)
@@ -159,7 +159,7 @@ def _worst(one: CertifiedResult) -> str:
 
 
 def _beside(results: Sequence[CertifiedResult]) -> list[dict[str, Any]]:
-    """Return, of each kind with several things tested, their figures side by side."""
+    """Return the figures side by side, for each kind with several tested things."""
     tables = []
     for kind in dict.fromkeys(one.kind for one in results):
         group = [one for one in results if one.kind == kind]
@@ -179,12 +179,12 @@ def _beside(results: Sequence[CertifiedResult]) -> list[dict[str, Any]]:
 
 
 def states_told(states: Sequence[FileState]) -> list[str]:
-    """Return a line for each file that is not what it was, or not there."""
+    """Return a line for each file that has changed or does not exist."""
     return [f"{one.state}: {one.file}" for one in states if one.state != "same"]
 
 
 def whole(states: Sequence[FileState]) -> Decision:
-    """Return "conforming" where all files are as they were, "not conforming" where one changed, else "undecided"."""
+    """Return "conforming" if all files are unchanged, "not conforming" if one has changed, else "undecided"."""
     found = {one.state for one in states}
     if "changed" in found:
         return "not conforming"

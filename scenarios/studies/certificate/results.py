@@ -1,4 +1,4 @@
-"""Results that a certificate rests on: acceptance tests, claims, budgets and runs, read into one form."""
+"""Results for a certificate: acceptance tests, claims, budgets and runs, read into one form."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -25,14 +25,14 @@ FILES: dict[str, str] = {
     "budget.json": "budget",
     "record.json": "run",
 }
-"""Name of a result's file -> what it is."""
+"""Name of a result's file -> kind of result."""
 COVERS_A_CLAIM = "rigs, scenes and light other than those drawn in the claim's conditions"
 COVERS_A_RUN = "other seeds, rigs and calibrations than those of the one run"
 
 
 @dataclass(frozen=True)
 class ResultRow:
-    """One figure of a result, in words; "" where there is none."""
+    """One figure of a result in words; "" for missing values."""
 
     what: str
     found: str
@@ -40,7 +40,7 @@ class ResultRow:
     limit: str
     decision: str
     share: float = 0.0
-    """Of its limit, for the headline; 0 where there is none."""
+    """Share of its limit, for the headline; 0 where there is no limit."""
 
 
 @dataclass(frozen=True)
@@ -49,10 +49,10 @@ class CertifiedResult:
 
     kind: Kind
     name: str
-    """Results of one kind and name are of one thing: the last one counts, earlier ones are its history."""
+    """Results of one kind and name belong to one thing: the last one counts, earlier ones are its history."""
     title: str
     verdict: Verdict | None
-    """None where the result decides nothing: a budget."""
+    """The verdict; None for a result that decides nothing: a budget."""
     commit: str
     rows: tuple[ResultRow, ...]
     conditions: tuple[tuple[str, str], ...]
@@ -94,7 +94,7 @@ class _ClaimResult(_Fields):
 
 
 def read_result(path: Path) -> CertifiedResult:
-    """Read a result: its folder or its file. InputError where it is none, or none that a certificate holds."""
+    """Read a result from its folder or its file. InputError where it is none, or no kind that a certificate holds."""
     if path.is_dir():
         found = [name for name in FILES if (path / name).is_file()]
         if not found:
@@ -105,7 +105,7 @@ def read_result(path: Path) -> CertifiedResult:
 
 
 def _kind_inside(path: Path) -> str:
-    """Return what a result's file of another name is, by its keys."""
+    """Return the kind of a result's file with another name, by its keys."""
     document = json_document(path, "'mosca accept', 'mosca claim' or 'mosca budget'")
     if document.get("kind") == "acceptance":
         return "acceptance"
@@ -204,7 +204,7 @@ def _run(path: Path) -> CertifiedResult:
     if not given.passed and given.not_judged and all(one.passed is not False for one in given.metrics):
         verdict = "undecided"
     if given.expect != "pass":
-        verdict = None  # a control: it shows that a fault is found, not that a limit is kept
+        verdict = None  # a control shows that a fault is found, not that a limit is kept
     conditions = (
         ("verdict of the run", given.verdict),
         ("scenario", given.scenario),

@@ -1,1 +1,1 @@
-"""From a plan file to a planned rig, its scenario, and its verification."""
+"""Planned rigs from plan files, with scenario and verification."""

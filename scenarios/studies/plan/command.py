@@ -1,4 +1,4 @@
-"""``mosca plan``: from a plan file to a folder with rig, scenario, result and page."""
+"""``mosca plan``: a folder with rig, scenario, result and page from a plan file."""
 
 import json
 from collections.abc import Callable

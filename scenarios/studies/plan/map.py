@@ -12,8 +12,8 @@ CELLS, HEIGHTS = 20, 3
 
 
 def predicted_map(plan: Plan) -> dict[str, Any]:
-    """Return places ``x_m`` and ``y_m``, ``sigma_m`` (y, x), the wanted quantile over heights and directions there,
-    and which are ``inside`` the volume; None outside, and where fewer markers are seen.
+    """Return positions ``x_m`` and ``y_m``, ``sigma_m`` (y, x), the wanted quantile over heights and directions
+    there, and which are ``inside`` the volume; None outside, and where fewer markers are seen.
     """
     spec, best = plan.spec, plan.best
     center, size = bounding_box(spec)

@@ -1,4 +1,4 @@
-"""The plan: the best layout for each number of cameras, and what is predicted of the best."""
+"""The plan: the best layout for each number of cameras, and the predictions for the best."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -29,35 +29,36 @@ from scenarios.studies.plan.room import (
 )
 
 SEARCH_POINTS, CURVE_POINTS, REPORT_POINTS = 320, 160, 1000
-"""Points of the volume at which the search predicts for the most cameras and for fewer, and others, for the figures
-that are reported. In a room with a subject and 8 cameras 160 gave 0.116 mm at the others, 320 0.107, 500 0.109.
+"""Number of points of the volume at which the search predicts, for the most cameras and for fewer, and of other
+points for the reported figures. In a room with a subject and 8 cameras 160 gave 0.116 mm at the others, 320 0.107,
+500 0.109.
 """
 CURVE_SHARE = 0.35
-"""Of the evaluations, for each number of cameras below the largest."""
+"""Share of the evaluations for each number of cameras below the largest."""
 
 
 @dataclass(frozen=True)
 class PlanSettings:
-    """How the search is made."""
+    """Settings of the search."""
 
     evaluations: int = 8000
     curve: bool = True
-    """Also plan with fewer cameras."""
+    """Whether to plan also with fewer cameras."""
 
 
 @dataclass(frozen=True, eq=False)
 class VolumePrediction(PredictedMarkers):
-    """What is predicted of markers in the volume; standard deviation and covariance with the calibration's part."""
+    """Predictions for markers in the volume; standard deviation and covariance include the calibration's part."""
 
     points: Array
     """(n, 3) [m]"""
     calibration_m: Array
-    """(n, k) the calibration's share."""
+    """(n, k) the calibration's share [m]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Planned:
-    """A planned rig, and what is predicted of it."""
+    """A planned rig, and the predictions for it."""
 
     layout: Layout
     rig: Rig
@@ -67,7 +68,7 @@ class Planned:
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """Plans for numbers of cameras, ascending; the last one but those that are no better is ``best``."""
+    """Plans for ascending numbers of cameras; ``best`` is the one with the least predicted quantile."""
 
     spec: PlanFile
     options: tuple[CameraOption, ...]
@@ -85,9 +86,9 @@ class Plan:
 def make_plan(
     spec: PlanFile, settings: PlanSettings, told: Callable[[int, int], None] = lambda done, most: None
 ) -> Plan:
-    """Return the plan of ``spec``. InputError where no layout keeps the budget, or hardly any place is seen.
+    """Return the plan of ``spec``. InputError where no layout keeps the budget, or almost no position is seen.
 
-    ``told``: called with evaluations done and wanted.
+    ``told``: called with the numbers of evaluations done and wanted.
     """
     most = spec.budget.cameras
     cheapest = min(one.price for one in spec.camera)
@@ -111,7 +112,7 @@ def make_plan(
         done += evaluations
         starts[count] = _planned(spec, task, start := first_layout(task, count))
         found = [_planned(spec, task, layout)] if task.allowed(layout) else []
-        # the search sees few points, and the calibration as a fixed noise: what it gained may be none elsewhere
+        # the search uses few points, and the calibration as a fixed noise: its gain may be none at other points
         found += [starts[count]] if task.allowed(start) else []
         if found:
             planned[count] = min(found, key=lambda one: _rank(one, spec))
@@ -125,17 +126,17 @@ def make_plan(
 
 
 def _rank(one: Planned, spec: PlanFile) -> tuple[float, float]:
-    """Return what is to be small of a planned rig: the quantile, then the share that is not seen."""
+    """Return the values to minimise for a planned rig: the quantile, then the share that is not seen."""
     return one.predicted.quantile_m(spec.goal.quantile), one.predicted.unseen(2)
 
 
 def _from(told: Callable[[int, int], None], before: int, wanted: int) -> Callable[[int, int], None]:
-    """Return what tells of a search that began after ``before`` of all ``wanted`` evaluations."""
+    """Return the progress function of a search that began after ``before`` of all ``wanted`` evaluations."""
     return lambda done, _: told(min(before + done, wanted), wanted)
 
 
 def task_of(spec: PlanFile, points: Array, calibration_px: float) -> PlacementTask:
-    """Return the search over ``points`` (n, 3); ``calibration_px``: what the calibration adds to an image point."""
+    """Return the search over ``points`` (n, 3); ``calibration_px``: error of an image point by the calibration."""
     room = room_of(spec, points)
     objective = Objective(room, spec.goal.quantile, spec.goal.seen_by, float(bounding_box(spec)[1].max()), WIDE)
     return PlacementTask(
@@ -145,10 +146,10 @@ def task_of(spec: PlanFile, points: Array, calibration_px: float) -> PlacementTa
 
 
 def predicted_of(spec: PlanFile, rig: Rig, rows: Array, room: MarkerRoom) -> VolumePrediction:
-    """Return what is predicted of the markers of ``room`` with ``rig`` and its rows (c, COLUMNS).
+    """Return the predictions for the markers of ``room`` with ``rig`` and its rows (c, COLUMNS).
 
-    The covariance is that of all markers that the pipeline measures, sigma is infinite where fewer cameras than are
-    wanted see at least half of one.
+    The covariance is given for all markers that the pipeline measures. Sigma is infinite where fewer cameras than
+    wanted see at least half of a marker.
     """
     points, places = room.points, rows[:, :3]
     seen, variance = view_table(
@@ -208,7 +209,7 @@ def result_document(plan: Plan) -> dict[str, Any]:
 
 
 def figures_of(predicted: VolumePrediction, share: float) -> dict[str, float | None]:
-    """Return the figures of a prediction; None for what is infinite."""
+    """Return the figures of a prediction; None for infinite values."""
     finite = predicted.sigma_m[np.isfinite(predicted.sigma_m)]
     quantile = predicted.quantile_m(share)
     common = predicted.calibration_m[np.isfinite(predicted.calibration_m)]
@@ -221,7 +222,7 @@ def figures_of(predicted: VolumePrediction, share: float) -> dict[str, float | N
 
 
 def camera_rows(plan: Plan, one: Planned) -> list[dict[str, Any]]:
-    """Return a row a camera of a planned rig."""
+    """Return a row for each camera of a planned rig."""
     places, ahead = one.layout.places(plan.mounts), direction(one.layout.angles)
     return [
         {
@@ -249,9 +250,9 @@ def _planned(spec: PlanFile, task: PlacementTask, layout: Layout) -> Planned:
 
 
 def _calibration_px(spec: PlanFile, mounts: tuple[MountingPlace, ...], count: int) -> float:
-    """Return what the calibration adds to an image point, rms an axis [px], of cameras evenly spaced.
+    """Return the error of an image point by the calibration, rms on each axis [px], for evenly spaced cameras.
 
-    The search takes it as noise of the image points: how it depends on the layout is predicted for the result alone.
+    The search takes it as noise of the image points; its dependence on the layout is predicted only for the result.
     """
     task = task_of(spec, points_in(spec, SEARCH_POINTS, spec.seed), 0.0)
     layout = first_layout(task, count)
@@ -269,10 +270,10 @@ def _calibration_px(spec: PlanFile, mounts: tuple[MountingPlace, ...], count: in
 
 
 def _of_images(rig: Rig, points: Array, weights: Array, variance: Array, displaced: Array) -> Array:
-    """Return the mean square error (n, 3, 3) [m^2] that images give points (n, 3).
+    """Return the mean square error (n, 3, 3) [m^2] of points (n, 3) by their images.
 
-    ``weights`` (c, n) [1/px^2] with which they count, ``variance`` (c, n) [px^2] of them, ``displaced`` (c, n, 3)
-    [m]: by how much the point that each shows is off.
+    ``weights`` (c, n) [1/px^2]: weights of the images; ``variance`` (c, n) [px^2]: their variances; ``displaced``
+    (c, n, 3) [m]: displacement of the point that each image shows.
     """
     total, noise = np.zeros((2, len(points), 3, 3))
     pull = np.zeros((len(points), 3, 1))

@@ -1,4 +1,4 @@
-"""A plan file as the planner has it: points of the volume, mounts, obstacles and camera options."""
+"""The planner's input from a plan file: points of the volume, mounts, obstacles and camera options."""
 
 from collections.abc import Sequence
 
@@ -21,10 +21,10 @@ from twin.cameras.library import sensor
 WALL_M = 0.02
 """Thickness of a room's walls, outside of its corners."""
 FIELD_SHARE = 1.1
-"""Edges of the calibration's field over the volume's, as of a scenario's ``[calibration]``."""
+"""Edges of the calibration's field over those of the volume, as in a scenario's ``[calibration]``."""
 FACING_COSINE = 0.3
-"""A coded target is read up to about 70 deg from its normal (``docs/detection.md``: ellipses thinner than that are
-not decoded)."""
+"""Least cosine of the viewing angle of a coded target, which is read up to about 70 deg from its normal
+(``docs/detection.md``: thinner ellipses are not decoded)."""
 
 
 def bounding_box(plan: PlanFile) -> tuple[Array, Array]:
@@ -39,7 +39,7 @@ def bounding_box(plan: PlanFile) -> tuple[Array, Array]:
 
 
 def points_in(plan: PlanFile, count: int, seed: int) -> Array:
-    """Return ``count`` points (n, 3) [m] of the volume outside obstacles, evenly spread (Halton's, scrambled).
+    """Return ``count`` points (n, 3) [m] of the volume outside obstacles, evenly spread (scrambled Halton points).
 
     InputError where obstacles fill the volume.
     """
@@ -59,7 +59,7 @@ def points_in(plan: PlanFile, count: int, seed: int) -> Array:
 
 
 def inside_polygon(corners: Array, xy: Array) -> Array:
-    """Return which points (n, 2) lie inside a polygon (k, 2), by the even-odd rule."""
+    """Return whether points (n, 2) lie inside a polygon (k, 2), by the even-odd rule (n,) bool."""
     x0, y0 = corners.T
     x1, y1 = np.roll(corners, -1, axis=0).T
     x, y = xy[:, :1], xy[:, 1:]
@@ -77,7 +77,7 @@ def normals_of(plan: PlanFile) -> Array:
 
 
 def worn_markers_of(plan: PlanFile) -> WornMarkers | None:
-    """Return the balls on the subject, None without one; it is as high as the volume."""
+    """Return the balls on the subject, which is as high as the volume; None without a subject."""
     if plan.subject is None:
         return None
     center, size = bounding_box(plan)
@@ -86,7 +86,7 @@ def worn_markers_of(plan: PlanFile) -> WornMarkers | None:
 
 
 def room_of(plan: PlanFile, points: Array, normals: Array | None = None) -> MarkerRoom:
-    """Return the room with these ``points`` (n, 3) of the volume; ``normals``: default all of the subject's."""
+    """Return the room with these ``points`` (n, 3) of the volume; ``normals``: default, all of the subject."""
     tables = [information_table(_noise(one, plan.images)) for one in plan.camera]
     normals = normals_of(plan) if normals is None else normals
     rows = obstacle_rows(obstacles_of(plan))
@@ -94,7 +94,7 @@ def room_of(plan: PlanFile, points: Array, normals: Array | None = None) -> Mark
 
 
 def options_of(plan: PlanFile, calibration_px: float = 0.0) -> tuple[CameraOption, ...]:
-    """Return each camera with each of its lenses; ``calibration_px``: what the calibration adds, rms an axis [px]."""
+    """Return each camera with each of its lenses; ``calibration_px``: rms calibration error on each axis [px]."""
     images = plan.images
     extra = float(np.sqrt(images.body_px**2 + images.lens_px**2 + calibration_px**2))
     found = []
@@ -120,7 +120,7 @@ def chip_of(one: CameraModelSpec) -> tuple[int, int, float]:
 
 
 def mounts_of(plan: PlanFile) -> tuple[MountingPlace, ...]:
-    """Return all places where cameras may stand."""
+    """Return all possible positions of cameras."""
     found = [
         MountingPlace(np.array(one.from_m), np.array(one.to_m) - np.array(one.from_m), np.zeros(3))
         for one in plan.rail
@@ -141,15 +141,15 @@ def mounts_of(plan: PlanFile) -> tuple[MountingPlace, ...]:
 
 
 def keep_out_of(plan: PlanFile) -> Array:
-    """Return the bodies (b, 9) in which no camera stands: obstacles, and the box around the volume."""
+    """Return the bodies (b, 9) in which no camera may stand: obstacles, and the box around the volume."""
     center, size = bounding_box(plan)
     bodies = [Obstacle(one.kind, one.center_m, one.size_m, one.yaw_deg) for one in plan.obstacle]
     return obstacle_rows([*bodies, Obstacle("box", tuple(center), tuple(size))])
 
 
 def session_of(plan: PlanFile, places: Array, seed: int) -> FieldSession:
-    """Return the session that the scenario will calibrate with, as far as it is known before: marks spread over the
-    sides of a field, drawn stands; ``places`` (c, 3) of the cameras [m].
+    """Return the calibration session of the scenario, as far as it is known beforehand: marks spread over the sides
+    of a field, drawn stands; ``places`` (c, 3): positions of the cameras [m].
     """
     given, draw = plan.calibration, np.random.default_rng(seed)
     center, size = bounding_box(plan)
@@ -180,7 +180,7 @@ def session_of(plan: PlanFile, places: Array, seed: int) -> FieldSession:
 
 
 def obstacles_of(plan: PlanFile) -> list[Obstacle]:
-    """Return what hides markers: obstacles, and the walls of a room that is not convex."""
+    """Return the bodies that hide markers: obstacles, and the walls of a room that is not convex."""
     found = [Obstacle(one.kind, one.center_m, one.size_m, one.yaw_deg) for one in plan.obstacle]
     room = plan.room
     if room is None or is_convex(np.array(room.corners_m)):

@@ -17,13 +17,13 @@ from scenarios.studies.plan.room import bounding_box, normals_of, obstacles_of, 
 
 RIG_FILE, SCENARIO_FILE, MODEL_FILE, MOTION_FILE = "rig.toml", "scenario.toml", "room.xml", "motion.csv"
 FREE_MARKERS = 60
-"""Without a subject: points of the volume."""
+"""Number of markers without a subject: points of the volume."""
 SWAY_M, SWAY_HZ = 0.03, 0.5
-"""Of the free markers, each axis: 0.1 m/s at most."""
+"""Amplitude and frequency of the free markers on each axis: at most 0.1 m/s."""
 LEVELS = 4
-"""Rings of markers on a subject."""
+"""Number of rings of markers on a subject."""
 SPEED_MPS = 0.5
-"""Of a subject on its way through the volume."""
+"""Speed of a subject on its way through the volume."""
 FREE_RATE_HZ, SUBJECT_RATE_HZ = 60.0, 30.0
 RESERVE = 1.25
 """Limit of position_rms over its prediction: a study of drawn rooms has the differences (docs/planner.md)."""
@@ -32,16 +32,16 @@ STEP_S = 0.02
 
 @dataclass(frozen=True, eq=False)
 class Subjects:
-    """Markers as the scenario moves them."""
+    """Markers and their motion in the scenario."""
 
     names: tuple[str, ...]
     at: Array
-    """(m, 3) on the body [m]."""
+    """(m, 3) positions on the body [m]."""
     normals: Array
-    """(m, 3); zero for markers that hide behind nothing of their own."""
+    """(m, 3); zero for markers that their own body does not hide."""
     times_s: Array
     path: Array
-    """(t, 3) of the body [m]."""
+    """(t, 3) positions of the body [m]."""
     duration_s: float
     rate_hz: float
 
@@ -72,7 +72,7 @@ def subjects_of(spec: PlanFile) -> Subjects:
     center, size = bounding_box(spec)
     normals = normals_of(spec)
     heights = center[2] + size[2] * ((np.arange(LEVELS) + 0.5) / LEVELS - 0.5)
-    # a ball is seated on the surface: its middle lies its radius before it
+    # a ball is seated on the surface: its centre is one radius in front of it
     reach = radius + spec.volume.marker_diameter_m / 2
     at = np.array([[*(reach * normal[:2]), height] for height in heights for normal in normals])
     stops = _stops(spec, reach)
@@ -86,14 +86,14 @@ def subjects_of(spec: PlanFile) -> Subjects:
 
 
 def _stops(spec: PlanFile, reach: float) -> Array:
-    """Return where the subject's axis passes (s, 2) [m]: corners of a Z in the volume, its markers inside."""
+    """Return the stops (s, 2) [m] of the subject's axis: corners of a Z in the volume, with its markers inside."""
     center, size = bounding_box(spec)
     half = np.maximum(size[:2] / 2 - reach, 0.0)
     return np.asarray(center[:2] + half * np.array([[-1, -1], [1, -1], [-1, 1], [1, 1]]))
 
 
 def _model(spec: PlanFile, subjects: Subjects) -> str:
-    """Return the MuJoCo model: obstacles that stand, and a body with the markers on three slides."""
+    """Return the MuJoCo model: fixed obstacles, and a body with the markers on three slides."""
     root = ElementTree.Element("mujoco", model="plan")
     world = ElementTree.SubElement(root, "worldbody")
     for k, one in enumerate(obstacles_of(spec)):
@@ -162,8 +162,8 @@ def _document(plan: Plan, subjects: Subjects) -> dict[str, Any]:
 
 
 SLACK_M = 0.02
-"""By how much the scenario's working space is larger than the volume: its check that cameras stand outside is its
-own, and markers' balls reach beyond their centres."""
+"""Margin of the scenario's working space around the volume: the scenario has its own check that cameras stand
+outside, and markers' balls reach beyond their centres."""
 
 
 def _text(values: Any) -> str:

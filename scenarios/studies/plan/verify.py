@@ -1,4 +1,4 @@
-"""A plan's prediction beside its simulation: images of the planned cameras, calibrated from images."""
+"""A plan's prediction compared with its simulation: images of the planned cameras, calibrated from images."""
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -17,26 +17,26 @@ from scenarios.studies.plan.scenario import SCENARIO_FILE, subjects_of
 from scenarios.types import RunOptions
 
 DRAWS = 200
-"""Of each point's error, for quantiles of all points' errors together."""
+"""Draws of each point's error, for quantiles of all points' errors together."""
 MOST_FRAMES = 40
-"""Frames whose markers are predicted, evenly spaced."""
+"""Most frames whose markers are predicted, evenly spaced."""
 
 
 @dataclass(frozen=True)
 class Verified:
-    """Predicted and simulated errors of the same markers, at the same places [m]."""
+    """Predicted and simulated errors of the same markers, at the same positions [m]."""
 
     predicted_rms_m: float
     simulated_rms_m: float
     simulated_low_m: float
     simulated_high_m: float
-    """95 % interval, of the noise of this take; the calibration is one draw."""
+    """``simulated_low_m`` to this: 95 % interval by the noise of this take; the calibration is one draw."""
     predicted_p95_m: float
     simulated_p95_m: float
     predicted_unseen: float
-    """Share of markers and frames that fewer cameras see than a point takes."""
+    """Share of markers and frames that are visible to fewer cameras than a point needs."""
     simulated_unseen: float
-    """Share that fewer than two cameras see at least half of."""
+    """Share for which fewer than two cameras see at least half of the marker."""
     completeness: float
 
     @property
@@ -45,16 +45,16 @@ class Verified:
         return self.predicted_rms_m / self.simulated_rms_m
 
     def document(self) -> dict[str, Any]:
-        """Return it as the result file has it."""
+        """Return the comparison in the form of the result file."""
         return {**asdict(self), "ratio": self.ratio}
 
 
 def verify(
     plan: Plan, folder: Path, workers: int = 1, stage: Callable[[str], None] | None = None
 ) -> tuple[Verified, RunResult]:
-    """Run the scenario in ``folder`` and return its errors beside those predicted, and the run.
+    """Run the scenario in ``folder``; return its errors with the predicted ones, and the run.
 
-    ``stage``: told the name of each stage.
+    ``stage``: called with the name of each stage.
     """
     spec = load_scenario(folder / SCENARIO_FILE)
     run = run_scenario(spec, "plan", folder, RunOptions(workers=workers, stage=stage))
@@ -72,8 +72,8 @@ def verify(
 
 
 def _at_truth(plan: Plan, truth: Truth) -> tuple[Array, Array, Array, float]:
-    """Return sigma of markers that are predicted to be seen, draws of their errors, cameras that truly see each, and
-    the share predicted to be unseen.
+    """Return sigma of markers that are predicted to be seen, draws of their errors, the number of cameras that truly
+    see each marker, and the share predicted to be unseen.
     """
     spec, best = plan.spec, plan.best
     subjects = subjects_of(spec)

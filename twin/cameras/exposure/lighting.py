@@ -2,9 +2,10 @@
 
 The amount follows from the target's ``Glow``, its distance and its angle to the camera. Every lobe is a power
 of the cosine, ``cos(a)^n`` with ``n = log(1/2) / log(cos(half))``: smooth, one half at the angle ``half``, zero at
-90 degrees. A ring light's light on a target falls with the square of the distance; the image of a surface is as
-bright from near as from far. A tape's curve may instead be even up to an angle and end at another, as makers print it
-for glass beads; it then also falls with the observation angle, and lamps fall off their axis (see ``Glow``).
+90 degrees. The light of a ring light on a target falls with the square of the distance. The brightness of a
+surface's image does not depend on the distance. A tape's curve may instead be even up to one angle and end at
+another, as makers print it for glass beads; it then also falls with the observation angle, and lamps fall off their
+axis (see ``Glow``).
 """
 
 import math
@@ -33,17 +34,17 @@ class GlowTable:
     strength: Array
     """(m,): factor on the marker signal."""
     exponent: Array
-    """(m,) of the lobe's cosine; 0: no lobe."""
+    """(m,): exponent of the lobe's cosine; 0: no lobe."""
     at_m: Array
     """(m,): distance of full brightness; NaN: the same at all distances."""
     lobe_m: Array
-    """(m,): radius of the ring light over the lobe's observation angle; 0: as bright from beside the light."""
+    """(m,): radius of the ring light over the lobe's observation angle; 0: the observation angle has no effect."""
     lamp_exponent: Array
-    """(m,) of the cosine of the angle off the camera's axis; 0: lamps alike to all sides."""
+    """(m,): exponent of the cosine of the angle off the camera's axis; 0: lamps alike to all sides."""
     fade_rad: Array
-    """(m, 2): angles off the normal from which a tape sends less, and none; NEVER_FADES: it has a lobe or none."""
+    """(m, 2): angles off the normal at which a tape begins to send less and sends none; NEVER_FADES: no such tape."""
     limb: Array
-    """(m,): share that the rim lacks, the lobe's and the target's own together."""
+    """(m,): share of brightness that the rim lacks, by the lobe and the target's own limb together."""
     shade: Array
     """(m, 3): gradient of brightness, world frame."""
     ball: Array
@@ -57,13 +58,13 @@ class TargetLight:
     """Light of m targets as the renderer takes it, camera frame."""
 
     electrons: Array
-    """(m,) that a pixel fully covered by the target collects in the window's length."""
+    """(m,): electrons that a pixel fully covered by the target collects in the window's length."""
     limb: Array
     """(m,): share of brightness that the rim lacks."""
     shade: Array
     """(m, 3): change of brightness from the middle to the rim."""
     fade_rad: Array
-    """(m, 2): angles off a ball's normal from which it sends less and at which it ends; NEVER_FADES: none."""
+    """(m, 2): angles off a ball's normal at which its light begins to fade and ends; NEVER_FADES: no fading."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,17 +74,17 @@ class LitIntervals:
     first: Array
     """(m, 2): a target's first interval; (-inf, inf) where it is never dark, an empty one where it is never lit."""
     again: Array
-    """(k,): targets that shine once more, as often as they do."""
+    """(k,): targets that shine once more; a target is listed once for each further interval."""
     again_s: Array
-    """(k, 2): when."""
+    """(k, 2): these further intervals."""
 
 
 def glow_table(glows: Sequence[Glow], ball: Array) -> GlowTable:
     """Return the table of ``glows``; ``ball`` (m,): which targets are balls.
 
-    A retro ball shows all angles at once, so that its lobe is limb darkening: the renderer's law, brightness
-    ``1 - limb (1 - cos a)``, with one half at ``half_deg``; a rim cannot be darker than dark, so below 60 degrees
-    the law has its half at 60.
+    A retro ball shows all angles at once, so that its lobe is limb darkening. The renderer's law is the brightness
+    ``1 - limb (1 - cos a)``, which is one half at ``half_deg``. A rim cannot be darker than dark: for ``half_deg``
+    below 60 the law is one half at 60.
     """
     fading = np.array([glow.even_deg is not None for glow in glows], dtype=bool)
     lobed = np.array([glow.kind in ("retro", "lamp") and glow.half_deg < 90.0 for glow in glows], dtype=bool)
@@ -134,9 +135,9 @@ def target_light(
     """Return the light of targets at ``xyz`` (m, 3) that face along ``axis`` (m, 3), world frame [m].
 
     ``signal_e``: electrons that a pixel fully covered by a target of strength 1 collects while the light is
-    on for a whole exposure. ``camera_position`` (3,), also the ring light's; ``camera_rotation`` (3, 3) camera
+    on for a whole exposure. ``camera_position`` (3,): also that of the ring light; ``camera_rotation`` (3, 3): camera
     -> world. Paper and lobes send nothing backwards; a plain target's strength is the same from everywhere.
-    ``radius`` (m,) [m]: of flat targets, which under a ring light are brighter where they are nearer (None, 0: even).
+    ``radius`` (m,) [m]: of flat targets. Under a ring light, their nearer parts are brighter (None, 0: even).
     """
     electrons = _electrons(glows, signal_e, xyz, axis, camera_position, camera_rotation)
     gradient = np.zeros((len(xyz), 3))
@@ -208,7 +209,7 @@ def lit_during(
 
 
 def _exponent(half_deg: float | None) -> float:
-    """Return the power of the cosine that is one half at ``half_deg``; None: 0."""
+    """Return the exponent for which the cosine's power is one half at ``half_deg``; None: 0."""
     return 0.0 if half_deg is None else math.log(0.5) / math.log(math.cos(math.radians(half_deg)))
 
 

@@ -1,7 +1,7 @@
 """The mount: how the camera body moves.
 
 A rotation of the camera is given in pixels: the shift of the image of distant objects, right and down. The pose is a
-function of continuous time, so that motion within an exposure blurs; only the white shake is constant within a frame.
+function of continuous time, so that motion within an exposure blurs; the white shake alone is constant in a frame.
 """
 
 import math
@@ -21,7 +21,7 @@ from twin.streams import rng
 TONES = 64
 """Sinusoids that make up a vibration, each image axis."""
 WANDER_STEP_S = 1.0
-"""Time between the steps of the random walk; it goes straight in between."""
+"""Time between the steps of the random walk, which is linear in between."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Mount:
     wander_px: float = 0.0
     """Random walk: rms each axis in the first second."""
     wander_bound_px: float = 1.0
-    """The random walk is reflected at plus and minus this."""
+    """Bound of the random walk, which is reflected at plus and minus this value."""
     bump_s: float | None = None
     """When the camera is bumped (None: never)."""
     bump_px: tuple[float, float] = (0.0, 0.0)
@@ -104,7 +104,7 @@ class CameraSupport:
         return still and m.bump_s is None and m.body is None
 
     def image_shift_px(self, times_s: Array) -> Array:
-        """Return how far the image of what is far away has moved (k, 2) [px], but for the shake of each frame."""
+        """Return the image shift of distant objects (k, 2) [px], without the shake of each frame."""
         t = np.asarray(times_s, dtype=float)
         m = self.mount
         shift = t[:, None] * np.array(m.drift_px_per_s)
@@ -121,7 +121,7 @@ class CameraSupport:
     def pose_at(self, times_s: Array, frame: int, carrier: tuple[Array, Array] | None = None) -> tuple[Array, Array]:
         """Return ``world_from_camera`` at instants (k,) of a frame: rotations (k, 3, 3) and positions (k, 3) [m].
 
-        ``carrier``: world_from_body of the body that it rides on, rotations (k, 3, 3) and positions (k, 3).
+        ``carrier``: ``world_from_body`` of the body that carries it, rotations (k, 3, 3) and positions (k, 3) [m].
         """
         k = len(times_s)
         angles, moved = np.zeros((k, 2)), np.zeros((k, 3))
@@ -129,7 +129,7 @@ class CameraSupport:
             angles += rng(self.seed, f"camera/{self.name}/body", frame).normal(0.0, self.mount.body_px, 2)
         if not self.steady:
             shift = self.image_shift_px(times_s)
-            # a rotation about y to the left moves the image right, one about x upwards moves it down
+            # a rotation about y to the left moves the image right, a rotation about x upwards moves it down
             angles[:, 0] += shift[:, 1]
             angles[:, 1] -= shift[:, 0]
             moved += self._bumped(np.asarray(times_s))[:, None] * np.array(self.mount.bump_m)
@@ -141,7 +141,7 @@ class CameraSupport:
         return riding @ rotation, (riding @ position[:, :, None])[:, :, 0] + from_body
 
     def _bumped(self, times_s: Array) -> Array:
-        """Return how much of the bump has happened (k,), 0 to 1."""
+        """Return the share of the bump's motion that is completed (k,), 0 to 1."""
         if self.mount.bump_s is None:
             return np.zeros(len(times_s))
         share = np.clip((times_s - self.mount.bump_s) / self.mount.bump_rise_s, 0.0, 1.0)
@@ -156,10 +156,10 @@ def pixels_per_radian(lens: Array) -> float:
 
 
 def _tones(mount: Mount, name: str, seed: int) -> Array:
-    """Return sinusoids (2, n, 3) of the stated spectrum: one at a random position of each of n slices of the band.
+    """Return sinusoids (2, n, 3) of the stated spectrum: one at a random frequency in each of n slices of the band.
 
-    Their phases are random; the sum of many such is a Gaussian process (Shinozuka & Deodatis, Applied Mechanics
-    Reviews 44 (1991) 191) and its rms over a long time is exactly the stated one.
+    Their phases are random. The sum of many such sinusoids is a Gaussian process (Shinozuka & Deodatis, Applied
+    Mechanics Reviews 44 (1991) 191), and its rms over a long time is exactly the stated one.
     """
     low, high = mount.vibration_hz
     random = rng(seed, f"camera/{name}/vibration")
@@ -171,7 +171,7 @@ def _tones(mount: Mount, name: str, seed: int) -> Array:
 
 
 def _walk(mount: Mount, name: str, seed: int, duration_s: float) -> Array:
-    """Return a random walk (2, k) from 0 that is reflected at the bounds [px]."""
+    """Return a random walk (2, k) that starts at 0 and is reflected at the bounds [px]."""
     if mount.wander_px == 0.0:
         return np.zeros((2, 1))
     steps = math.ceil(duration_s / WANDER_STEP_S) + 2

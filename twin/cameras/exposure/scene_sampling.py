@@ -1,14 +1,14 @@
 """The scene's geometry about one pulse, evaluated once for all cameras with similar exposure windows.
 
-Forward kinematics at every camera's every instant is expensive; over the few milliseconds of an exposure everything
-moves along a polynomial. So an *interval* of time is sampled at Chebyshev's nodes and interpolated by Lagrange's
-formula (Trefethen, Approximation Theory and Approximation Practice, chapters 4 to 6). With n nodes over a length
-T a coordinate is off by at most ``2 (T / 4)^n / n!`` times its n-th derivative. The number of nodes is even, so
-that the error is largest in its middle; there it is measured, and an interval that misses TOLERANCE (a kink,
-a rotor) is evaluated instant by instant. Measured over 2 ms: 0.03 nm for a walking actor; where a kink lies beside
-the middle, in a robot's contacts or in noisy motion capture, up to 0.4 um.
+Forward kinematics at each instant of each camera is expensive, and over the few milliseconds of an exposure
+everything moves along a polynomial. So an *interval* of time is sampled at Chebyshev's nodes and interpolated by
+Lagrange's formula (Trefethen, Approximation Theory and Approximation Practice, chapters 4 to 6). With n nodes over a
+length T, the error of a coordinate is at most ``2 (T / 4)^n / n!`` times its n-th derivative. The number of nodes is
+even, so that the error is largest in the middle of the interval. It is measured there, and an interval that misses
+TOLERANCE (a kink, a rotor) is evaluated instant by instant. Measured over 2 ms: 0.03 nm for a walking actor; up to
+0.4 um where a kink lies beside the middle, in a robot's contacts or in noisy motion capture.
 
-What a camera gets depends on its own timing alone: which other cameras there are changes nothing.
+The samples that a camera gets depend on its own timing alone, not on which other cameras there are.
 """
 
 from dataclasses import dataclass
@@ -27,7 +27,7 @@ ROTATION_TOLERANCE = 1e-7
 LADDER = ((0.00125, 4), (0.0025, 6), (0.005, 6), (0.010, 8), (0.025, 10))
 """Lengths of intervals [s] and their numbers of nodes."""
 MARGIN_JITTERS = 6.0
-"""How far, in rms trigger jitters, exposures may stray without leaving their interval, at both ends."""
+"""Margin of an interval at both ends, in rms trigger jitters."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +62,7 @@ class SampledInterval:
 
 
 def interval_about(middle_s: float, span_s: float, jitter_s: float) -> SampledInterval | None:
-    """Return the interval for exposures of ``span_s`` about ``middle_s``; None where interpolating would not pay."""
+    """Return the interval for exposures of ``span_s`` about ``middle_s``; None for spans too long for LADDER."""
     wanted = span_s + 2.0 * MARGIN_JITTERS * jitter_s
     for length, nodes in LADDER:
         if wanted <= length:
@@ -84,7 +84,7 @@ class SceneSamples:
         self._tolerance = np.repeat([TOLERANCE, ROTATION_TOLERANCE] * 2, [3 * g, 9 * g, 3 * b, 9 * b])
 
     def at(self, times_s: Array, interval: SampledInterval | None = None) -> GeomPoses:
-        """Return where everything is at instants (k,); ``interval``: the one that they should lie in."""
+        """Return the poses at instants (k,); ``interval``: the one in which they should lie."""
         rows = None
         if interval is not None and interval.holds(float(times_s.min()), float(times_s.max())):
             nodes = self._sampled(interval)
@@ -107,7 +107,7 @@ class SceneSamples:
         return self._sampler
 
     def _exact(self, time_s: float) -> Array:
-        """Return all coordinates at an instant in one row."""
+        """Return all coordinates at an instant as one row."""
         row = self._known.get(time_s)
         if row is None:
             state = self._sampler.at(time_s)
@@ -123,7 +123,7 @@ class SceneSamples:
         return row
 
     def _sampled(self, interval: SampledInterval) -> tuple[Array, Array] | None:
-        """Return the stretch's nodes (n,) and rows (n, d); None where they would not be good enough."""
+        """Return an interval's nodes (n,) and rows (n, d); None where interpolation would miss the tolerance."""
         if interval not in self._intervals:
             times = chebyshev_nodes(interval.middle_s, interval.length_s, interval.nodes)
             rows = np.stack([self._exact(float(t)) for t in times])
@@ -144,7 +144,7 @@ def lobatto_nodes(span: float, n: int) -> Array:
 
 
 def interpolated(nodes: Array, values: Array, times: Array) -> Array:
-    """Return what ``values`` (n, d) at ``nodes`` (n,) make at ``times`` (k,): the polynomial through them (k, d)."""
+    """Return the polynomial through ``values`` (n, d) at ``nodes`` (n,), evaluated at ``times`` (k,): (k, d)."""
     return np.asarray(_interpolated(nodes, values, np.ascontiguousarray(times, dtype=float)))
 
 
@@ -164,7 +164,7 @@ def _interpolated(nodes: Array, values: Array, times: Array) -> Any:
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """Targets and what hides them in the frame of a camera at K instants [m]."""
+    """Targets and the solids that hide them, in the frame of a camera at K instants [m]."""
 
     path: Array
     """(m, K, 3): centres of the targets."""

@@ -2,8 +2,8 @@
 
 A camera is triggered (a frame a pulse) or runs free at a rate of its own. All rows expose for the same length,
 at once (global shutter) or each a row time after the one above it (rolling shutter). A strobe shorter than the
-exposure is the only light that the targets get. True times are session seconds; what the camera states is
-nanoseconds of its own clock.
+exposure is the only light that the targets get. True times are in seconds of the session clock. The times that the
+camera states are in nanoseconds of its own clock.
 """
 
 import math
@@ -31,16 +31,16 @@ class Timing:
     session's start; jitter and delay come on top."""
     offset_s: float = 0.0
     drift_ppm: float = 0.0
-    """By how much the true rate of a free-running camera is above the stated one."""
+    """Relative excess of a free-running camera's true rate over the stated one."""
     exposure_s: float | None = None
-    """Of a row; None: the capture's."""
+    """Exposure of a row (None: that of the capture)."""
     row_time_s: float = 0.0
-    """From row to row (0: global shutter)."""
+    """Time from one row's opening to the next (0: global shutter)."""
     strobe_s: float | None = None
     """How long the strobe is on (None: always). It is no brighter for being short: a strobe of a quarter of the
     exposure gives a quarter of the light."""
     strobe_delay_s: float = 0.0
-    """From the camera's own opening, or the rig's trigger pulse, to the strobe."""
+    """Delay of the strobe after the camera's own opening, or after the rig's trigger pulse."""
     strobe: Literal["own", "rig"] = "own"
     """The camera's own strobe, or one for the whole rig."""
     stamp_event: StampEvent = "exposure_start"
@@ -50,31 +50,31 @@ class Timing:
     clock_offset_s: float = 0.0
     """Reading of a device or host clock at the session's start."""
     clock_drift_ppm: float = 0.0
-    """By how much that clock runs fast."""
+    """Relative rate error of that clock; above 0 it runs fast."""
     stamp_resolution_ns: int = 1
     """Stamps are whole multiples of this."""
     stamp_jitter_s: float = 0.0
-    """Mean of a host stamp's delay, exponentially distributed (its rms about that mean too)."""
+    """Mean of a host stamp's exponentially distributed delay, and so also its rms about the mean."""
 
 
 @dataclass(frozen=True)
 class Exposure:
     """The true times of one frame [s], and what the camera states of them [ns].
 
-    A camera that drives its own strobe states the light's window as its exposure, one of a rig's strobe its
-    shutter's.
+    A camera that drives its own strobe states the window of the light as its exposure. Under the rig's strobe it
+    states the window of its shutter.
     """
 
     number: int
-    """Of the frame, counted by the camera."""
+    """Number of the frame, counted by the camera."""
     nominal_s: float
     """The first row's opening without delay and jitter."""
     start_s: float
     """The first row's true opening."""
     length_s: float
-    """Of each row."""
+    """Exposure of each row."""
     row_time_s: float
-    """From row to row."""
+    """Time from one row's opening to the next."""
     rows: int
     """Rows of the image."""
     light_s: tuple[float, float]
@@ -98,11 +98,11 @@ class Exposure:
 
     @property
     def middle_s(self) -> float:
-        """The true mid-exposure [s]: of the central row, of the light that it gets."""
+        """The true mid-exposure [s]: the middle of the light that the central row gets."""
         return self.row_middle_s(0.5 * (self.rows - 1))
 
     def row_middle_s(self, row: float) -> float:
-        """The middle of the light that a row gets [s]; of its window where it gets none."""
+        """The middle of the light that a row gets [s]; where it gets none, the middle of the row's exposure."""
         opens = self.start_s + row * self.row_time_s
         closes = opens + self.length_s
         on, off = max(opens, self.light_s[0]), min(closes, self.light_s[1])
@@ -117,8 +117,8 @@ def pulse_time_s(pulse: int, frame_rate_hz: float) -> float:
 def numbers_in(timing: Timing, pulse: int, frame_rate_hz: float) -> range:
     """Return the numbers of the frames that a camera opens from a pulse until the next.
 
-    A triggered camera's frame has its pulse's number. Of a free-running one all frames of a session come exactly
-    once; those before the session's start never.
+    A frame of a triggered camera has the number of its pulse. Over the pulses of a session, each frame of a
+    free-running camera is returned exactly once; frames before the session's start are never returned.
     """
     if timing.rate_hz is None:
         return range(pulse, pulse + 1)
@@ -131,7 +131,7 @@ def numbers_in(timing: Timing, pulse: int, frame_rate_hz: float) -> range:
 def open_shutter(
     timing: Timing, name: str, number: int, frame_rate_hz: float, exposure_s: float, seed: int, rows: int = 1
 ) -> Exposure:
-    """Return frame ``number`` of camera ``name``, an image of ``rows`` rows.
+    """Return the exposure of frame ``number`` of camera ``name``, an image of ``rows`` rows.
 
     ``frame_rate_hz`` of the pulses; ``exposure_s``: the capture's, for a camera without one of its own.
     """
@@ -170,7 +170,7 @@ def open_shutter(
 def fastest_rate_hz(rows: int, row_time_s: float, overhead_s: float = 0.0) -> float:
     """Return the highest frame rate of a sensor that reads ``rows`` rows one after the other [1/s].
 
-    A window of fewer rows is read out faster in proportion, but for the ``overhead_s`` of each frame.
+    A window of fewer rows is read out faster in proportion, except for the constant ``overhead_s`` of each frame.
     """
     return 1.0 / (rows * row_time_s + overhead_s)
 
@@ -178,7 +178,7 @@ def fastest_rate_hz(rows: int, row_time_s: float, overhead_s: float = 0.0) -> fl
 def check_timing(
     timing: Timing, name: str, rows: int, frame_rate_hz: float, exposure_s: float, overhead_s: float = 0.0
 ) -> None:
-    """Raise InputError where no camera can expose like that; ``exposure_s``: the capture's."""
+    """Raise InputError if no camera can expose with this timing; ``exposure_s``: that of the capture."""
     rate = frame_rate_hz if timing.rate_hz is None else timing.rate_hz
     length = exposure_s if timing.exposure_s is None else timing.exposure_s
     where = f"camera '{name}', timing"

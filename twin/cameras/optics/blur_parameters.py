@@ -1,7 +1,8 @@
-"""What a lens adds to the ideal image: blur that changes with distance and field, falling light, warming.
+"""Imaging errors of a lens: blur that changes with distance and field, vignetting, warming.
 
-The pupil is cut into patches (``psf``): each images a point at its ray aberration, defocus proportional to the
-position in the pupil, coma to its square times the field, blurred by diffraction and the rest as one Gaussian.
+The pupil is cut into patches (``psf``). Each patch images a point displaced by the ray aberration: defocus in
+proportion to the position in the pupil, coma to its square times the field. One Gaussian stands for diffraction and
+all other blur.
 """
 
 from dataclasses import dataclass

@@ -1,18 +1,17 @@
 """The twin's lenses, written from the optics side: light comes from a point in space and falls on a pixel.
 
-Parameter numbers are those of the rig file; the formulas are written here anew (the pipeline has its own). What
-the pipeline's models cannot express, the *gap*, comes on top of the model, in the order in which light meets it:
+Parameter numbers are those of the rig file; the formulas are written here anew (the pipeline has its own). The *gap*,
+which the pipeline's models cannot express, is added to the model in the order in which light meets it:
 
 1. Entrance-pupil shift. Chief rays at a field angle theta cross the axis at ``z = shift * 2 sin^2 theta`` and not in
-   one centre; at 45 deg that is ``shift``. Even and smooth in theta like the series of Gennery (2006, "Generalized
-   camera calibration including fish-eye lenses"), and bounded behind the camera. So near and far points on one ray
-   from the centre land on different pixels, and ``project`` must be given points in metres.
+   one centre; at 45 deg that is ``shift``. This is even and smooth in theta, like the series of Gennery (2006,
+   "Generalized camera calibration including fish-eye lenses"), and bounded behind the camera. So near and far points
+   on one ray from the centre land on different pixels, and ``project`` must be given points in metres.
 2. The lens model of the rig file.
-3. Higher radial orders: ``gap_px * T9(s)`` along the radius, s the distance from the image's centre over half
-   its diagonal, T9 the Chebyshev polynomial of order 9, which the odd powers up to the 7th cannot follow. The
-   fisheye has odd powers up to the 9th: there it is T11, and s counts from the image circle of 190 deg where that
-   lies in the image. Both explode outside: light that the model puts beyond s = 1.5 (outside that circle: s = 1)
-   is not imaged.
+3. Higher radial orders: ``gap_px * T9(s)`` along the radius. s is the distance from the image's centre over half its
+   diagonal, T9 the Chebyshev polynomial of order 9, which the odd powers up to the 7th cannot follow. The fisheye has
+   odd powers up to the 9th: there it is T11, and s = 1 is the image circle of 190 deg where that lies in the image.
+   Both polynomials diverge outside: light that the model puts beyond s = 1.5 (with that circle: s = 1) is not imaged.
 4. Tilt. The sensor plane is rotated about x and then y (signs as OpenCV's tauX and tauY) through the principal point,
    as seen from the exit pupil.
 """
@@ -57,7 +56,7 @@ STEPS = 20
 
 @dataclass(frozen=True)
 class GapTerms:
-    """What no model of the pipeline expresses, as in ``Optics``: ``gap_px``, ``tilt_deg`` and ``pupil_shift_m``."""
+    """Terms that no pipeline model expresses, as in ``Optics``: ``gap_px``, ``tilt_deg`` and ``pupil_shift_m``."""
 
     gap_px: float = 0.0
     tilt_deg: tuple[float, float] = (0.0, 0.0)
@@ -73,7 +72,7 @@ GAPS: Mapping[str, GapTerms] = MappingProxyType(
 )
 """Terms of each ``model_gap``.
 
-What they leave over an image and 2.5-7 m after the best fit of the pipeline's model of the same kind, rms px
+Residuals over an image and 2.5-7 m after the best fit of the pipeline's model of the same kind, rms px
 (measured / stress): 656 x 491 at 7.5 mm 0.028 / 0.14, 2 MP at 8 mm 0.031 / 0.16, 12 MP at 12 mm 0.035 / 0.17, 16 MP
 at 12.5 mm 0.039 / 0.20, fisheyes at 1-7 m 0.034 / 0.17. Tilt and pupil shift grow with the principal distance in px
 and the field; most of a tilt is a rotation of the camera, so that with a free pose about 0.03 / 0.14 remain.
@@ -88,7 +87,7 @@ class TwinLens:
 
     @classmethod
     def of(cls, lens: Lens, width: int, height: int, optics: Optics | GapTerms = GAPS["none"]) -> "TwinLens":
-        """Return the lens of a rig file's numbers with the gap of ``optics``; cold (see ``warmed``)."""
+        """Return the lens with a rig file's numbers and the gap of ``optics``; cold (see ``warmed``)."""
         return cls(vector_of(lens, width, height, optics.gap_px, optics.tilt_deg, optics.pupil_shift_m))
 
     def pixels(self, points: Array) -> Array:
@@ -100,9 +99,9 @@ class TwinLens:
         return result
 
     def directions(self, xy_px: Array, distance_m: float = math.inf) -> Array:
-        """Pixel (n, 2) -> unit direction (n, 3) from the camera's centre to what it sees at ``distance_m``.
+        """Pixel (n, 2) -> unit direction (n, 3) from the camera's centre to the point seen at ``distance_m``.
 
-        NaN where no light comes from. The distance matters with a pupil shift only, see ``pixel_direction``.
+        NaN where no light reaches the pixel. The distance matters with a pupil shift only, see ``pixel_direction``.
         """
         xy = np.ascontiguousarray(xy_px, dtype=float).reshape(-1, 2)
         result: Array = _many_directions(self.vector, xy, distance_m)
@@ -110,11 +109,10 @@ class TwinLens:
 
 
 def warmed(vector: Array, optics: Optics, time_s: float) -> Array:
-    """Return the lens vector ``time_s`` after the session's start: interior orientation drifts at the rates of
-    ``optics``.
+    """Return the lens vector ``time_s`` after the session's start, with the drift rates of ``optics``.
 
     The principal distance grows by ``principal_distance_ppm_per_s``, the principal point moves by
-    ``principal_point_px_per_s``, both linear in time; distortion and gap stay. Read-only, like ``vector``.
+    ``principal_point_px_per_s``, both linear in time; distortion and gap do not change. Read-only, like ``vector``.
     """
     ppm, (right, down) = optics.principal_distance_ppm_per_s, optics.principal_point_px_per_s
     if time_s == 0.0 or (ppm == 0.0 and right == 0.0 and down == 0.0):
@@ -130,7 +128,7 @@ def warmed(vector: Array, optics: Optics, time_s: float) -> Array:
 
 
 def moved(vector: Array, right_px: float, down_px: float) -> Array:
-    """Return the lens vector with its principal point, and so the whole image, moved; read-only."""
+    """Return the lens vector (read-only) with its principal point moved, and with it the whole image."""
     other = vector.copy()
     _move(other, right_px, down_px)
     other.setflags(write=False)
@@ -138,7 +136,7 @@ def moved(vector: Array, right_px: float, down_px: float) -> Array:
 
 
 def _distances(vector: Array) -> int:
-    """Return how many principal distances a lens vector begins with."""
+    """Return the number of principal distances at the beginning of a lens vector."""
     return 1 if vector[KIND] == COLLINEARITY else 2
 
 
@@ -207,11 +205,11 @@ def _project_with_rare_terms(lens: Array, x: float, y: float, z: float) -> Any:
 
 @bare_step
 def pixel_direction(lens: Array, u: float, v: float) -> Any:
-    """The direction (x, y, z) that light on pixel (u, v) comes from; not normalised for pinhole kinds.
+    """The direction (x, y, z) from which light falls on pixel (u, v); not normalised for pinhole kinds.
 
-    NaN where no light comes from. With a pupil shift the ray does not start in the camera's centre: the direction
-    is right for points infinitely far, and ``point_at_distance`` for those at a distance D. The parallax between the
-    two is ``shift * 2 sin^2 theta * sin theta / D`` rad, for a shift of 1 mm at 30 deg and 4 m 0.06 mrad.
+    NaN where no light reaches the pixel. With a pupil shift the ray does not start in the camera's centre. The
+    direction is then right for points infinitely far away; for points at a distance D, ``point_at_distance`` is. The
+    parallax between the two is ``shift * 2 sin^2 theta * sin theta / D`` rad: 0.06 mrad for 1 mm at 30 deg and 4 m.
     """
     if lens[RARE] != 0.0:
         fx, fy, u0, v0 = lens[PIVOT], lens[PIVOT + 1], lens[PIVOT + 2], lens[PIVOT + 3]
@@ -228,12 +226,12 @@ def pixel_direction(lens: Array, u: float, v: float) -> Any:
 
 @callable_bare_step
 def point_at_distance(lens: Array, u: float, v: float, distance: float) -> Any:
-    """The point (x, y, z) [m] at ``distance`` from the camera's centre that light on pixel (u, v) comes from."""
+    """The point (x, y, z) [m] at ``distance`` from the camera's centre from which light falls on pixel (u, v)."""
     x, y, z = pixel_direction(lens, u, v)
     s2, z2 = x * x + y * y, z * z
     n = math.sqrt(s2 + z2)
     x, y, z = x / n, y / n, z / n
-    # the ray leaves the axis at ``start``; along it the centre's distance is reached once in front
+    # the ray leaves the axis at ``start``; in front, one point on it has the wanted distance from the centre
     start = 2.0 * lens[PUPIL] * s2 / (s2 + z2)
     along = math.sqrt(distance * distance - start * start * (1.0 - z * z)) - start * z
     return along * x, along * y, along * z + start
@@ -241,7 +239,7 @@ def point_at_distance(lens: Array, u: float, v: float, distance: float) -> Any:
 
 @inlined_step
 def _above_pupil(shift: float, x: float, y: float, z: float) -> Any:
-    """Height w of a point above where its chief ray crosses the axis, dw by (x, y, z), and whether there is one.
+    """Axial distance w of a point from where its chief ray meets the axis, dw by (x, y, z), and whether it exists.
 
     ``w + 2 shift s^2 / (s^2 + w^2) = z``, by Newton's method. Points so near that several rays reach them are not
     imaged: the equation's slope has to stay above a half.
@@ -280,9 +278,9 @@ def _gap(lens: Array, u: float, v: float) -> Any:
 
 @bare_step
 def _before_gap(lens: Array, u: float, v: float) -> Any:
-    """Where the model alone would have put what the gap puts at (u, v): Newton's method, NaN outside its reach."""
+    """The model's position, before the gap, of light that lands at (u, v): Newton's method, NaN outside its reach."""
     a, b = u - lens[GAP + 1], v - lens[GAP + 2]
-    # from far outside Newton's steps are small: light comes from within the gap's reach
+    # Newton's steps are small far outside, and light comes from within the gap's reach: start there
     near = min(1.0, math.sqrt(lens[GAP + 4] / max(a * a + b * b, 1e-300)))
     a, b = lens[GAP + 1] + near * a, lens[GAP + 2] + near * b
     for _ in range(STEPS):

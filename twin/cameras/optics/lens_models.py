@@ -1,7 +1,7 @@
 """Kernels of the lens models, one pair each: light's direction to a position in the image, and back.
 
-Written from the optics side; the pipeline has its own. ``_land_...`` give (u, v), their slopes and whether the
-lens images the light; ``_from_...`` give a direction, NaN where the pixel gets no light.
+Written from the optics side; the pipeline has its own. ``project_...`` and ``_land_...`` give (u, v), their slopes and whether the
+lens images the light; ``direction_...`` and ``_from_...`` give a direction, NaN where the pixel gets no light.
 """
 
 import math
@@ -101,7 +101,7 @@ def direction_pinhole(lens: Array, u: float, v: float) -> Any:
 
 @inlined_step
 def _bent(lens: Array, x: float, y: float) -> Any:
-    """Where radial and tangential distortion take the slopes: (xd, yd), derivatives (xx, xy = yx, yy), r^2."""
+    """The slopes after radial and tangential distortion: (xd, yd), derivatives (xx, xy = yx, yy), r^2."""
     k1, k2, p1, p2, k3, k4, k5, k6 = lens[5], lens[6], lens[7], lens[8], lens[9], lens[10], lens[11], lens[12]
     rr = x * x + y * y
     top = 1.0 + ((k3 * rr + k2) * rr + k1) * rr
@@ -120,7 +120,7 @@ def _bent(lens: Array, x: float, y: float) -> Any:
 def _land_prism(
     lens: Array, x: float, y: float, xd: float, yd: float, xx: float, xy: float, yy: float, rr: float
 ) -> Any:
-    """As ``project_pinhole``, from what ``_bent`` gives: thin prism, then OpenCV's tilted sensor."""
+    """As ``project_pinhole``, from the results of ``_bent``: thin prism, then OpenCV's tilted sensor."""
     xd, yd, xx, xy, yx, yy = _add_prism(lens, x, y, xd, yd, xx, xy, yy, rr)
     ok = xx * yy - xy * yx > 0.0 and xx + yy > 0.0 and rr < lens[ENDS]
     xd, yd, a, b, c, d, w = onto_plane(lens, OPENCV_PLANE, xd, yd)
@@ -151,7 +151,7 @@ def _from_prism(lens: Array, p: float, q: float) -> Any:
 def _add_prism(
     lens: Array, x: float, y: float, xd: float, yd: float, xx: float, xy: float, yy: float, rr: float
 ) -> Any:
-    """Add the thin prism to what ``_bent`` gives: (xd, yd) and derivatives (xx, xy, yx, yy)."""
+    """Add the thin prism to the results of ``_bent``: (xd, yd) and derivatives (xx, xy, yx, yy)."""
     s1, s2, s3, s4 = lens[PRISM + 1], lens[PRISM + 2], lens[PRISM + 3], lens[PRISM + 4]
     right, down = 2.0 * (s1 + 2.0 * s2 * rr), 2.0 * (s3 + 2.0 * s4 * rr)
     xd, yd = xd + rr * (s1 + s2 * rr), yd + rr * (s3 + s4 * rr)

@@ -16,7 +16,7 @@
     32-37   PLANE      the tilted sensor plane, see ``plane_of``
     38-41   PIVOT      pivot of that plane: distances of the exit pupil and principal point [px] (x, y; u, v)
 
-Distances along the axis are in m, as the positions that ``twin.cameras.optics.lens.land`` takes.
+Distances along the axis are in m, as the positions that ``twin.cameras.optics.lens.project`` takes.
 """
 
 import math
@@ -31,16 +31,16 @@ KIND, OWN, PRISM, OPENCV_PLANE, ENDS, GAP, PUPIL, RARE, PLANE, PIVOT = 0, 1, 13,
 SIZE = 42
 GAP_ENDS_AT = 1.5
 FISHEYE_EXIT_PUPIL = 6.0
-"""A fisheye's exit pupil lies farther from its image than the principal distance, which would be a chief ray of
-57 deg at the rim of a 180 deg image; with 6 principal distances it is 15 deg, what sensors accept. An assumption."""
+"""Distance of a fisheye's exit pupil from its image, in principal distances. With 1 the chief ray at the rim of a
+180 deg image would have 57 deg; with 6 it has 15 deg, which sensors accept. An assumption."""
 FISHEYE_FIELD_RAD = math.radians(95.0)
-"""Where the image circle of a real fisheye (one with a gap) ends, where the sensor does not end before."""
+"""Field angle at which the image circle of a real fisheye (one with a gap) ends, unless the sensor ends before."""
 
 
 def vector_of(
     lens: Lens, width: int, height: int, gap_px: float, tilt_deg: tuple[float, float], pupil_shift_m: float
 ) -> Array:
-    """Return the read-only vector (SIZE,) of a rig file's lens with the terms of a real one."""
+    """Return the read-only vector (SIZE,) of a rig file's lens with the gap terms of a real lens."""
     vector = np.zeros(SIZE)
     if isinstance(lens, MoscaLens):
         fx, fy = lens.c_mm / lens.mx_mm_per_px, lens.c_mm / lens.my_mm_per_px
@@ -80,10 +80,10 @@ def plane_of(tilt_x: float, tilt_y: float) -> tuple[float, float, float, float, 
     """Return a, b, c, d, g, h of a sensor plane rotated by ``tilt_x`` and then ``tilt_y`` about its axes [rad].
 
     The plane goes through the principal point, at distance 1 from the exit pupil. Light that would meet the upright
-    plane at (x, y) meets it at ((a x + b y) / w, (c x + d y) / w), w = 1 + g x + h y, in its own axes: with the
-    rotation R (sensor from camera) the intersection is R33 / (R p)_3 * (R p) less its foot, and a rotation's
-    elements are their own cofactors, so that the numerators are (R22 x - R21 y) and (R11 y - R12 x). Signs and
-    order are those of OpenCV's tauX and tauY.
+    plane at (x, y) meets the tilted plane at ((a x + b y) / w, (c x + d y) / w), w = 1 + g x + h y, in its own axes.
+    With the rotation R (sensor from camera) the intersection is R33 / (R p)_3 * (R p) less its foot. A rotation's
+    elements are their own cofactors, so that the numerators are (R22 x - R21 y) and (R11 y - R12 x). Signs and order
+    are those of OpenCV's tauX and tauY.
     """
     cos_x, sin_x, cos_y, sin_y = math.cos(tilt_x), math.sin(tilt_x), math.cos(tilt_y), math.sin(tilt_y)
     r11, r12, r21, r22 = cos_y, sin_y * sin_x, 0.0, cos_x
@@ -92,10 +92,10 @@ def plane_of(tilt_x: float, tilt_y: float) -> tuple[float, float, float, float, 
 
 
 def _gap_reach(lens: Lens, width: int, height: int) -> tuple[float, float]:
-    """Return the radius of the gap and the one beyond which it images nothing [px].
+    """Return the radius of the gap and the radius beyond which the lens images nothing [px].
 
-    The polynomial is bounded within half the image's diagonal and diverges outside; for a fisheye whose image circle
-    lies in the image, within that circle.
+    The polynomial is bounded within half the image's diagonal and diverges outside. For a fisheye whose image circle
+    lies in the image, it is bounded within that circle.
     """
     half_diagonal = math.hypot(width, height) / 2
     if isinstance(lens, FisheyeLens):
@@ -111,8 +111,8 @@ def _gap_reach(lens: Lens, width: int, height: int) -> tuple[float, float]:
 def first_turn(lens: Lens) -> float:
     """First maximum of the radial mapping (infinity: none), in the variable that the kernels test.
 
-    A real lens's image ends there, even where the polynomial rises again farther out; a fisheye's straight
-    behind it at the latest.
+    The image of a real lens ends there, even where the polynomial rises again farther out. The image of a fisheye
+    ends at the direction straight behind it at the latest.
     """
     if isinstance(lens, MoscaLens):
         return _first_zero([[7.0 * lens.K3_per_mm6, 5.0 * lens.K2_per_mm4, 3.0 * lens.K1_per_mm2, 1.0]])

@@ -1,9 +1,9 @@
 """What one pixel collects from a point of light: the pixel's square convolved with the lens's blur.
 
-Both are separable, so an image is a product of functions of one coordinate: ``weight(s)``, the share that a
-pixel at distance s [px] collects of a line's light, and its integral ``share(s)``. For a Gaussian blur of
-sigma: weight(s) = Phi((s + 1/2)/sigma) - Phi((s - 1/2)/sigma). Tabulated with its derivative and
-read by cubic Hermite interpolation: the error is below 1e-7 for sigma >= 0.4 px, below 1e-4 for 0.1 px.
+Both are separable, so an image is a product of functions of one coordinate: ``weight(s)``, the share of a line's
+light that a pixel at distance s [px] collects, and its integral ``share(s)``. For a Gaussian blur of sigma:
+weight(s) = Phi((s + 1/2)/sigma) - Phi((s - 1/2)/sigma). It is tabulated with its derivative and read by cubic
+Hermite interpolation: the error is below 1e-7 for sigma >= 0.4 px, below 1e-4 for 0.1 px.
 """
 
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ class PixelKernel:
 def gaussian_kernel(sigma_px: float) -> PixelKernel:
     """Return the kernel of a square pixel behind a Gaussian blur of ``sigma_px`` (0.1 px or more).
 
-    What lies beyond the reach of 4.5 sigma + 1/2 px is below 1e-5 of the light.
+    The light beyond the reach of 4.5 sigma + 1/2 px is below 1e-5 of the whole.
     """
     if not sigma_px >= 0.1:
         raise ValueError(f"sigma_px = {sigma_px}: at least 0.1 px; the table cannot follow a sharper image")
@@ -38,7 +38,7 @@ def gaussian_kernel(sigma_px: float) -> PixelKernel:
     bell_a, bell_b = (np.exp(-(q**2) / 2) / np.sqrt(2 * np.pi) for q in (a, b))
     share = sigma_px * (a * ndtr(a) + bell_a - b * ndtr(b) - bell_b)
     table = np.column_stack([share, ndtr(a) - ndtr(b), (bell_a - bell_b) / sigma_px])
-    # what is cut off at the ends goes to where it is nearest, so that the whole is exactly 1
+    # the light cut off at each end is added at that end, so that the whole is exactly 1
     table[:, 0] = (table[:, 0] - table[0, 0]) / (table[-1, 0] - table[0, 0])
     table.setflags(write=False)
     return PixelKernel(reach, table)

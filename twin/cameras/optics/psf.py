@@ -1,10 +1,10 @@
 """Point spread function of a lens: the pupil in patches, each with the same blur.
 
-The light through one patch of the pupil lands beside the ideal image: by defocus, in proportion to the
-position in the pupil; by coma, with its square and with the field (the ray aberrations of Seidel's theory). All
-patches are blurred by one Gaussian, which models diffraction and small residual aberrations. So every point spread
-function is a sum of shifted Gaussians, exact for any target, without tabulated images. The mean displacement is
-subtracted: the position of the light's centroid is the lens model's (``twin.cameras.optics.lens``).
+The light through one patch of the pupil lands beside the ideal image. Defocus displaces it in proportion to the
+position in the pupil, coma with the square of that position and with the field (the ray aberrations of Seidel's
+theory). All patches are blurred by one Gaussian, which models diffraction and small residual aberrations. So every
+point spread function is a sum of shifted Gaussians, exact for any target, without tabulated images. The mean
+displacement is subtracted, so that the lens model (``twin.cameras.optics.lens``) places the light's centroid.
 """
 
 import math
@@ -18,7 +18,7 @@ from twin.cameras.optics.blur_parameters import Optics
 from twin.cameras.optics.pixel_kernel import PixelKernel, gaussian_kernel
 
 SHARP_PX = 0.02
-"""Displacements below this are left out: their blur adds 1e-4 px^2 to the spread's variance at most."""
+"""Displacements below this are left out: their blur adds at most 1e-4 px^2 to the variance of the spread."""
 MOST_RINGS = 12
 _NODES = [np.polynomial.legendre.leggauss(n) for n in range(1, MOST_RINGS + 1)]
 _AT = np.zeros((MOST_RINGS + 1, MOST_RINGS))
@@ -32,9 +32,9 @@ class Psf:
     """The blur of a lens."""
 
     kernel: PixelKernel
-    """Of one patch of the pupil."""
+    """Pixel kernel of one patch of the pupil."""
     terms: Array
-    """(9,): focus distance [m] (0: sharp everywhere), blur circle a unit of defocus [px], focal length [m],
+    """(9,): focus distance [m] (0: sharp everywhere), blur circle per unit of defocus [px], focal length [m],
     curvature, coma [px at the corner], image centre (x, y), half diagonal, sigma [px]."""
 
 
@@ -76,8 +76,8 @@ def patches(terms: Array, u: float, v: float, distance: float) -> Array:
 
     ``distance``: along the axis, with a fisheye in space [m].
 
-    Gauss-Legendre in the pupil's area, equal angles around it; as many as the Gaussian of ``sigma`` needs to
-    blur them into one.
+    Nodes are Gauss-Legendre in the pupil's area and at equal angles around it: as many as it takes for the Gaussian
+    of ``sigma`` to blur them into one.
     """
     x, y = (u - terms[5]) / terms[7], (v - terms[6]) / terms[7]
     field = math.sqrt(x * x + y * y)

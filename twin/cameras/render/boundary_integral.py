@@ -1,4 +1,4 @@
-"""From boundary points to pixels: the step of Green's theorem that all targets share.
+"""Light on pixels from boundary points, by Green's theorem, for all kinds of targets.
 
 The light on pixel (px, py) of a region is the sum over its boundary of ``share(u - px) weight(v - py) dv``.
 Only pixels near the boundary change along a row, so each point adds its steps to the increments and one running
@@ -30,7 +30,7 @@ EDGE, SPOT = 0, 1
 
 
 class Increments(NamedTuple):
-    """What changes from pixel to pixel along each row, ``values`` (h, w), the first one at pixel (x0, y0)."""
+    """Changes of light from pixel to pixel along each row, ``values`` (h, w), the first one at pixel (x0, y0)."""
 
     values: Array
     x0: int
@@ -57,8 +57,8 @@ class Panel(NamedTuple):
 def nodes_for(motion_px: float) -> Any:
     """Gauss-Legendre nodes that integrate an image motion of this length, at most 15 px.
 
-    They lie widest apart in the middle, pi / 2 of their mean distance: with 1.6 a pixel that is 1 px, which the
-    pixel's own width smooths to below 1e-4 of the streak.
+    They lie widest apart in the middle, at pi / 2 of their mean distance. With 1.6 nodes a pixel that is 1 px, which
+    the pixel's own width smooths to below 1e-4 of the streak.
     """
     if motion_px < 1e-3:
         return 1
@@ -168,7 +168,7 @@ def _add_one_row(
 
 @bare_step
 def _steps(what: int, step_x: Array, table: Array, reach: int, u: float) -> None:
-    """Change from pixel to pixel, from the first at 0 on, that a point at u adds along a row."""
+    """Write the changes from pixel to pixel, starting at pixel 0, that a point at u adds along a row."""
     previous = 1.0 if what == EDGE else 0.0
     for q in range(2 * reach + 3):
         here = share(table, reach, u - q) if what == EDGE else weight(table, reach, u - q)

@@ -1,4 +1,4 @@
-"""The brightness of a disc beyond an even one, as spots of light: limb darkening, a gradient, a tape's end."""
+"""The deviation of a disc's brightness from 1 as spots of light: limb darkening, a gradient, a tape's end."""
 
 import math
 from typing import Any
@@ -26,7 +26,7 @@ def fading(profile: Array, sine: float) -> Any:
 
 @step
 def _rings(diameter: float) -> Any:
-    """How many rings of spots a disc of this image diameter needs, and how many spots in each."""
+    """Number of rings of spots for a disc of this image diameter, and number of spots in each."""
     return min(MOST_NODES, 4 + int(diameter)), 12 + int(math.pi * diameter / STEP_PX)
 
 
@@ -39,9 +39,9 @@ def spot_count(diameter: float) -> Any:
 
 @step
 def spots(lens: Array, target: TargetPose, profile: Array, diameter: float, out: Array) -> None:
-    """Write spots (u, v, amount) of the brightness of a disc beyond 1: Gauss in the radius, even angles.
+    """Write spots (u, v, amount) for a disc's brightness minus 1: Gauss nodes in the radius, equal angles.
 
-    The radius is the sine of the quadrature's variable, in which limb darkening is smooth.
+    The radius is the sine of the quadrature's variable; in that variable limb darkening is smooth.
     """
     rings, around = _rings(diameter)
     circle = outline_circle(target, target.radius)

@@ -1,4 +1,4 @@
-"""The inputs of rendering: the exposure's window of time, the targets and their figures, and what kernels take.
+"""The inputs of rendering: the exposure's window of time, the targets with their figures, the kernels' arguments.
 
 Kernels take NamedTuples, which cost nothing in Numba: those of one exposure (``RenderInputs``), of one target at one
 instant (``TargetPose``), and of the solids that may hide it (``NearSolids``).
@@ -30,7 +30,7 @@ class Window:
 
 @dataclass(frozen=True, eq=False)
 class Figures:
-    """The figures of a scene: ``pieces`` (n, 7) of all, those of figure f from ``first[f]`` to ``first[f + 1]``."""
+    """The figures of a scene: ``pieces`` (n, 7); those of figure f go from ``first[f]`` to ``first[f + 1]``."""
 
     pieces: Array
     first: Array
@@ -55,13 +55,13 @@ class TargetsInCamera:
     rotation: Array
     """(m, K, 3, 3): target's axes -> camera frame; its normal is the third column."""
     radius: Array
-    """(m,); a figure's: of the disc that encloses it."""
+    """(m,); for a figure, the radius of the disc that encloses it."""
     shape: Array
     """(m,): BALL, FLAT or FIGURE."""
     figure: Array
     """(m,): number in Figures, or -1."""
     electrons: Array
-    """(m,) that a pixel fully covered by the target collects in the window's length."""
+    """(m,): electrons that a pixel fully covered by the target collects in the window's length."""
     lit_s: Array
     """(m, 2): when the target shines."""
     limb: Array
@@ -69,7 +69,7 @@ class TargetsInCamera:
     shade: Array
     """(m, 3): change of brightness from the middle to the rim."""
     fade_rad: Array
-    """(m, 2): angles off a ball's normal from which it sends less and at which it ends; beyond pi / 2: none."""
+    """(m, 2): angles off a ball's normal at which its light begins to fade and ends; beyond pi / 2: no fading."""
 
 
 class RowTiming(NamedTuple):
@@ -98,11 +98,11 @@ class SolidArrays(NamedTuple):
     """The occluding primitives (k,) and their poses in the camera frame at the window's K nodes."""
 
     kind: Array
-    """(k,): type of geom as MuJoCo has it."""
+    """(k,): MuJoCo's type of each geom."""
     size: Array
-    """(k, 3) as MuJoCo has it [m]."""
+    """(k, 3): MuJoCo's size of each geom [m]."""
     marker: Array
-    """(k,): number of the target that the geom is, or -1."""
+    """(k,): number of the target that the geom represents, or -1."""
     xyz: Array
     """(K, k, 3) [m]."""
     rotation: Array
@@ -112,7 +112,7 @@ class SolidArrays(NamedTuple):
 
 
 class RenderInputs(NamedTuple):
-    """All that one exposure of one camera is rendered from."""
+    """All inputs for rendering one exposure of one camera."""
 
     lens: Array
     """Parameter vector, see ``twin.cameras.optics.lens_vector``."""
@@ -164,13 +164,13 @@ class NearSolids(NamedTuple):
     """The solids that may hide a target, and their poses at one instant, overwritten from instant to instant."""
 
     number: Array
-    """Their numbers, in the first ``found`` of (k,)."""
+    """(k,): their numbers, in the first ``found`` elements."""
     found: int
-    """How many they are."""
+    """Number of solids found."""
     kind: Array
-    """(k,) of all solids: type of geom as MuJoCo has it."""
+    """(k,): MuJoCo's geom type of all solids."""
     size: Array
-    """(k, 3) of all solids as MuJoCo has it [m]."""
+    """(k, 3): MuJoCo's size of all solids [m]."""
     xyz: Array
     """(k, 3): centres of those found, camera frame [m]."""
     rotation: Array

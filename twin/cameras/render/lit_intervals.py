@@ -1,4 +1,4 @@
-"""What a target itself lights of a row of its image: where the fan of rays ``a + s b`` meets it, in closed form."""
+"""The part of an image row that a target lights: where the fan of rays ``a + s b`` meets it, in closed form."""
 
 import math
 from typing import Any
@@ -45,7 +45,7 @@ def lit_by_disc(target: TargetPose, a: Array, b: Array) -> Any:
 def lit_by_figure(
     lens: Array, target: TargetPose, pieces: Array, a: Array, b: Array, lit_u: Array, lit_step: Array
 ) -> Any:
-    """Write where the row crosses the contours and by how much the light rises there; return how many times."""
+    """Write where the row crosses the contours and the rise of light there; return the number of crossings."""
     _shape, rotation, x, y, z, _r = target
     nx, ny, nz = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
     # the fan's plane in the figure's own coordinates: p + qx gx + qy gy = 0
@@ -94,6 +94,6 @@ def lit_by_figure(
 
 @step
 def _share_of_arc(angle: float, start: float, swing: float, whole: float) -> Any:
-    """The share of an arc at an angle; -1 where it does not reach."""
+    """The share of an arc at an angle; -1 for angles outside the arc."""
     away = (angle - start) % whole if swing > 0.0 else (start - angle) % whole
     return away / abs(swing) if away <= abs(swing) else -1.0

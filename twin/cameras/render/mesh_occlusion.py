@@ -1,4 +1,4 @@
-"""Meshes before targets: MuJoCo's exact ray caster, at as many instants as their motion past a target needs."""
+"""Occlusion of targets by meshes, by MuJoCo's exact ray caster at as many instants as the relative motion needs."""
 
 from collections.abc import Callable
 from typing import Any
@@ -17,7 +17,7 @@ from twin.scenes.scene import UNSEEN_GROUP
 
 SceneAt = Callable[[float], tuple[Any, Array, Array]]
 """Seconds from the first row's opening -> MjData of that instant, and the camera's rotation and position in the
-world. What an earlier call gave is good until the next one.
+world. The results of a call are valid until the next call.
 """
 
 
@@ -49,11 +49,11 @@ class MeshRays:
     def hidden(
         self, marker: int, lens: Array, targets: TargetsInCamera, nodes: Array, span: Array
     ) -> tuple[Array, Array, float, bool]:
-        """Return the boundary (n, 3) of what is hidden of a target, group after group of instants, where each group
-        begins in it (g + 1,), the hidden share of its samples, and whether the boundary is that of the rest.
+        """Return the boundary (n, 3) of the hidden part of a target, group after group of instants, the first index
+        of each group (g + 1,), the hidden share of its samples, and whether the boundary is that of the visible rest.
 
-        ``span``: exposed from, in the middle, until [s]. Of what is mostly hidden, or passed fast, the rest is
-        given: a difference of large areas would blur it.
+        ``span``: begin, middle and end of the exposure [s]. The rest is given for a target that is mostly hidden or
+        passed fast: as a difference of large areas it would be blurred.
         """
         begin, middle, end = (float(t) for t in span)
         slip = self._slip(marker, lens, targets, nodes, begin, end)
@@ -69,7 +69,7 @@ class MeshRays:
     def _slip(
         self, marker: int, lens: Array, targets: TargetsInCamera, nodes: Array, begin: float, end: float
     ) -> float:
-        """Return how far [px] the meshes' own points nearest the line of sight slip past a target's image."""
+        """Return the largest motion [px] of the meshes' points nearest the line of sight past a target's image."""
         geoms = self.occluders.mesh_geom
         sight = interpolate(targets.path[marker], nodes, 0.5 * (begin + end))
         data, rotation, position = self.scene_at(0.5 * (begin + end))
@@ -122,7 +122,7 @@ def _geom_rotations(data: Any, geoms: Array) -> Array:
 
 
 def interpolate(values: Array, nodes: Array, time_s: float) -> Array:
-    """Return values (K, ...) given at ``nodes`` at an instant."""
+    """Return values (K, ...), given at ``nodes`` (K,), interpolated at an instant."""
     weights = np.empty(len(nodes))
     lagrange_weights(nodes, time_s, weights)
     return np.asarray(np.tensordot(weights, values, axes=1))

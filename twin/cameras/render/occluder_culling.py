@@ -1,4 +1,4 @@
-"""Which solids may hide a target at all, their poses at an instant, and how fast they pass it."""
+"""Selection of the solids that may hide a target, their poses at an instant, and their motion past it."""
 
 import math
 from typing import Any
@@ -14,15 +14,15 @@ from twin.cameras.render.outline import circle_point, lagrange_weights, outline_
 from twin.cameras.render.target_image import TargetImage
 
 GROUP_PX = 0.25
-"""Motion of a target past what hides it for which the hidden part is judged anew."""
+"""Motion of a target past an occluder for which the hidden part is computed anew [px]."""
 MOST_GROUPS = 40
 OUTLINE_MARGIN = 1.05
-"""Factor on the outline that one solid must hide for the whole target to be hidden."""
+"""Factor on the outline: a target counts as wholly hidden where one solid hides its outline enlarged by this."""
 
 
 @kernel
 def motion_bounds(kind: Array, size: Array, geom_xyz: Array, geom_rotation: Array) -> Any:
-    """Return (k, 8) of each geom: centre and axis at the middle node, half length and reach with all its motion."""
+    """Return (k, 8): each geom's centre and axis at the middle node, half length and reach with all its motion."""
     last = geom_xyz.shape[0] - 1
     middle = last // 2
     out = np.empty((kind.shape[0], 8))
@@ -41,7 +41,8 @@ def motion_bounds(kind: Array, size: Array, geom_xyz: Array, geom_rotation: Arra
 def near_solids(inputs: RenderInputs, m: int, image: TargetImage, number: Array) -> Any:
     """Write the numbers of the solids that may hide target m.
 
-    Returns how many, and into how many groups of instants the exposure must be divided. ``image``: its TargetImage.
+    Returns their number, and the number of groups of instants into which the exposure must be divided. ``image``: the
+    target's TargetImage.
     """
     solids, target = inputs.solids, image.target
     bounds = solids.bounds
@@ -61,7 +62,7 @@ def near_solids(inputs: RenderInputs, m: int, image: TargetImage, number: Array)
 
 @step
 def _slip_px(inputs: RenderInputs, m: int, image: TargetImage, number: Array, count: int) -> Any:
-    """How far at most a solid's own point nearest the line of sight moves past the target in the image [px]."""
+    """Largest motion past the target, in the image, of a solid's point nearest the line of sight [px]."""
     lens, nodes, path = inputs.lens, inputs.nodes_s, inputs.targets.path[m]
     x, y, z = image.target.x, image.target.y, image.target.z
     weights, at_begin, at_end = np.empty(nodes.shape[0]), np.empty(nodes.shape[0]), np.empty(nodes.shape[0])
@@ -92,7 +93,7 @@ def _slip_px(inputs: RenderInputs, m: int, image: TargetImage, number: Array, co
 
 @step
 def _material(lens: Array, xyz: Array, rotation: Array, weights: Array, local: Array) -> Any:
-    """Where a point that is fixed in a geom is imaged at an instant."""
+    """Image of a point that is fixed in a geom, at an instant."""
     x, y, z = position_at(xyz, weights)
     for k in range(weights.shape[0]):
         t = rotation[k]
@@ -116,7 +117,7 @@ def pose_solids(near: NearSolids, solids: SolidArrays, nodes: Array, instant_s: 
 
 @step
 def hidden_by_one(near: NearSolids, target: TargetPose) -> Any:
-    """Whether one convex solid hides the whole outline, drawn 5 % too large, and so all of the target."""
+    """Whether one convex solid hides the whole outline, enlarged by 5 %, and so all of the target."""
     circle = outline_circle(target, OUTLINE_MARGIN * target.radius)
     away = math.sqrt(target.x * target.x + target.y * target.y + target.z * target.z)
     for q in range(near.found):

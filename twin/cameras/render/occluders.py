@@ -1,7 +1,7 @@
 """Occluders between the camera and a marker: analytic rays against MuJoCo's primitives.
 
-All in the camera frame, rays from its origin. Meshes are left to ``mj_multiRay`` (see ``mesh_occlusion``). Planes and
-height fields are floors: they occlude nothing above them for a camera above them and are skipped.
+All is in the camera frame, and rays start at its origin. Meshes are left to ``mj_multiRay`` (see ``mesh_occlusion``).
+Planes and height fields are floors: for a camera above them they hide nothing that is above them, and are skipped.
 """
 
 import math
@@ -34,23 +34,23 @@ class Occluders:
     geom: Array
     """(k,): ids of the primitives."""
     kind: Array
-    """(k,): their types as MuJoCo has them."""
+    """(k,): MuJoCo's types of the primitives."""
     size: Array
-    """(k, 3) as MuJoCo has it [m]."""
+    """(k, 3): MuJoCo's sizes of the primitives [m]."""
     marker: Array
-    """(k,): number of the marker that a geom is, or -1."""
+    """(k,): number of the marker that a geom represents, or -1."""
     mesh_geom: Array
     """(q,): ids of the meshes."""
     mesh_radius: Array
-    """(q,) of their bounding spheres [m]."""
+    """(q,): radii of the meshes' bounding spheres [m]."""
 
 
 def occluders_of(scene: Scene) -> Occluders:
-    """Return what can hide a marker in ``scene``: visible primitives and meshes outside UNSEEN_GROUP.
+    """Return the geoms that can hide a marker in ``scene``: visible primitives and meshes outside UNSEEN_GROUP.
 
-    Passed over: planes and height fields, geoms of alpha 0, and geoms of MARKER_GROUP that are not among the
-    scene's ``marker_geoms``. Markers that are listed hide each other. (MuJoCo's ray caster, which answers for
-    markers that a mesh may hide, passes over none of these but alpha 0.)
+    Left out are planes and height fields, geoms of alpha 0, and geoms of MARKER_GROUP that are not among the
+    scene's ``marker_geoms``. Markers that are listed hide each other. (MuJoCo's ray caster, which is used for
+    markers that a mesh may hide, leaves out none of these but alpha 0.)
     """
     model = scene.model
     marker_of = {geom: k for k, geom in enumerate(scene.marker_geoms)}
@@ -75,13 +75,13 @@ def occluders_of(scene: Scene) -> Occluders:
 
 @step
 def axis_reach(kind: int, size: Array) -> Any:
-    """Half length along the geom's z axis and radius around it of a capsule that encloses the geom [m]."""
+    """Half length (along the geom's z axis) and radius of a capsule that encloses the geom [m]."""
     if kind == SPHERE:
         return 0.0, size[0]
     if kind == CAPSULE:
         return size[1], size[0]
     if kind == CYLINDER:
-        # the rim lies outside the capsule of the same axis: enclose the corner
+        # the rim lies outside the capsule of the same length: enclose the corner
         return 0.0, math.sqrt(size[0] ** 2 + size[1] ** 2)
     if kind == ELLIPSOID:
         return 0.0, max(size[0], max(size[1], size[2]))
@@ -176,7 +176,7 @@ def _enter_sphere(ox: float, oy: float, oz: float, x: float, y: float, z: float,
 
 @bare_step
 def _enter_side(ox: float, oy: float, oz: float, x: float, y: float, z: float, r: float, half: float) -> float:
-    """Enter the side wall of a cylinder about z."""
+    """Distance at which a ray enters the side wall of a cylinder about z."""
     a = x * x + y * y
     if a == 0.0:
         return np.inf

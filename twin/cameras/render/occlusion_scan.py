@@ -1,8 +1,8 @@
 """The hidden part of a target: rows of its image scanned for occluders.
 
-In each row (8 a pixel) the lit intervals of the target (``lit_intervals``) are cut with the intervals that solids
-cover (``row_intervals``). What is hidden leaves as boundary points of negative light, in the same form as the
-target's outline.
+In each row (8 a pixel) the lit intervals of the target (``lit_intervals``) are intersected with the intervals that
+solids cover (``row_intervals``). The hidden part is returned as boundary points of negative light, in the same form
+as the target's outline.
 """
 
 import math
@@ -24,9 +24,9 @@ from twin.cameras.render.row_intervals import covered
 FINE_ROWS, ROWS, COARSE_ROWS = 12, 8, 2
 """Rows a pixel for images up to 12 px, up to 60 px, and beyond."""
 SMALL_PX = 24.0
-"""Up to this size the lens is smooth enough to be read from nine rays."""
+"""Image size up to which the lens is smooth enough to interpolate rays from nine."""
 PIECE_PX = 3.0
-"""Longest piece of a row that counts as straight in space: distortion bends it by 1e-3 px at most."""
+"""Longest piece of a row that counts as straight in space: distortion bends it by at most 1e-3 px."""
 PROFILE_PX = 0.4
 """Longest piece of a hidden interval over which the brightness of a profile counts as constant."""
 BEFORE = 1.0 - 1e-9
@@ -56,11 +56,11 @@ class Scan(NamedTuple):
 def scan_hidden(
     lens: Array, target: TargetPose, contours: Array, box: ImageBox, near: NearSolids, profile: Array, skip_free: bool
 ) -> Any:
-    """Return the boundary of what is hidden (n, 3) and of what is lit (k, 3) as (u, v, dv), and both areas [px^2].
+    """Return the boundaries (u, v, dv) of the hidden part (n, 3) and the lit whole (k, 3), and both areas [px^2].
 
-    ``contours``: the pieces of a figure; ``box`` of the target's image; ``near``: the NearSolids; ``profile``
-    (6,): limb, shade (camera frame), fade of a ball or disc. Both boundaries together are that of what is left.
-    ``skip_free``: of a figure before which there is nothing neither boundary is made.
+    ``contours``: the pieces of a figure; ``box``: that of the target's image; ``near``: the NearSolids; ``profile``
+    (6,): limb, shade (camera frame), fade of a ball or disc. Both boundaries together bound the visible part.
+    ``skip_free``: whether to make neither boundary for a figure that has no solid in front of it.
     """
     scan = _scan(lens, target, box)
     figure = target.shape == FIGURE
@@ -106,13 +106,13 @@ def scan_hidden(
 
 @step
 def anything_before(lens: Array, target: TargetPose, box: ImageBox, near: NearSolids) -> Any:
-    """Whether any of the solids may hide a part of a target with an image in ``box``."""
+    """Whether any of the solids may hide a part of a target whose image is in ``box``."""
     return _anything_before(lens, target, _scan(lens, target, box), near)
 
 
 @step
 def _scan(lens: Array, target: TargetPose, box: ImageBox) -> Any:
-    """Return how finely a target's image is scanned, and the rays of a small one."""
+    """Return the Scan of a target's image, with the lattice of rays for a small one."""
     left, right, top, bottom = box
     large = max(right - left, bottom - top)
     per_px = FINE_ROWS if large <= 12.0 else (ROWS if large <= 60.0 else COARSE_ROWS)
@@ -135,7 +135,7 @@ def _scan(lens: Array, target: TargetPose, box: ImageBox) -> Any:
 
 @bare_step
 def _ray(lens: Array, target: TargetPose, scan: Scan, u: float, v: float) -> Any:
-    """A direction to pixel (u, v), scaled so that straight lines of pixels are evenly spaced along it."""
+    """A direction to pixel (u, v), scaled so that even steps along a straight line of pixels are even in space."""
     if lens[PUPIL] != 0.0:
         dx, dy, dz = point_at_distance(lens, u, v, scan.distance_m)
         if not scan.gnomonic:
@@ -188,7 +188,7 @@ def _quadratic_weights(f: float) -> Any:
 def _covered_in_row(target: TargetPose, scan: Scan, near: NearSolids, rays: Array, low: Array, high: Array) -> Any:
     """Write the intervals of a row in which solids hide the target.
 
-    Returns how many, and from where to where the row lies in a ball or disc.
+    Returns their number, and the begin and end of the part of the row that lies in a ball or disc.
     """
     a, b = np.empty(3), np.empty(3)
     found = np.int64(0)
@@ -237,7 +237,7 @@ def _hide(
     lit_u: Array,
     lit_step: Array,
 ) -> Any:
-    """Add the boundary of what is hidden from ``low`` to ``high`` of the row at ``v``; ``area``: of all so far.
+    """Add the boundary of the part hidden from ``low`` to ``high`` in the row at ``v``; ``area``: that hidden so far.
 
     ``lit_u`` and ``lit_step`` (k,): where the target's light rises in this row, and by how much. Returns the edges,
     their number and the area.
@@ -300,7 +300,7 @@ def _put(edges: Array, n: int, u: float, v: float, amount: float) -> None:
 def _wider(edges: Array, count: int, more: int) -> Any:
     """Return the edges in a larger array."""
     wider = np.empty((2 * edges.shape[0] + more, 3))
-    # one by one: an assignment of slices would compile its error message for shapes that differ
+    # element by element: Numba would compile an assignment of slices with its error message for unequal shapes
     for i in range(count):
         wider[i, 0], wider[i, 1], wider[i, 2] = edges[i, 0], edges[i, 1], edges[i, 2]
     return wider
@@ -315,7 +315,7 @@ def has_profile(profile: Array) -> Any:
 
 @bare_step
 def brightness(profile: Array, qx: float, qy: float) -> Any:
-    """Brightness at (qx, qy), the position on the disc over its radius: limb darkening and a gradient."""
+    """Brightness at (qx, qy), a position on the disc in units of its radius: limb darkening and a gradient."""
     inside = max(0.0, 1.0 - qx * qx - qy * qy)
     shine = 1.0 - profile[0] * (1.0 - math.sqrt(inside)) + profile[1] * qx + profile[2] * qy
     return shine * fading(profile, math.sqrt(1.0 - inside))
@@ -323,7 +323,7 @@ def brightness(profile: Array, qx: float, qy: float) -> Any:
 
 @bare_step
 def front_of(target: TargetPose, dx: float, dy: float, dz: float) -> Any:
-    """Distance along d at which the target's own front is met (the silhouette's edge counts as met)."""
+    """Distance along d at which a ray meets the target's front (the silhouette's edge counts as met)."""
     shape, rotation, x, y, z, r = target
     if shape != BALL:
         nx, ny, nz = rotation[0, 2], rotation[1, 2], rotation[2, 2]
@@ -342,7 +342,7 @@ def _before(solid: Solid, a: Array, b: Array, s: float, target: TargetPose) -> A
 
 @bare_step
 def _in_front(solid: Solid, a: Array, b: Array, first: float, last: float, target: TargetPose) -> Any:
-    """The part of an interval in which the solid hides the target; solids that meet part it once."""
+    """The part of an interval in which the solid hides the target; solids that intersect it divide it once."""
     at_first = _before(solid, a, b, first + 0.05 * (last - first), target)
     at_last = _before(solid, a, b, last - 0.05 * (last - first), target)
     if at_first and at_last:

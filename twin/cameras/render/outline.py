@@ -1,8 +1,8 @@
 """The boundary of a target's image: traced through the exact lens, at three instants of each panel of time.
 
-A ball's outline is the circle where the viewing cone touches it, a flat target's is its rim, a figure's are the
-lines and arcs of its contours. The integrand of Green's theorem along a smooth closed curve is periodic, so that
-equal steps converge exponentially; along pieces with corners Gauss-Legendre nodes do.
+The outline of a ball is the circle where the viewing cone touches it, that of a flat target is its rim, and that of
+a figure is the lines and arcs of its contours. Along a smooth closed curve the integrand of Green's theorem is
+periodic, so that equal steps converge exponentially. Along pieces with corners, Gauss-Legendre nodes do.
 """
 
 import math
@@ -73,7 +73,7 @@ def perpendicular_axes(x: float, y: float, z: float) -> Any:
 
 @step
 def outline_circle(target: TargetPose, r: float) -> Any:
-    """The circle that is a target's outline with radius ``r``: centre, and two radii at right angles (9 numbers)."""
+    """The outline circle of a target of radius ``r``: centre, and two radii at right angles (9 numbers)."""
     shape, rotation, x, y, z, _r = target
     if shape == BALL:
         # the touching circle: centre C (1 - r^2 / d^2), radius r sqrt(1 - r^2 / d^2)
@@ -117,7 +117,7 @@ def image_box(lens: Array, target: TargetPose) -> Any:
 
 @step
 def outline_steps(diameter: float, sigma: float) -> Any:
-    """How many steps an outline of this image diameter needs."""
+    """Number of steps along an outline of this image diameter."""
     return max(FEWEST_STEPS, int(math.pi * diameter / (STEP_SIGMA * sigma)) + 1)
 
 
@@ -169,7 +169,7 @@ def contour_point(piece: Array, share: float) -> Any:
 
 @step
 def cut_pieces(pieces: Array, px_per_m: float, sigma: float) -> Any:
-    """Return pieces (n, 9) with the nodes and panels that each needs, and the number of all nodes."""
+    """Return pieces (n, 9) with the numbers of nodes and panels of each, and the total number of nodes."""
     out = np.empty((pieces.shape[0], 9))
     total = 0
     for i in range(pieces.shape[0]):

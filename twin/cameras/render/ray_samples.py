@@ -1,7 +1,7 @@
 """A target sampled by rays: where a mesh may hide it, or the lens does not image all of it.
 
-24 samples a pixel each way (images of 12 px and more: 12). What is blocked, or imaged at all, leaves as boundary
-points, two for each run of such samples in a row.
+There are 24 samples a pixel in each direction (12 for images of 12 px and more). The blocked part, or the imaged
+part, is returned as boundary points: two for each run of such samples in a row.
 """
 
 import math
@@ -29,10 +29,10 @@ class SampleGrid(NamedTuple):
 
 @kernel
 def sample_rays(lens: Array, target: TargetPose, per_px: int) -> Any:
-    """Rays through a fine grid over the target's image, those that meet the target (a figure: its disc).
+    """Return the rays through a fine grid over the target's image that meet the target (a figure: its disc).
 
     ``per_px``: samples per pixel and axis, 0: chosen by size. Returns directions (n, 3), the grid
-    cell (n, 2) that each goes through (column, row), and the grid.
+    cell (n, 2) of each ray (column, row), and the grid.
     """
     shape, rotation, x, y, z, r = target
     circle = outline_circle(target, 1.02 * r)

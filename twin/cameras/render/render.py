@@ -51,14 +51,14 @@ __all__ = [
 
 @dataclass(frozen=True, eq=False)
 class VisibleTargets:
-    """What the camera saw of each target."""
+    """Visible share, image position and image diameter of each target in one frame."""
 
     visible: Array
-    """(m,): share of its disc."""
+    """(m,): visible share of the target's disc."""
     xy_px: Array
-    """(m, 2): image of its centre at its rows' mid-exposure; NaN where nothing is visible."""
+    """(m, 2): image of the centre at the mid-exposure of the target's rows; NaN where nothing is visible."""
     diameter_px: Array
-    """(m,) of the whole disc's image; NaN where nothing is visible."""
+    """(m,): diameter of the whole disc's image; NaN where nothing is visible."""
 
 
 def render_targets(
@@ -86,9 +86,9 @@ def render_targets(
     window
         When the rows are exposed, and the K instants at which paths are given.
     targets, figures
-        What is rendered.
+        The targets to be rendered, and their figures.
     occluders
-        What may hide the targets.
+        The geoms that may hide the targets.
     geom_xyz, geom_rotation
         (K, k, 3) [m] and (K, k, 3, 3): the occluders' poses in the camera frame at the window's nodes.
     mesh_rays

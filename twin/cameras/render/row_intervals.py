@@ -1,4 +1,4 @@
-"""Where a solid covers a line of the image: an interval, in closed form, for each of MuJoCo's primitives.
+"""The interval of an image line that a solid covers, in closed form for each of MuJoCo's primitives.
 
 A short piece of an image row is the fan of rays ``a + s b`` from the camera, s in pixels. A convex solid meets
 the fan in one interval of s. Its ends are rays that touch the solid: roots of quadratics for round surfaces,
@@ -80,7 +80,7 @@ def roots(q2: float, q1: float, q0: float) -> Any:
     d = q1 * q1 - q2 * q0
     if d < 0.0:
         return 0.0, 0.0, False
-    # the sum of like signs loses no digits
+    # a sum of terms of like sign loses no digits
     t = -(q1 + math.copysign(math.sqrt(d), q1))
     one = t / q2
     two = q0 / t if t != 0.0 else one
@@ -89,7 +89,7 @@ def roots(q2: float, q1: float, q0: float) -> Any:
 
 @bare_step
 def _sphere(fan: Fan, height: float, p: float, q: float, r: float) -> Any:
-    """Rays that touch an ellipsoid of half axes p, q, r about the point (0, 0, height): scaled, the unit sphere."""
+    """Rays that touch an ellipsoid of half axes p, q, r about the point (0, 0, height), scaled to the unit sphere."""
     ox, oy, oz = fan.ox / p, fan.oy / q, (fan.oz - height) / r
     ax, ay, az, bx, by, bz = fan.ax / p, fan.ay / q, fan.az / r, fan.bx / p, fan.by / q, fan.bz / r
     k = ox * ox + oy * oy + oz * oz - 1.0

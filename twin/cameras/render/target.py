@@ -1,8 +1,8 @@
-"""One target after the other: its boundary, less what hides it, moved through the exposure, onto the pixels.
+"""Rendering of targets, one after the other: boundary less hidden part, moved through the exposure, onto the pixels.
 
-Where and when a target is imaged: ``target_image``. Its boundary is traced through the lens (``outline``), the
-occluded part is subtracted (``occlusion_scan``), and both move during the exposure while the rows of pixels integrate
-(``boundary_integral``), through each patch of the pupil (``psf``).
+Where and when a target is imaged is found in ``target_image``. Its boundary is traced through the lens (``outline``)
+and the occluded part is subtracted (``occlusion_scan``). Both move during the exposure while the rows of pixels
+integrate (``boundary_integral``), through each patch of the pupil (``psf``).
 """
 
 import math
@@ -41,8 +41,8 @@ from twin.cameras.render.target_image import HIDDEN, IN_VIEW, OUTSIDE, PARTLY, T
 MESH_NEAR = -1
 """State of a target that a mesh may hide: only MuJoCo's rays can decide."""
 BY_PRIMITIVES, ONLY_SPAN, HIDDEN_GIVEN, REST_GIVEN = 0, 1, 2, 3
-"""How a target is rendered: hidden by primitives; not at all, only when it is exposed; with the boundary of what is
-hidden, or of what is left, given (by mesh rays)."""
+"""How a target is rendered: with occlusion by primitives; not at all (only the span of its exposure is found); with a
+given boundary (by mesh rays) of its hidden part; with that of its visible part."""
 LEAST_E = 1e-3
 """Light below a thousandth of an electron is neglected, so that dark pixels stay exactly dark."""
 WHOLLY = 1.0 - 1e-6
@@ -50,11 +50,11 @@ WHOLLY = 1.0 - 1e-6
 LARGEST_PX = 4000.0
 """Targets with a larger image are left out."""
 WIDEST_PX = 20_000
-"""Images that with their motion need more columns are left out."""
+"""Images that need more columns than this, with their motion, are left out."""
 
 
 class Rendered(NamedTuple):
-    """What an image shows of a target: visible share, centre (x, y) and diameter of the whole [px], state."""
+    """A target in an image: visible share, centre (x, y) and diameter of the whole target [px], state."""
 
     visible: float
     x: float
@@ -64,7 +64,7 @@ class Rendered(NamedTuple):
 
 
 class GivenBoundary(NamedTuple):
-    """The boundary (n, 3) that mesh rays found: group g of instants begins at ``first[g]``; ``hidden``: its share."""
+    """The boundary (n, 3) found by mesh rays; group g of instants begins at ``first[g]``; the hidden share."""
 
     edges: Array
     first: Array
@@ -81,7 +81,7 @@ def render_chosen(
     """Render the targets ``which`` (n,), each in a mode (n,); ``given``: the boundary for modes that need one.
 
     Returns (visible, x, y, diameter) of each (n, 4) and its state (n,): MESH_NEAR where only its span was asked for.
-    ONLY_SPAN writes to ``spans`` (n, 3) when a target is exposed: from, in the middle, until [s].
+    ONLY_SPAN writes the begin, middle and end of a target's exposure to ``spans`` (n, 3) [s].
     """
     count = which.shape[0]
     seen = np.zeros((count, 4))
@@ -95,7 +95,7 @@ def render_chosen(
 
 @step
 def _render_one(light: Array, inputs: RenderInputs, m: int, mode: int, given: GivenBoundary, span: Array) -> Any:
-    """Render target ``m`` in a ``mode``; ONLY_SPAN writes when it is exposed to ``span`` (3,)."""
+    """Render target ``m`` in a ``mode``; ONLY_SPAN writes begin, middle and end of its exposure to ``span`` (3,)."""
     height, width = light.shape
     image = image_of(inputs, m, height, width)
     if image.state != IN_VIEW:
@@ -116,7 +116,7 @@ def _render_one(light: Array, inputs: RenderInputs, m: int, mode: int, given: Gi
         return _not_seen(image, int(OUTSIDE))
     electrons = inputs.targets.electrons[m]
     if not whole:
-        # the lens cuts it: its light is what the rays through its own image meet
+        # the lens images only a part of it: its light is sampled by rays through its own image
         share = _add_sampled(out, inputs, m, image, near)
         fill(light, out, electrons, LEAST_E)
         return _seen_share(image, share * _inside(inputs.lens, image.target, width, height), int(PARTLY))
@@ -161,7 +161,7 @@ def _seen_share(image: TargetImage, visible: float, state: int) -> Any:
 
 @step
 def _near(inputs: RenderInputs, m: int, mode: int, image: TargetImage) -> Any:
-    """Return the solids that may hide a target, and the groups of instants in which to judge what they hide."""
+    """Return the solids that may hide a target, and the number of groups of instants for its hidden part."""
     solids = inputs.solids
     k = solids.kind.shape[0]
     number = np.empty(k, dtype=np.int64)
@@ -174,7 +174,7 @@ def _near(inputs: RenderInputs, m: int, mode: int, image: TargetImage) -> Any:
 
 @step
 def _increments(image: TargetImage, box: ImageBox, reach: int, height: int) -> Any:
-    """Return zero increments for the image of the whole motion; without rows where there is nothing to render."""
+    """Return zero increments that hold the image with all its motion; without rows if there is nothing to render."""
     pad = reach + 2 + math.ceil(image.spread)
     motion = image.motion_px
     x0, x1 = math.floor(box.left - motion) - pad, math.ceil(box.right + motion) + pad + 1
@@ -187,7 +187,7 @@ def _increments(image: TargetImage, box: ImageBox, reach: int, height: int) -> A
 
 @step
 def _contours(inputs: RenderInputs, m: int, image: TargetImage) -> Any:
-    """Return the pieces of a figure's contours (n, 9), and how many points any target's boundary needs."""
+    """Return the pieces of a figure's contours (n, 9), and the number of points of any target's boundary."""
     sigma = inputs.blur_terms[8]
     if inputs.targets.shape[m] != FIGURE:
         return np.empty((0, 9)), outline_steps(image.diameter, sigma)
@@ -206,13 +206,13 @@ def _blur_and_rows(inputs: RenderInputs, m: int, image: TargetImage) -> Any:
 
 @step
 def _motion_in_steps(inputs: RenderInputs, image: TargetImage) -> Any:
-    """The image's motion in units of 0.6 px over the blur's sigma: what decides how finely time is divided."""
+    """The image's motion times 0.6 px over the blur's sigma, which decides how finely time is divided."""
     return image.motion_px * 0.6 / inputs.blur_terms[8]
 
 
 @step
 def _group(image: TargetImage, g: int, groups: int) -> Any:
-    """The exposure of group ``g`` of instants: from, in the middle, until."""
+    """Begin, middle and end of the exposure of group ``g`` of instants."""
     begin, end = image.begin_s, image.end_s
     group_begin = begin + (end - begin) * g / groups
     group_end = begin + (end - begin) * (g + 1) / groups
@@ -250,11 +250,10 @@ def _add_hidden(
     near: NearSolids,
     groups: int,
 ) -> Any:
-    """Add the boundary of what solids hide, of what is mostly hidden that of the rest: a difference of large areas
-    would blur it.
+    """Add the boundary of the part that solids hide; for a mostly hidden target, that of the visible rest instead.
 
-    Returns the hidden share, and whether the boundary is that of the rest. With several groups the rotations in
-    ``image`` and the poses in ``near`` are left at the last one.
+    As a difference of large areas that rest would be blurred. Returns the hidden share, and whether the boundary is
+    that of the rest. With several groups, the rotations in ``image`` and the poses in ``near`` are left at the last.
     """
     lens, nodes, path, profile = (inputs.lens, inputs.nodes_s, inputs.targets.path[m], inputs.targets.profile[m])
     if groups > 1 and image.target.shape == FIGURE and not _ever_hidden(inputs, m, image, near, groups):

@@ -16,13 +16,13 @@ from twin.cameras.render.outline import BALL, lagrange_weights, position_at, rot
 IN_VIEW, PARTLY, HIDDEN, OUTSIDE, DARK = 0, 1, 2, 3, 4
 """States of a target in an image."""
 EDGE_ON = 0.02
-"""A flat target is seen from where the cosine of the angle to its normal exceeds this."""
+"""A flat target is visible where the cosine of the viewing angle to its normal exceeds this."""
 ROW_ITERATIONS = 60
-"""Limit of the iterations of the instant at which a moving target's rows expose (rolling shutter)."""
+"""Most iterations for the instant at which a moving target's rows expose (rolling shutter)."""
 ROW_INSTANT_S = 1e-12
-"""Change of that instant at which they end."""
+"""Change of that instant below which the iterations end."""
 BEYOND_IMAGE = 0.2
-"""Share of the image's height beyond its edges up to which rows are continued."""
+"""Distance beyond the image's edges up to which rows are continued, as a share of its height."""
 
 
 class TargetImage(NamedTuple):
@@ -31,27 +31,27 @@ class TargetImage(NamedTuple):
     state: int
     """IN_VIEW, or OUTSIDE, DARK or HIDDEN (a flat target from behind): fields after ``diameter`` are undefined."""
     target: TargetPose
-    """At ``instant_s``."""
+    """Pose of the target at ``instant_s``."""
     u: float
     """Image of the centre (u, v) [px]."""
     v: float
     diameter: float
     """[px]"""
     stretch: float
-    """Image length of a length across the line of sight [px/m]."""
+    """Ratio of image length to length across the line of sight [px/m]."""
     patches: Array
-    """(n, 3) of the blur."""
+    """(n, 3): patches of the blur."""
     spread: float
-    """Largest displacement of a patch."""
+    """Largest displacement of a patch [px]."""
     begin_s: float
-    """Exposed and shining from here to ``end_s``."""
+    """The target is exposed and shines from here to ``end_s``."""
     instant_s: float
-    """Mid-exposure of its rows."""
+    """Mid-exposure of the target's rows."""
     end_s: float
     motion_px: float
-    """Motion of the image meanwhile."""
+    """Motion of the image from ``begin_s`` to ``end_s``."""
     moved_m: float
-    """Motion of the target meanwhile."""
+    """Motion of the target from ``begin_s`` to ``end_s``."""
 
 
 @step
@@ -68,7 +68,7 @@ def image_of(inputs: RenderInputs, m: int, height: int, width: int) -> Any:
         )
     diameter = 2.0 * r * stretch
     away = math.sqrt(x * x + y * y + z * z)
-    # a plane is in focus, with a fisheye a sphere
+    # the surface of sharp focus is a plane, for a fisheye a sphere
     patch = patches(inputs.blur_terms, u, v, away if lens[KIND] == FISHEYE else z)
     spread = 0.0
     for i in range(patch.shape[0]):
@@ -89,7 +89,7 @@ def image_of(inputs: RenderInputs, m: int, height: int, width: int) -> Any:
 
 @step
 def lit_s(inputs: RenderInputs, m: int) -> Any:
-    """When target ``m`` is lit: while it shines and the strobe is on (from, until)."""
+    """Begin and end of the time in which target ``m`` shines and the strobe is on."""
     lit = inputs.targets.lit_s
     return max(inputs.rows.on_s, lit[m, 0]), min(inputs.rows.off_s, lit[m, 1])
 
@@ -98,7 +98,7 @@ def lit_s(inputs: RenderInputs, m: int) -> Any:
 def _mid_exposure(inputs: RenderInputs, m: int, rotation: Array, height: int) -> Any:
     """The target at the middle of its own rows' exposure; ``rotation`` (3, 3) is filled.
 
-    With a rolling shutter the row decides the instant and the instant the row: a fixed point. Returns the pose, its
+    With a rolling shutter, row and instant depend on each other, and a fixed point is sought. Returns the pose, its
     image (u, v), the stretch, the instant, and whether the lens images it.
     """
     lens, nodes, path, r = inputs.lens, inputs.nodes_s, inputs.targets.path[m], inputs.targets.radius[m]
@@ -129,7 +129,7 @@ def _mid_exposure(inputs: RenderInputs, m: int, rotation: Array, height: int) ->
 
 @step
 def _exposed(inputs: RenderInputs, m: int, instant: float, v: float, rows: float, height: int) -> Any:
-    """From when to when any of the ``rows`` above and below the target's image at ``v`` collects its light."""
+    """Begin and end of the time in which any row within ``rows`` of the image at ``v`` collects the light."""
     lens, nodes, path = inputs.lens, inputs.nodes_s, inputs.targets.path[m]
     length, row_time = inputs.rows.length_s, inputs.rows.row_time_s
     on, off = lit_s(inputs, m)
@@ -152,7 +152,7 @@ def _row_instant(
     row_time: float,
     height: int,
 ) -> Any:
-    """When the row ``shift`` below a moving target opens, plus ``late``; ``instant``, ``row``: initial values."""
+    """Instant when the row ``shift`` below a moving target opens, plus ``late``; ``instant``, ``row``: guesses."""
     weights = np.empty(nodes.shape[0])
     t = instant
     for _ in range(60):
@@ -171,9 +171,9 @@ def _row_instant(
 
 @step
 def image_motion(lens: Array, nodes: Array, path: Array, begin: float, end: float) -> Any:
-    """Length of the image of a path [px] (-1: not imaged), and how far the target goes [m].
+    """Length of the image of a path [px] (-1: not imaged), and distance between the ends of the path [m].
 
-    A path that reverses or accelerates counts with the speed of its faster half.
+    For a path that reverses or accelerates, the speed of its faster half counts.
     """
     weights = np.empty(nodes.shape[0])
     lagrange_weights(nodes, begin, weights)
@@ -192,7 +192,7 @@ def image_motion(lens: Array, nodes: Array, path: Array, begin: float, end: floa
     if not ok_m:
         return chord, swing
     turned_back = 2.0 * math.sqrt(max((um - ua) ** 2 + (vm - va) ** 2, (ub - um) ** 2 + (vb - vm) ** 2))
-    # for a nearly straight, uniform path the chord; not for one that reverses or accelerates
+    # the chord is used for a nearly straight, uniform path, but not for one that reverses or accelerates
     return (turned_back if turned_back > 1.2 * chord else chord), max(swing, 0.0)
 
 
@@ -200,7 +200,7 @@ def image_motion(lens: Array, nodes: Array, path: Array, begin: float, end: floa
 def carried(
     edges: Array, lens: Array, nodes: Array, path: Array, u: float, v: float, begin: float, middle: float, end: float
 ) -> Any:
-    """Boundary points (n, 9) found at ``middle``, carried along by the target's image (u, v) through begin..end."""
+    """Boundary points (n, 9) found at ``middle``, moved with the target's image (u, v) through begin..end."""
     weights = np.empty(nodes.shape[0])
     lagrange_weights(nodes, begin, weights)
     x, y, z = position_at(path, weights)

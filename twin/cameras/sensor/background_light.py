@@ -1,7 +1,7 @@
-"""Everything that a pixel collects besides the targets: background, glass, fixed patterns of the sensor, stray light.
+"""Light of a pixel besides the targets: background, glass, fixed patterns of the sensor, stray light.
 
 The mean of each pixel is rounded to the nearest of many levels (0.15 of the noise apart), and that level is the
-pixel's light by definition. Pixels without a target then cost one lookup in the exact distribution of their level.
+pixel's light by definition. A pixel without a target then costs one lookup in the exact distribution of its level.
 """
 
 import math
@@ -26,9 +26,9 @@ class Ambient:
     bank: LevelBank
     """The levels of the sensor."""
     mean_e: Array
-    """(H, W) or (1, 1) float32: the light before levels and without extra [electrons]."""
+    """(H, W) or (1, 1) float32: the light before rounding to levels, without extra light [electrons]."""
     index: Array
-    """(H, W) uint16: each pixel's level among ``bank.levels_e``; (1, 1) where one holds for all."""
+    """(H, W) uint16: index of each pixel's level in ``bank.levels_e``; (1, 1) where all pixels have one level."""
     flat: Array | None
     """(H, W) float32: factor on all light that comes through the lens (vignetting, dust, PRNU; 0: a dead pixel);
     None: 1."""
@@ -41,8 +41,8 @@ class Ambient:
     ) -> "Ambient":
         """Return the ambient light of mean electrons ``mean_e``, (H, W) or one number for all pixels.
 
-        One number is a level of its own, so that even light is exact. ``shape`` (H, W) is needed only where neither
-        ``mean_e`` nor ``flat`` gives it and a coarse map will be added. Raises ValueError where sizes do not agree.
+        A single number gets a level of its own, so that even light is exact. ``shape`` (H, W) is needed only where
+        neither ``mean_e`` nor ``flat`` has it and a coarse map will be added. Raises ValueError where sizes disagree.
         """
         given = np.asarray(mean_e, dtype=np.float32)
         given = given.reshape(1, 1) if given.ndim == 0 else np.ascontiguousarray(given)
@@ -61,10 +61,10 @@ class Ambient:
         return Ambient(bank, _fixed(given), _fixed(index), None if flat is None else _fixed(flat), shape)
 
     def with_extra(self, extra_e: Array | float) -> "Ambient":
-        """Return this light and ``extra_e`` more [electrons, through the lens: times ``flat``], as of one frame.
+        """Return this light plus ``extra_e`` for one frame [electrons; through the lens, so times ``flat``].
 
-        ``extra_e``: one number, (H, W), or a coarser map (h, w) whose values are at the centres of the h x w parts of
-        the image, interpolated linearly. Deterministic, and thread-safe.
+        ``extra_e``: one number, (H, W), or a coarser map (h, w) with values at the centres of the h x w parts of the
+        image, which are interpolated linearly. Deterministic, and thread-safe.
         """
         extra = np.atleast_2d(np.ascontiguousarray(extra_e, dtype=np.float32))
         shape = self.shape
@@ -100,12 +100,12 @@ class Ambient:
 
 @dataclass(frozen=True)
 class Backdrop:
-    """How uneven the background is, and what lies on the glass."""
+    """Unevenness of the background, and dust on the glass."""
 
     gradient: tuple[float, float] = (0.0, 0.0)
-    """(x, y): change of the background from edge to edge, as a share of it."""
+    """(x, y): change of the background from edge to edge, as a share of the background."""
     blob_e: float = 0.0
-    """More electrons at the middle of a soft spot of light."""
+    """Additional electrons at the middle of a soft spot of light."""
     blob_xy: tuple[float, float] = (0.5, 0.5)
     """Its position, share of width and height."""
     blob_radius: float = 0.2
@@ -113,7 +113,7 @@ class Backdrop:
     dust: int = 0
     """Number of dark spots."""
     dust_loss: float = 0.1
-    """Light that each takes at most, as a share."""
+    """Largest share of light that a spot takes."""
     dust_radius_px: float = 6.0
     """Their mean radius."""
 
@@ -137,11 +137,11 @@ def ambient_map(
     vignetting: float = 0.0,
     backdrop: Backdrop | None = None,
 ) -> AmbientMap:
-    """Return the mean light of a camera's pixels besides the targets, and the factor on what comes through its lens.
+    """Return the mean light of a camera's pixels besides the targets, and the factor on light through its lens.
 
-    ``key``: the camera's own (64 bit), the same for all its frames: dust, DSNU, PRNU, hot and dead pixels are drawn
-    from it. ``vignetting``: share of light lost at the corner, after the cos^4 law of a lens whose corner loses so
-    much. Background, gradient and blob come through the lens; dark current x exposure, DSNU and hot pixels do not.
+    ``key``: the camera's own (64 bit), the same for all its frames. Dust, DSNU, PRNU, hot and dead pixels are drawn
+    from it. ``vignetting``: share of light lost at the corner, by the cos^4 law of a lens whose corner loses that
+    share. Background, gradient and blob come through the lens; dark current x exposure, DSNU and hot pixels do not.
     """
     given = Backdrop() if backdrop is None else backdrop
     light: Array | float = sensor.background_e
@@ -199,7 +199,7 @@ def _uniforms(out: Array, key: np.uint64) -> None:
 def _fixed_pattern(
     more: Array, factor: Array, key: np.uint64, dsnu: float, prnu: float, hot: float, hot_e: float, dead: float
 ) -> None:
-    """Fill each pixel's dark electrons and its factor on light; each property has its own random stream."""
+    """Write each pixel's dark electrons and its factor on light; each property has its own random stream."""
     for p in range(more.size):
         state = mix(key + np.uint64(p) * STEP)
         more[p] = dsnu * normal(mix(state + STEP))

@@ -1,9 +1,9 @@
 """Counter-based random numbers for pixels: each pixel's numbers depend on its own state alone.
 
-A stream is a 64-bit state; each number is ``mix(state)`` after ``state += STEP`` (SplitMix64: Steele, Lea and Flood,
-OOPSLA 2014), and a pixel's stream begins at a state worked out from (key, pixel number). The integers are the
-same everywhere. The reals that follow from them are plain IEEE arithmetic, except where a logarithm or an
-exponential of the platform's library enters, named at each function: there the last bit may differ.
+A stream is a 64-bit state. Each number is ``mix(state)`` after ``state += STEP`` (SplitMix64: Steele, Lea and Flood,
+OOPSLA 2014), and a pixel's stream begins at a state computed from (key, pixel number). The integers are the same on
+all platforms. The real numbers are computed from them by plain IEEE arithmetic, except where a logarithm or an
+exponential of the platform's library is used (stated at each function): there the last bit may differ.
 """
 
 import math
@@ -27,13 +27,13 @@ def mix(x: Any) -> Any:
 
 @kernel
 def uniform(bits: Any) -> Any:
-    """A number in (0, 1) of 52 of 64 random bits; it and its complement are exact."""
+    """A number in (0, 1) from 52 of 64 random bits; it and its complement are exact."""
     return (np.float64(bits >> np.uint64(12)) + 0.5) / 4503599627370496.0
 
 
 @kernel
 def normal(bits: Any) -> Any:
-    """A standard normal number of 64 random bits: the inverse distribution function, to about 1 part in 10^16.
+    """A standard normal number from 64 random bits: the inverse distribution function, to about 1 part in 10^16.
 
     Wichura, Algorithm AS 241 (PPND16), Applied Statistics 37 (1988) 477. Plain arithmetic within 1.44 sigma
     (85 %); beyond, a logarithm and a square root.
@@ -76,11 +76,11 @@ def normal(bits: Any) -> Any:
 
 @kernel
 def poisson(mu: float, bits: Any) -> Any:
-    """A Poisson number of mean mu >= 0 of 64 random bits, as a float: exact inversion, so that it grows with mu.
+    """A Poisson number of mean mu >= 0 from 64 random bits, as a float: exact inversion, so that it grows with mu.
 
-    From 10 on: the asymptotic series of the inverse distribution function, whose integer part is the number unless
-    an integer lies within the series' error (once in some 10^4); then the probabilities themselves decide. Giles,
-    Algorithm 955, ACM Trans. Math. Softw. 42 (2016) 7. Below 10: the probabilities are summed from 0.
+    For mu >= 10 the asymptotic series of the inverse distribution function is used (Giles, Algorithm 955, ACM Trans.
+    Math. Softw. 42 (2016) 7). Its integer part is the number, unless an integer lies within the error of the series
+    (once in some 10^4); then the probabilities themselves decide. Below 10 the probabilities are summed from 0.
     """
     p = uniform(bits)
     if mu < 10.0:
@@ -103,7 +103,7 @@ def poisson(mu: float, bits: Any) -> Any:
 
 @step
 def _search(n: float, mu: float, p: float) -> float:
-    """The largest n with P(N < n) <= p, searched from a guess."""
+    """The largest n with P(N < n) <= p, by a search that starts at the guess ``n``."""
     while not _reached(n, mu, p):
         n -= 1.0
     while _reached(n + 1.0, mu, p):
@@ -113,7 +113,7 @@ def _search(n: float, mu: float, p: float) -> float:
 
 @step
 def _reached(n: float, mu: float, p: float) -> bool:
-    """Whether P(N < n) <= p: the smaller of the two tails summed until its terms no longer count."""
+    """Whether P(N < n) <= p: the smaller of the two tails is summed until its terms are negligible."""
     if n <= 0.0:
         return True
     share = math.exp(n * math.log(mu) - mu - math.lgamma(n + 1.0))

@@ -1,8 +1,8 @@
-"""Levels of light and the exact distribution of the counts of each: a lookup table for pixels without a target.
+"""Levels of light with the exact distribution of the counts at each: a lookup table for pixels without a target.
 
-A level is a mean number of electrons. Its counts are Poisson electrons and Gaussian noise through the sensor's
-response, black level, gain, quantisation and saturation. The levels of one sensor lie on a fixed grid, so that a
-level's distribution ("law") depends on (sensor, anchor, level) alone, not on the order of requests.
+A level is a mean number of electrons. Its counts follow from Poisson electrons and Gaussian noise through the
+sensor's response, black level, gain, quantisation and saturation. The levels of one sensor lie on a fixed grid, so
+that a level's distribution ("law") depends on (sensor, anchor, level) alone, not on the order of requests.
 """
 
 import math
@@ -19,24 +19,24 @@ from twin.cameras.sensor.sensor import Sensor
 SPACING = 0.15
 """Distance of levels, in standard deviations of the temporal noise at the level."""
 SEARCH = 0x8000
-"""Added to a guide's count where the leading bits decide only that it is this one or more."""
+"""Added to a guide's count where the leading bits give only a lower bound of the count."""
 RANDOM_BITS = 63
-"""Cumulative probabilities are counted in units of 2^-63: sums never leave 64 bits."""
+"""Cumulative probabilities are integers in units of 2^-63, so that sums fit in 64 bits."""
 _DSNU_REACH = 8.0
 _REACH = 9.0
-"""Where Gaussian noise ends, in its standard deviations: 1e-19 lies beyond."""
+"""Cut-off of Gaussian noise, in its standard deviations: a share of 1e-19 lies beyond."""
 _MOST_LEVELS = 2**16 - 1
 _ROUNDING = 1e-9
-"""More than rounding adds to a number of steps (1e-12), and nothing beside one step."""
+"""Tolerance on a number of steps: larger than its rounding error (1e-12), negligible against one step."""
 
 
 class LevelBank:
     """The levels of a sensor and the laws of those in use; laws are added on demand, by any thread.
 
-    ``levels_e`` (n,) mean electrons, ascending; one is ``anchor_e`` exactly; the last is surely saturated, the
-    first is 0, or as far below as the sensor's dark signal reaches (below 0: a lower offset without shot noise).
-    Level k counts ``first[k] + j`` where j is how many of ``thresholds[k]`` (63-bit numbers) a random number reaches;
-    ``guide[k]`` gives the count for a number's leading ``guide_bits``; with SEARCH added, the least it may be.
+    ``levels_e`` (n,): mean electrons, ascending. One is exactly ``anchor_e``, and the last is surely saturated. The
+    first is 0, or as far below 0 as the sensor's dark signal reaches (a lower offset without shot noise). The count
+    at level k is ``first[k] + j``, where j is the number of ``thresholds[k]`` (63-bit numbers) that a random number
+    reaches. ``guide[k]`` is the count for a number's leading ``guide_bits``; with SEARCH added, its lower bound.
     """
 
     def __init__(self, sensor: Sensor, anchor_e: float) -> None:
@@ -46,12 +46,12 @@ class LevelBank:
         self._edges_e = sensor.edges_e()
         self._floor_e = max(sensor.read_noise_e, 1.0)
         lowest = -_DSNU_REACH * sensor.dsnu_e
-        # the mean from which no count but the last can come: mean - 9 sigma lies above the last edge
+        # the mean from which only the last count can occur: mean - 9 sigma lies above the last edge
         full = self._edges_e[-1] + 10.0 + sensor.read_noise_e**2
         highest = (4.5 + math.sqrt(20.25 + full)) ** 2 - sensor.read_noise_e**2
         ends = _scale(np.array([lowest, self.anchor_e, max(highest, self.anchor_e)]), self._floor_e)
         self.step = max(SPACING, (ends[2] - ends[0]) / (_MOST_LEVELS - 3))
-        # a whole number of steps stays one where rounding adds to it: no level comes twice
+        # a whole number of steps stays whole where rounding adds to it, so that no level is made twice
         self.anchor = math.ceil((ends[1] - ends[0]) / self.step - _ROUNDING)
         count = self.anchor + math.ceil((ends[2] - ends[1]) / self.step) + 1
         levels = _unscale(ends[1] + (np.arange(count) - self.anchor) * self.step, self._floor_e)
@@ -63,7 +63,7 @@ class LevelBank:
         self.first = np.searchsorted(self._edges_e, self.levels_e - spread)
         last = np.searchsorted(self._edges_e, self.levels_e + spread)
         self._counts = last - self.first + 1
-        # memory is taken only where it is written to
+        # the system allocates only memory that is written to
         self.guide_bits = 10 if sensor.bits == 8 else 11
         self.guide = np.empty((count, 2**self.guide_bits), dtype=np.uint16)
         self.thresholds = np.empty((count, int(self._counts.max())), dtype=np.uint64)
@@ -111,7 +111,7 @@ def level_bank(sensor: Sensor, anchor_e: float) -> LevelBank:
 
 
 def _scale(mean_e: Array, floor_e: float) -> Array:
-    """Return the scale on which the noise is 1: 2 sqrt(mean + noise^2); below 0, where no shot noise is, a line."""
+    """Return the scale on which the noise is 1: 2 sqrt(mean + noise^2); linear below 0, without shot noise."""
     above = 2.0 * np.sqrt(np.maximum(mean_e, 0.0) + floor_e**2)
     return np.asarray(above + np.minimum(mean_e, 0.0) / floor_e)
 
@@ -125,7 +125,7 @@ def _unscale(scale: Array, floor_e: float) -> Array:
 
 
 class ElectronNumbers(NamedTuple):
-    """Numbers of electrons from ``low`` to ``high``, their probabilities ``share`` and the sums ``up_to`` each."""
+    """Numbers of electrons from ``low`` to ``high``, their probabilities ``share`` and cumulative sums ``up_to``."""
 
     low: int
     high: int
@@ -137,13 +137,13 @@ class ElectronNumbers(NamedTuple):
 def _law(level: float, noise: float, edges: Array, edge_laws: Array, edge_made: Array, thresholds: Array) -> None:
     """Fill a level's cumulative probabilities: P(electrons + noise < edge), summed over the numbers of electrons.
 
-    ``edge_laws`` keeps, for each edge, P(n + noise < edge) of the numbers n around it: all levels share them.
+    ``edge_laws`` holds P(n + noise < edge) for each edge and the numbers n around it, shared by all levels.
     """
     mean, offset = max(level, 0.0), min(level, 0.0)
     reach = 10.0 * math.sqrt(mean) + 20.0
     low, high = max(0, math.floor(mean - reach)), math.ceil(mean + reach)
     share = np.empty(high - low + 1)
-    # Poisson's terms from the largest one outwards, by their ratios: no factorials, plain arithmetic
+    # Poisson terms by their ratios, from the largest one outwards: no factorials, plain arithmetic
     middle = math.floor(mean) - low
     share[middle] = 1.0
     for i in range(middle, high - low):
@@ -178,7 +178,7 @@ def _add_up(
         if offset != 0.0 or not edge_made[j]:
             _edge_law(edge, start, noise, laws, row)
             edge_made[j] |= offset == 0.0
-        # all of the electrons below the Gaussian's reach, a part of those within it, none of those above
+        # probability of all numbers below the Gaussian's reach, plus a part of those within it
         below = up_to[min(start - 1, high) - low] if start > low else 0.0
         for n in range(max(start, low), min(start + wide - 1, high) + 1):
             below += share[n - low] * laws[row, n - start]
@@ -197,7 +197,7 @@ def _edge_law(edge: float, start: int, noise: float, laws: Array, row: int) -> N
 
 @kernel
 def _guide(thresholds: Array, first: int, bits: int, guide: Array) -> None:
-    """Fill the least counts that a number's leading bits allow, with SEARCH added where they allow more."""
+    """Fill the lowest counts that a number's leading bits allow, with SEARCH added where they allow several."""
     j = 0
     for cell in range(guide.size):
         start = np.uint64(cell) << np.uint64(63 - bits)

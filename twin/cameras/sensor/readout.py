@@ -1,8 +1,8 @@
 """Light to counts, in the terms of EMVA 1288 (release 4.0, linear): photons, electrons, system gain K, dark signal.
 
-A pixel that expects mu electrons collects a Poisson number of them, the amplifier adds Gaussian noise and the
+A pixel with a mean of mu electrons collects a Poisson number of them, the amplifier adds Gaussian noise and the
 converter gives ``round(black + K * response(electrons))``, limited to the range of its bits. Random numbers are
-counted from (key of the frame, pixel number): no pixel depends on another, nor on the order of work.
+computed from (key of the frame, pixel number): no pixel depends on another, nor on the order of work.
 """
 
 import math
@@ -30,8 +30,8 @@ def expose(light: Array, sensor: Sensor, key: int, ambient: Ambient | None = Non
     """Return counts (H, W), uint8 or uint16, of the targets' light (H, W) float32 [electrons] on a sensor.
 
     ``key``: the frame's own random key (64 bit). ``ambient``: further light of the pixels (None: the sensor's even
-    background). Same arguments, same bytes, in any thread; no pixel's count depends on another's light.
-    Raises ValueError where sizes or sensors do not go together.
+    background). The same arguments give the same bytes, in any thread; no pixel's count depends on another's light.
+    Raises ValueError where sizes or sensors do not match.
     """
     ambient = dark_table(sensor) if ambient is None else ambient
     bank = ambient.bank
@@ -58,7 +58,7 @@ def expose(light: Array, sensor: Sensor, key: int, ambient: Ambient | None = Non
 
 
 def _whole_groups(values: Array) -> Array:
-    """Return the pixels in one row, filled up with zeros to whole groups."""
+    """Return the pixels as one row, padded with zeros to whole groups."""
     row = np.ascontiguousarray(values).ravel()
     lacking = -row.size % GROUP
     return np.pad(row, (0, lacking)) if lacking else row
@@ -76,10 +76,10 @@ def _look_up(
     first: Array,
     thresholds: Array,
 ) -> None:
-    """Fill the counts that all pixels have without a target; ``many``: each pixel has a level of its own.
+    """Fill the counts of all pixels as without targets; ``many``: each pixel has a level of its own.
 
-    Four pixels share one 64-bit number, 16 bits each. These suffice for the guide; where a threshold is near, the
-    rest of the number comes from the pixel's own stream.
+    Four pixels share one 64-bit number, 16 bits each. These bits suffice for the guide. Where a threshold is near,
+    the rest of the number comes from the pixel's own stream.
     """
     shift, rest_shift = np.uint64(16 - guide_bits), np.uint64(63 - guide_bits)
     level = np.int64(index[0])
@@ -104,7 +104,7 @@ def _look_up(
 
 @kernel
 def _lit_groups(light: Array, lit: Array) -> Any:
-    """Note the first pixels of the groups that a target lights, and return how many there are."""
+    """Write the first pixels of the groups that a target lights to ``lit``, and return the number of groups."""
     found = 0
     for group in range(light.size // GROUP):
         total = np.float32(0.0)

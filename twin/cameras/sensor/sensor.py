@@ -7,7 +7,7 @@ import numpy as np
 from mosca.data.arrays import Array
 
 MOST_CURVED = 0.2
-"""Largest departure from a straight line: at 0.25 the response's peak sinks below the last count."""
+"""Largest departure from a straight line: at 0.25 the peak of the response sinks below the last count."""
 
 
 @dataclass(frozen=True)
@@ -31,17 +31,17 @@ class Sensor:
     quantum_efficiency: float = 0.6
     """Electrons a photon."""
     dark_current_e_per_s: float = 0.0
-    """Of each pixel."""
+    """Dark current of each pixel."""
     dsnu_e: float = 0.0
     """DSNU: rms of the dark signal."""
     prnu: float = 0.0
     """PRNU: rms share of the response."""
     linearity: float = 0.0
-    """Share by which the response falls short of a straight line at saturation (square law), 0.2 at most."""
+    """Share by which the response is below a straight line at saturation (square law), at most 0.2."""
     hot_pixels: float = 0.0
     """Share of hot pixels."""
     hot_e: float = 1_000.0
-    """Their electrons too many: mean of an exponential law."""
+    """Mean excess electrons of a hot pixel (exponential law)."""
     dead_pixels: float = 0.0
     """Share of pixels without a response."""
 
@@ -69,10 +69,10 @@ class Sensor:
         return electrons / self.quantum_efficiency
 
     def edges_e(self) -> Array:
-        """Return the electrons (top,) from which on a pixel counts 1, 2, ..., top: the inverse response.
+        """Return the numbers of electrons (top,) at which a pixel's count reaches 1, 2, ..., top: inverse response.
 
         The response to e electrons is ``e - linearity e^2 / full_well`` above 0 and e below. Raises ValueError where
-        ``linearity`` lets it fold back.
+        it is not monotonic for this ``linearity``.
         """
         if abs(self.linearity) > MOST_CURVED:
             raise ValueError(f"linearity: {self.linearity} given, -{MOST_CURVED} to {MOST_CURVED} wanted")

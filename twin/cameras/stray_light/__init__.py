@@ -1,1 +1,1 @@
-"""Light that is no target's: reflections, glare, surroundings."""
+"""Light that does not come from targets: reflections, glare, surroundings."""

@@ -1,10 +1,10 @@
-"""The context image: scene and body as a camera sees them besides the markers.
+"""The context image: scene and body in a camera's image, without the markers.
 
-One ray a few pixels, through the lens's own rays, decides which surface is seen; it is shaded by Lambert's law in
-even ambient light and in the light of a lamp at the camera, which falls with the square of the distance. Markers are
-left out (they are integrated, see ``render``). Shadows, textures and mirror images are not made; the
-image's resolution is that of its rays, in place of the lens's blur. It is made at a stated rate: between two
-refreshes the last one is used, so that fast limbs lag slightly, markers never.
+One ray for a few pixels, along the lens's own rays, finds the visible surface. It is shaded by Lambert's law in even
+ambient light and in the light of a lamp at the camera, which falls with the square of the distance. Markers are left
+out (they are integrated, see ``render``). Shadows, textures and mirror images are not made. The image's resolution is
+that of its rays, in place of the lens's blur. It is made at a stated rate, and used until the next refresh, so that
+fast limbs lag slightly; markers never do.
 """
 
 import math
@@ -36,30 +36,31 @@ class Cloth:
     """A covering of the geoms whose names match a pattern."""
 
     pattern: str
-    """As of file names: ``*``, ``?``."""
+    """Pattern of names with the wildcards of file names: ``*``, ``?``."""
     reflectance: float
-    """Of a Lambert surface; overrides that of the geoms' colour."""
+    """Reflectance as a Lambert surface; overrides that of the geoms' colour."""
     retro: float = 0.0
-    """How many times brighter than a white Lambert surface it is under the camera's own lamp, seen head on
-    (falling with cos^2): reflective tape has 100 and more."""
+    """Brightness under the camera's own lamp, seen head on, over that of a white Lambert surface (falls with cos^2):
+    reflective tape has 100 and more."""
     band_m: tuple[float, float] | None = None
-    """Only between these positions along the geom's z axis (a capsule's length) from its middle."""
+    """The cloth covers only the part between these positions along the geom's z axis (a capsule's length), measured
+    from its middle."""
 
 
 @dataclass(frozen=True)
 class Context:
-    """How a context image is made."""
+    """Settings of the context image."""
 
     rate_hz: float = 10.0
-    """How often."""
+    """Rate of refreshes."""
     step_px: int = 2
-    """One ray for so many pixels each way."""
+    """Distance of the rays in x and y [px]."""
     ambient: float = 0.01
     """Light of a white surface in even light, over the saturation capacity in one exposure."""
     lamp: float = 0.02
-    """What the camera's lamp at ``at_m`` adds to a white surface facing it, in the same unit."""
+    """Light that the camera's lamp adds to a white surface facing it at ``at_m``, in the same unit."""
     at_m: float = 3.0
-    """Distance of that brightness."""
+    """Distance at which the lamp has that brightness."""
     clothes: tuple[Cloth, ...] = ()
     """A later one covers an earlier one."""
 
@@ -89,7 +90,7 @@ class Context:
 
 @dataclass(frozen=True, eq=False)
 class ContextView:
-    """All that a camera's context images have in common: made once by ``context_view``."""
+    """Data that all context images of a camera share, made once by ``context_view``."""
 
     grid: RayGrid
     context: Context
@@ -98,9 +99,9 @@ class ContextView:
     geom: Array
     """(k,): ids of the geoms that are shown."""
     kind: Array
-    """(k,): their types as MuJoCo has them."""
+    """(k,): MuJoCo's types of these geoms."""
     size: Array
-    """(k, 3) as MuJoCo has it [m]."""
+    """(k, 3): MuJoCo's sizes of these geoms [m]."""
     bound: Array
     """(k,): radii of bounding spheres [m]."""
     covers: Covers
@@ -111,7 +112,7 @@ class ContextView:
 def context_view(
     scene: Scene, lens: TwinLens, width: int, height: int, context: Context, full_well_e: float
 ) -> ContextView:
-    """Return what the context images of ``scene`` through ``lens`` have in common.
+    """Return the data that all context images of ``scene`` through ``lens`` share.
 
     Raises InputError for a cloth that no geom wears.
     """
@@ -167,7 +168,7 @@ def context_image(view: ContextView, sampler: SceneSampler, time_s: float, rotat
 
 
 def enlarged(coarse: Array, step_px: int, width: int, height: int) -> Array:
-    """Return values at the middles of step x step pixels, float32, at every pixel (H, W): bilinear."""
+    """Return values at every pixel (H, W) float32, bilinear between those at the middles of step x step pixels."""
     rows, columns = coarse.shape
     if step_px == 1:
         return coarse
@@ -189,7 +190,7 @@ def refresh_pulse(pulse: int, frame_rate_hz: float, rate_hz: float) -> int:
 class Refreshed:
     """Values that are used until their next refresh, made once and shared by threads.
 
-    What is made must be a pure function of its key: which thread makes it, and whether again, then changes nothing.
+    A value must be a pure function of its key, so that it does not matter which thread makes it, nor how often.
     """
 
     def __init__(self, keep: int = 16) -> None:
@@ -198,7 +199,7 @@ class Refreshed:
         self._made: dict[Hashable, Future[Any]] = {}
 
     def get(self, key: Hashable, make: Callable[[], Any]) -> Any:
-        """Return the value of ``key``, by ``make()`` unless it is there or under way in another thread."""
+        """Return the value of ``key``; ``make()`` is called unless it exists or another thread is making it."""
         with self._lock:
             known = self._made.get(key)
             if known is None:

@@ -1,7 +1,8 @@
-"""Rays of a coarse grid of pixels against a scene's geoms: what each meets first, how far off, and how it faces.
+"""Rays of a coarse grid of pixels against a scene's geoms: the first geom met, its distance and its normal.
 
-Analytic against MuJoCo's primitives and planes, all in the camera frame with rays from its origin. Rays are culled
-by tiles: a tile of rays is a cone, a geom's bounding sphere is another, and only where the two meet is a ray cast.
+Intersections with MuJoCo's primitives and planes are analytic, in the camera frame with rays from its origin. Rays
+are culled by tiles: a tile of rays is a cone, the bounding sphere of a geom is another, and rays are cast only where
+the two cones meet.
 """
 
 import math
@@ -27,9 +28,9 @@ class RayGrid:
     """Rays through a grid of pixels."""
 
     width: int
-    """Of the image [px]."""
+    """Width of the image [px]."""
     height: int
-    """Of the image [px]."""
+    """Height of the image [px]."""
     step_px: int
     """Distance of the rays."""
     rays: Array
@@ -43,20 +44,20 @@ class RayGrid:
 
 @dataclass(frozen=True, eq=False)
 class Met:
-    """What each ray meets first, all of (rows, columns)."""
+    """First intersection of each ray, all (rows, columns)."""
 
     geom: Array
-    """Row of the geoms' arrays, or -1."""
+    """Row in the geoms' arrays, or -1."""
     distance: Array
-    """[m]."""
+    """Distance to it [m]."""
     normal: Array
     """(rows, columns, 3): unit normal, camera frame."""
     other: Array
-    """Whether the ray comes near a geom that only MuJoCo's own ray caster knows."""
+    """Whether the ray comes near a geom of a kind that only MuJoCo's own ray caster handles."""
 
 
 def ray_grid(lens: TwinLens, width: int, height: int, step_px: int) -> RayGrid:
-    """Return the lens's own rays through every ``step_px``-th pixel each way."""
+    """Return the lens's own rays through every ``step_px``-th pixel in x and y."""
     x = step_px * np.arange(-(-width // step_px)) + (step_px - 1) / 2
     y = step_px * np.arange(-(-height // step_px)) + (step_px - 1) / 2
     pixels = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
@@ -68,10 +69,10 @@ def ray_grid(lens: TwinLens, width: int, height: int, step_px: int) -> RayGrid:
 
 
 def cast(grid: RayGrid, kind: Array, size: Array, bound: Array, xyz: Array, rotation: Array) -> Met:
-    """Return what the rays meet of geoms at ``xyz`` (k, 3), ``rotation`` (k, 3, 3) geom -> camera frame.
+    """Return the first intersections of the rays with geoms at ``xyz`` (k, 3), ``rotation`` (k, 3, 3) geom -> camera.
 
-    ``kind`` (k,) and ``size`` (k, 3) as MuJoCo has them; ``bound`` (k,) radii of bounding spheres [m]. Planes
-    count from their front side, as far as their size goes (0: without end).
+    ``kind`` (k,) and ``size`` (k, 3): as in MuJoCo; ``bound`` (k,): radii of bounding spheres [m]. Planes are met
+    from their front side only, within their size (0: infinite).
     """
     return Met(*_cast(grid.rays, grid.tile_axis, grid.tile_angle, kind, size, bound, xyz, rotation))
 
@@ -212,12 +213,12 @@ def _normal(kind: int, size: Array, xyz: Array, rotation: Array, g: int, px: flo
 
 
 class Covers(NamedTuple):
-    """What covers the k geoms."""
+    """Reflectance and cloths of the k geoms."""
 
     base: Array
-    """(k,) their own reflectance."""
+    """(k,): reflectance of the geoms themselves."""
     wears: Array
-    """(k, c) which cloths lie on each; the last one that covers a point counts."""
+    """(k, c): whether a cloth lies on a geom; the last one that covers a point counts."""
     cloths: Array
     """(c, 4) reflectance, retroreflection, range (from, to) along the geom's z axis."""
 
@@ -241,7 +242,7 @@ def shade(
     covers: Covers,
     light: Illumination,
 ) -> Any:
-    """Return the light (rows, columns) float32 that a pixel gets of what its ray meets (``Met``).
+    """Return the light (rows, columns) float32 that a pixel gets from the surface that its ray meets (``Met``).
 
     ``xyz`` (k, 3) and ``rotation`` (k, 3, 3): poses of the geoms, camera frame.
     """

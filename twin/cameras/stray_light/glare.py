@@ -1,4 +1,4 @@
-"""Veiling glare: a share of all light on the image, scattered in the lens, lies over it as a wide haze."""
+"""Veiling glare: a share of all light on the image, which the lens scatters over it as a wide haze."""
 
 from dataclasses import dataclass
 
@@ -10,7 +10,7 @@ from mosca.data.arrays import Array
 from mosca.errors import InputError
 
 PART_PX = 8
-"""The haze is far wider than this: it is computed on parts of the image of about 8 x 8 px."""
+"""Approximate edge of the parts of the image on which the haze, which is far wider, is computed [px]."""
 
 
 @dataclass(frozen=True)
@@ -20,7 +20,7 @@ class Glare:
     share: float = 0.0
     """Share of the light on the image that returns as haze; 0.005 to 0.05 for real lenses."""
     sigma: float = 0.125
-    """Of its Gaussian, over the image's width."""
+    """Standard deviation of the haze's Gaussian, over the image's width."""
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.share < 1.0 or not 0.0 < self.sigma < np.inf:
@@ -34,7 +34,7 @@ def veil(light: Array, glare: Glare) -> Array:
     """Return the haze (h, w) float32 [electrons a pixel] of ``light`` (H, W) float32.
 
     Values are at the centres of h x w equal parts of the image, as ``Ambient.with_extra`` takes them. Haze beyond the
-    image is reflected at its borders, so that none is lost: the mean of the haze is share x the mean of the light.
+    image is reflected at the borders, so that none is lost: the mean of the haze is share x the mean of the light.
     """
     height, width = light.shape
     rows, columns = -(-height // PART_PX), -(-width // PART_PX)

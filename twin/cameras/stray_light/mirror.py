@@ -1,10 +1,10 @@
-"""Mirrors: what a camera sees of targets by way of a plane rectangle that reflects.
+"""Mirrors: images of targets in a reflecting plane rectangle.
 
 The image of a target in a plane mirror is a virtual target behind the mirror, seen through the rectangle as through a
-window; equivalently, it is the target seen by the camera's mirror image. Position, size and orientation of the image
+window. Equivalently, it is the target seen by the camera's mirror image. Position, size and orientation of the image
 are exact. Its visible share is estimated at mid-exposure from 19 lines of sight spread over its disc: a line counts
 if it passes the rectangle and is occluded neither before the mirror nor between mirror and target. That share scales
-the light of the whole image. One reflection only: no mirror in a mirror.
+the light of the whole image. Only one reflection is modelled: no mirror in a mirror.
 """
 
 import math
@@ -24,7 +24,7 @@ from twin.scenes.figure import LINE, Figure
 from twin.scenes.scene import UNSEEN_GROUP
 
 THICKNESS_M = 0.01
-"""What lies this near to a mirror's plane is the mirror's own solid and hides nothing."""
+"""Solids this near to a mirror's plane count as the mirror's own and hide nothing."""
 _RINGS = ((1, 0.0), (6, math.sqrt(4 / 19)), (12, math.sqrt(13 / 19)))
 _DISC = np.array(
     [
@@ -93,8 +93,8 @@ class SceneRays:
         self.groups[UNSEEN_GROUP] = 0
 
     def cast(self, origin: Array, directions: Array) -> tuple[Array, Array]:
-        """Return how far (n,) one sees from ``origin`` (3,) along unit ``directions`` (n, 3) [m], inf: without end;
-        and which geom (n,) ends it, or -1.
+        """Return the distances (n,) [m] at which rays from ``origin`` (3,) along unit ``directions`` (n, 3) meet a
+        geom (inf: none), and the geoms (n,) that they meet, or -1.
         """
         n = len(directions)
         met, far = np.full(n, -1, dtype=np.int32), np.zeros(n)
@@ -116,18 +116,18 @@ def mirrored(
     rays: SceneRays,
     figures: int = 0,
 ) -> TargetsInCamera:
-    """Return the mirror images that a camera sees, in its frame; those that it does not see at all are left out.
+    """Return the mirror images that a camera sees, in its frame; images that are wholly hidden are left out.
 
     ``position`` (K, 3), ``rotation`` (K, 3, 3) camera -> world at the window's nodes. Light that the camera itself
     has sent (to retroreflective targets) is reflected twice. A figure's image has the number of the figure plus
-    ``figures``, the number of figures: see ``with_mirrored``. The renderer must draw images without occluders:
-    their occlusion is judged here, and geoms behind the mirror do not occlude them.
+    ``figures``, the number of figures: see ``with_mirrored``. The renderer must draw images without occluders: their
+    occlusion is computed here, and geoms behind the mirror do not occlude them.
     """
     middle = len(position) // 2
     share = seen_share(mirror, targets, position[middle], rays)
     chosen = np.flatnonzero(share > 0.0)
     seen = some(targets, chosen)
-    # the light is what the camera's image would see; the image is what the camera sees of the flipped targets
+    # the camera's mirror image would receive this light; the camera sees the flipped targets
     eye, eye_rotation = mirror.image(position), mirror.flip @ rotation
     passes = np.where(seen.glows.kind == RETRO, 2, 1)
     through_image = in_camera(seen, signal_e, eye, eye_rotation, share[chosen] * mirror.reflectance**passes)
@@ -159,7 +159,7 @@ def seen_share(mirror: PlaneMirror, targets: TargetsInWorld, eye: Array, rays: S
     slack = THICKNESS_M * to_mirror / eye_height
     far, _met = rays.cast(eye, (at - eye) / to_mirror[:, None])
     free = far > to_mirror - slack
-    # the way on, as seen by the camera's image: what it meets behind the mirror is not in the way
+    # from the mirror to the target, as seen by the camera's image: geoms behind the mirror do not occlude
     to_end = np.linalg.norm(ends - image_eye, axis=1)
     way = (ends - image_eye) / to_end[:, None]
     far, met = rays.cast(image_eye, way)
@@ -178,7 +178,7 @@ def with_mirrored(figures: Sequence[Figure]) -> tuple[Figure, ...]:
 
 
 def _mirrored_figure(figure: Figure) -> Figure:
-    """Contours run backwards, so that the inside stays on their left."""
+    """Return a figure's mirror image; its contours run backwards, so that the inside stays on their left."""
     old = figure.pieces[::-1]
     new = old.copy()
     line = old[:, 0] == LINE
@@ -193,7 +193,7 @@ def _discs(targets: TargetsInWorld, chosen: Array, eye: Array) -> Array:
     """Return points (n, 19, 3) spread evenly over the discs that ``eye`` sees of the ``chosen`` targets."""
     middle = targets.path.shape[1] // 2
     centers, rotation = targets.path[chosen, middle], targets.rotation[chosen, middle]
-    # a ball's disc lies across the line of sight, a flat target's is its own
+    # a ball's disc is perpendicular to the line of sight; a flat target is its own disc
     towards = eye - centers
     aside = np.cross(towards, np.eye(3)[np.argmin(np.abs(towards), axis=1)])
     aside /= np.linalg.norm(aside, axis=1, keepdims=True)

@@ -1,8 +1,8 @@
-"""Surroundings: light on the images that no target of the scene sends straight to the camera.
+"""Surroundings: light on the images that does not come straight from a target of the scene.
 
 Ring lights of other cameras, shiny spots and mirror images are targets like others: bright bodies in front of the
-camera, integrated by the same renderer. They never enter the truth. What lies over the whole image, context and
-glare, is light on pixels (``context``, ``stray_glare``).
+camera, integrated by the same renderer. They never enter the truth. Context and glare, which cover the whole image,
+are light on pixels (``context_image``, ``glare``).
 """
 
 from dataclasses import dataclass, field
@@ -32,7 +32,7 @@ class Surroundings:
     """Stray light of a rig and its subject; the default is none."""
 
     context: Context | None = None
-    """Scene and body in the images."""
+    """Context image of scene and body; None: none."""
     ring_light: RingLight | None = None
     """Ring lights of the cameras, as the others see them."""
     spots: tuple[ShinySpot, ...] = ()
@@ -50,9 +50,9 @@ class Stray:
     """Stray light as targets."""
 
     direct: TargetsInCamera
-    """Occluded by the scene, which the renderer computes."""
+    """Targets for which the renderer computes the occlusion by the scene."""
     mirrored: TargetsInCamera
-    """To be rendered without occluders: the occlusion of mirror images is included."""
+    """Mirror images, to be rendered without occluders: their occlusion is included."""
 
 
 def stray_targets(
@@ -68,8 +68,8 @@ def stray_targets(
     """Return the stray light on camera number ``camera`` of ``rig_poses`` in one exposure.
 
     ``targets``: the scene's own, for the mirrors; ``signal_e``: electrons of a pixel covered by a marker; ``rays``:
-    the scene at mid-exposure; ``figures``: how many figures the scene has. In a mirror a camera sees its own ring
-    light too.
+    the scene at mid-exposure; ``figures``: the number of figures of the scene. In a mirror a camera also sees its
+    own ring light.
     """
     position, rotation = rig_poses.position[camera], rig_poses.rotation[camera]
     nodes = len(position)

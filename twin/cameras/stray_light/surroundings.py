@@ -19,13 +19,13 @@ from twin.cameras.stray_light.stray import Surroundings, stray_targets, unhidden
 from twin.cameras.stray_light.world import RigPoses, TargetsInWorld
 
 KEPT_PER_CAMERA = 4
-"""Context images that are kept for each camera: workers are a few frames apart."""
+"""Number of context images kept for each camera, since workers are a few frames apart."""
 
 
 class StrayLight:
     """Stray light in the cameras of ``sessions``; may be used by several threads at once.
 
-    Raises InputError for a cloth that nothing in the scene wears.
+    Raises InputError for a cloth whose pattern fits no geom of the scene.
     """
 
     def __init__(self, surroundings: Surroundings, sessions: tuple[CameraSession, ...]) -> None:
@@ -35,7 +35,7 @@ class StrayLight:
         printed = [scene.figures[name] for name in scene.marker_names if name in scene.figures]
         self._figure_count, self._figures = len(printed), Figures.of(with_mirrored(printed))
         occluders = self._subject.occluders
-        # numbers of stray targets are no markers' numbers: every geom may hide them
+        # the numbers of stray targets are not those of markers: every geom may hide them
         self._occluders = replace(occluders, marker=np.full_like(occluders.marker, -1))
         self._views: tuple[ContextView, ...] = ()
         if surroundings.context is not None:
@@ -78,7 +78,7 @@ class StrayLight:
         render(stray.mirrored, unhidden(nodes))
 
     def ambient(self, camera: int, exposed: ExposedScene, samples: SceneSamples, light: Array) -> Ambient:
-        """Return what the camera's pixels collect besides the targets' ``light`` (H, W) [electrons]."""
+        """Return the light that the camera's pixels collect besides the targets' ``light`` (H, W) [electrons]."""
         session = self._sessions[camera]
         ambient, total = session.ambient, light
         if self._given.context is not None:
@@ -122,7 +122,7 @@ class StrayLight:
         )
 
     def _rig_poses(self, camera: int, exposed: ExposedScene) -> RigPoses:
-        """Return where all cameras are while one exposes, and when their ring lights shine."""
+        """Return the poses of all cameras while one exposes, and the intervals in which their ring lights shine."""
         k = len(exposed.window.nodes_s)
         rotations, positions, lit = [], [], []
         for number, session in enumerate(self._sessions):
@@ -136,7 +136,7 @@ class StrayLight:
         return RigPoses(np.array(positions), np.array(rotations), np.array(lit))
 
     def _shining(self, session: CameraSession, exposed: ExposedScene) -> tuple[float, float]:
-        """Return when a camera's strobe is on while another exposes, in seconds from that one's opening."""
+        """Return when a camera's strobe is on while another one exposes, in seconds from the latter's opening."""
         if session.virtual.timing.strobe_s is None:
             return ALWAYS
         opens, closes = exposed.exposure.start_s, exposed.exposure.end_s

@@ -1,4 +1,4 @@
-"""What sends light to a camera, in the world: the scene's targets, other cameras' ring lights, shiny spots."""
+"""Light sources in the world frame: the scene's targets, other cameras' ring lights, shiny spots."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
@@ -22,11 +22,11 @@ class RingLight:
     """
 
     radius_m: float = 0.04
-    """Of the disc."""
+    """Radius of the disc."""
     strength: float = 20.0
-    """How much brighter than a marker it is, seen head on."""
+    """Brightness, seen head on, over that of a marker."""
     half_deg: float = 30.0
-    """Angle off its axis at which it is half as bright."""
+    """Angle off the disc's axis at which it is half as bright."""
 
     def __post_init__(self) -> None:
         _positive("ring light", radius_m=self.radius_m, strength=self.strength)
@@ -40,15 +40,15 @@ class ShinySpot:
     position_m: tuple[float, float, float]
     """Its centre."""
     radius_m: float
-    """Of the ball."""
+    """Radius of the ball."""
     strength: float
-    """How many times as bright as a marker."""
+    """Brightness over that of a marker."""
     facing: tuple[float, float, float] | None = None
     """(3,): direction from which it is brightest; None: the same from all sides."""
     half_deg: float = 20.0
     """Angle off ``facing`` at which it is half as bright."""
     at_m: float | None = None
-    """Distance of that brightness, which falls with its square; None: the same at all distances."""
+    """Distance at which it has that brightness, which falls with the distance squared; None: constant."""
 
     def __post_init__(self) -> None:
         at_m = {} if self.at_m is None else {"at_m": self.at_m}
@@ -69,13 +69,13 @@ class TargetsInWorld:
     radius: Array
     """(m,) [m]."""
     shape: Array
-    """(m,) as the renderer has it."""
+    """(m,): shape code of the renderer (BALL, FLAT or FIGURE)."""
     figure: Array
-    """(m,) as the renderer has it."""
+    """(m,): number of the figure in the renderer, or -1."""
     geom: Array
-    """(m,): the geom that each is, or -1."""
+    """(m,): id of each target's geom, or -1."""
     glows: GlowTable
-    """Of all."""
+    """Glows of all targets."""
     lit_s: Array
     """(m, 2): when each shines."""
 
@@ -105,7 +105,7 @@ def ring_lights(light: RingLight, heads: RigPoses, chosen: Sequence[int]) -> Tar
 
 
 def shiny_spots(spots: Sequence[ShinySpot], seen_from: Array, nodes: int) -> TargetsInWorld:
-    """Return the spots as a camera at ``seen_from`` (3,) sees them: those without a facing face it."""
+    """Return the spots for a camera at ``seen_from`` (3,): spots without a facing face the camera."""
     where = np.array([spot.position_m for spot in spots], dtype=float).reshape(-1, 3)
     facing = [
         seen_from - at if spot.facing is None else np.array(spot.facing)
@@ -122,7 +122,7 @@ def shiny_spots(spots: Sequence[ShinySpot], seen_from: Array, nodes: int) -> Tar
 def in_camera(
     targets: TargetsInWorld, signal_e: float, position: Array, rotation: Array, gain: Array | None = None
 ) -> TargetsInCamera:
-    """Return targets as a camera at ``position`` (K, 3), ``rotation`` (K, 3, 3) camera -> world, sees them.
+    """Return targets in the frame of a camera at ``position`` (K, 3), ``rotation`` (K, 3, 3) camera -> world.
 
     ``signal_e`` as in ``target_light``, evaluated at the middle node; ``gain`` (m,): factor on the electrons.
     """
@@ -159,7 +159,7 @@ def some(targets: TargetsInWorld, chosen: Array) -> TargetsInWorld:
 
 
 def joined(*parts: TargetsInCamera) -> TargetsInCamera:
-    """Return all targets in one, in order."""
+    """Return the targets of all parts as one, in order."""
     names = [f.name for f in fields(TargetsInCamera)]
     return TargetsInCamera(**{n: np.concatenate([getattr(p, n) for p in parts]) for n in names})
 
@@ -183,7 +183,7 @@ def _targets(
 
 @lru_cache(maxsize=64)
 def _lobed(glows: tuple[Glow, ...]) -> GlowTable:
-    """Return a table in which every lobe is about its target's facing, a ball's too."""
+    """Return a table in which every lobe is about its target's facing, also that of a ball."""
     return glow_table(glows, np.zeros(len(glows), dtype=bool))
 
 

@@ -9,7 +9,7 @@ from contract import Dataset, run, write_points
 
 
 def group(dataset: Dataset) -> Any:
-    """Return the cameras as aniposelib has them: OpenCV's five coefficients, rvec and tvec."""
+    """Return the cameras in aniposelib's form: OpenCV's five coefficients, rvec and tvec."""
     made = []
     for one, (matrix, coefficients, rotation, shift) in zip(dataset.cameras, dataset.matrices(), strict=True):
         made.append(
@@ -26,7 +26,7 @@ def group(dataset: Dataset) -> Any:
 
 
 def triangulate(dataset: Dataset, out: str, settings: dict[str, Any], matched: str) -> None:
-    """Write the points; (cameras, points, 2) goes in, as the README has it."""
+    """Write the points; the input has the shape (cameras, points, 2), as in the README."""
     frame, places = dataset.read_matched(matched)
     ask = getattr(group(dataset), settings["method"])
     given = ask(np.ascontiguousarray(places.transpose(1, 0, 2)), undistort=True)

@@ -1,4 +1,4 @@
-"""What all adapters share: the command line, the data set's files, the tables that go out. numpy alone.
+"""Parts that all adapters share: command line, files of the data set, output tables. It needs only numpy.
 
 An adapter is called as ``python ADAPTER.py PHASE DATASET OUT.csv SETTINGS.json [MATCHED.csv]``:
 
@@ -6,9 +6,9 @@ An adapter is called as ``python ADAPTER.py PHASE DATASET OUT.csv SETTINGS.json 
 - ``detect``: from images to OUT.csv with ``camera,frame,u,v`` [px], and ``var_u,cov_uv,var_v`` [px^2] where the
   entrant states the covariance of its image points;
 - ``triangulate``: from MATCHED.csv with ``frame,target,camera,u,v`` (the same target: the same marker), and those
-  covariances, to OUT.csv as of ``points``.
+  covariances, to OUT.csv as for ``points``.
 
-It writes what it finds; whatever goes wrong is an exception.
+It writes its results; any failure is an exception.
 """
 
 import csv
@@ -26,7 +26,7 @@ PLACE, COVARIANCE = ("u", "v"), ("var_u", "cov_uv", "var_v")
 
 
 class Dataset:
-    """A data set's folder: what an entrant may know."""
+    """A data set's folder: the data that an entrant may use."""
 
     def __init__(self, folder: str) -> None:
         self.folder = Path(folder)
@@ -47,7 +47,7 @@ class Dataset:
             yield int(path.stem), read(str(path))
 
     def prepared(self, camera: str, read: Read, background: str) -> Iterator[tuple[int, Arrays]]:
-        """Yield the images; with ``background`` "median" less the median of all images of the camera."""
+        """Yield the images; with ``background`` "median", minus the median of all images of the camera."""
         images = list(self.images(camera, read))
         if background == "median":
             still = np.median([image for _, image in images], axis=0).astype(np.int16)
@@ -57,7 +57,7 @@ class Dataset:
     def read_matched(self, path: str, names: Sequence[str] = PLACE) -> tuple[Arrays, Arrays]:
         """Return the frame (n,) and the columns ``names`` (n, cameras, k) of each target's images, NaN for none.
 
-        By default their places [px].
+        By default the columns are their positions [px].
         """
         found: dict[tuple[int, int], Arrays] = {}
         with open(path, newline="", encoding="utf-8") as file:
@@ -71,14 +71,15 @@ class Dataset:
 
 
 def projections(dataset: Dataset) -> list[Arrays]:
-    """Return R and t of each camera as a 3 x 4 matrix: for image places that are free of K and distortion."""
+    """Return R and t of each camera as a 3 x 4 matrix, for normalised image positions without distortion."""
     return [np.column_stack([rotation, shift]) for _, _, rotation, shift in dataset.matrices()]
 
 
 def linear(projection: Sequence[Arrays], places: Arrays) -> Arrays:
-    """Return the point (3,) of normalised places (cameras, 2), NaN where a camera has none.
+    """Return the point (3,) from normalised positions (cameras, 2), NaN where a camera has none.
 
-    Linear triangulation (DLT) by the singular vector of all cameras' equations (Hartley and Zisserman 2004, 12.2).
+    The method is linear triangulation (DLT) by the singular vector of all cameras' equations (Hartley and Zisserman
+    2004, 12.2).
     """
     rows = []
     for matrix, (x, y) in zip(projection, places, strict=True):
@@ -113,7 +114,7 @@ def _write(path: str, names: Sequence[str], rows: Iterator[tuple[Any, ...]]) -> 
 
 
 def run(phases: dict[str, Callable[..., None]]) -> None:
-    """Do what the command line says; exit code 2 for a phase that the adapter does not have."""
+    """Run the phase named on the command line; exit code 2 for a phase that the adapter does not have."""
     phase, folder, out, settings, *rest = sys.argv[1:]
     if phase not in phases:
         sys.exit(f"phase '{phase}': this entrant has {', '.join(phases)}")

@@ -1,6 +1,6 @@
-"""mosca with default settings: ``mosca.reconstruct``; with given correspondence its detections and triangulate.
+"""mosca with default settings: ``mosca.reconstruct``; with given correspondence, its detections and ``triangulate``.
 
-The covariances are those that its detections state, and that ``mosca.match`` and ``mosca.reconstruct`` weight with.
+The covariances are those stated by its detections, which ``mosca.match`` and ``mosca.reconstruct`` use as weights.
 """
 
 from collections.abc import Iterator

@@ -9,7 +9,7 @@ from contract import Dataset, linear, projections, run, write_detections, write_
 
 
 def blobs(settings: dict[str, Any], diameter_px: float) -> Any:
-    """Return the detector. Bright blobs of a fifth to four times the area that a marker has in the middle."""
+    """Return the detector of bright blobs of a fifth to four times the area of a marker in the middle."""
     wanted = cv2.SimpleBlobDetector.Params()
     wanted.minThreshold, wanted.thresholdStep = settings["threshold"], settings["step"]
     wanted.maxThreshold, wanted.minRepeatability = 255, settings["repeatability"]
@@ -21,7 +21,7 @@ def blobs(settings: dict[str, Any], diameter_px: float) -> Any:
 
 
 def found(dataset: Dataset, settings: dict[str, Any]) -> Iterator[tuple[str, int, float, float]]:
-    """Yield the blobs; the half pixel of the contours' moments is none: places are pixel centres."""
+    """Yield the blobs; no half pixel is added to the contours' moments, since positions refer to pixel centres."""
     detector = blobs(settings, dataset.about["marker_diameter_px"])
     zoom = settings["zoom"]
     for camera in dataset.names:

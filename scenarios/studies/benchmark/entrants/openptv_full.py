@@ -1,11 +1,11 @@
 """OpenPTV (``optv``): target recognition, epipolar correspondences and point positions, in millimetres.
 
-Its lens model counts distortion from the middle of the image and cannot hold OpenCV's; places are therefore freed
-of distortion first (Newton's method), and OpenPTV gets a pinhole camera. It takes four cameras at most: of more on a
-ring, four of which no two face each other, because its points are means over pairs of cameras, and a pair that sees a
-marker along nearly the same line gives none. Its epipolar lines run between two planes of constant z, so that a
-ray must cross those at an angle: the world is turned until z is as near to all lines of sight as can be. What lies
-outside the volume is left out.
+Its lens model measures distortion from the middle of the image and cannot express OpenCV's. Therefore distortion is
+removed from image positions first (Newton's method), and OpenPTV gets a pinhole camera. It takes at most four
+cameras. Of more cameras on a ring, four are used of which no two face each other: its points are means over pairs of
+cameras, and a pair that sees a marker along nearly the same line gives no point. Its epipolar lines run between two
+planes of constant z, so that a ray must cross these at an angle: the world is rotated until z is as near to all lines
+of sight as possible. Points outside the volume are left out.
 """
 
 from collections.abc import Iterator
@@ -27,14 +27,14 @@ MOST_CAMERAS = 4
 PITCH_MM = 0.01
 TRIED_AXES = 2000
 GLASS_MM = 10.0
-"""From the camera to the glass that OpenPTV's model has."""
+"""Distance from the camera to the glass in OpenPTV's model."""
 STEPS = 8
 PLACES = (0.0, 0.125, 0.375, 0.75)
-"""Of the four cameras on a ring of more, as shares of its list."""
+"""Positions of the four cameras in the list of a larger ring, as shares of its length."""
 
 
 def straightened(places: Any, matrix: Any, coefficients: Any) -> Any:
-    """Return places (n, 2) [px] as a camera without distortion has them."""
+    """Return image positions (n, 2) [px] of a camera without distortion."""
     k1, k2, p1, p2, k3 = coefficients
     goal = (places - (matrix[0, 2], matrix[1, 2])) / (matrix[0, 0], matrix[1, 1])
     at = goal.copy()
@@ -62,7 +62,9 @@ def straightened(places: Any, matrix: Any, coefficients: Any) -> Any:
 
 
 def turned(forward: list[Any]) -> Any:
-    """Return the rotation (3, 3) into a world whose z has the largest least angle to the planes across the sights."""
+    """Return the rotation (3, 3) into a world whose z has the largest least angle to the planes across the lines of
+    sight.
+    """
     looks = np.array(forward)
     k = np.arange(TRIED_AXES) + 0.5
     height, around = 1 - 2 * k / TRIED_AXES, np.pi * (1 + 5**0.5) * k
@@ -74,7 +76,7 @@ def turned(forward: list[Any]) -> Any:
 
 
 class OpenPTVRig:
-    """The cameras that OpenPTV gets, and its parameters."""
+    """The cameras for OpenPTV, and its parameters."""
 
     def __init__(self, dataset: Dataset, settings: dict[str, Any]) -> None:
         count = len(dataset.names)
@@ -105,7 +107,7 @@ class OpenPTVRig:
         self.volume.set_Zmax_lay((z1, z1))
 
     def _calibration(self, matrix: Any, _coefficients: Any, rotation: Any, shift: Any) -> Any:
-        # its camera looks along -z, with y up; one principal distance, so y is measured in units of fx (see flat)
+        # its camera looks along -z, with y up; it has one principal distance, so y is in units of fx (see flat)
         turn = rotation.T * (1.0, -1.0, -1.0)
         made = Calibration()
         made.set_pos(-rotation.T @ shift * 1000)
@@ -120,20 +122,20 @@ class OpenPTVRig:
         made.set_radial_distortion(np.zeros(3))
         made.set_decentering(np.zeros(2))
         made.set_affine_trans(np.array([1.0, 0.0]))
-        # a ray must cross the glass (here of air) at an angle: it stands upright just before the camera
+        # a ray must cross the glass (here of air) at an angle: the glass is upright just before the camera
         away = -rotation[2]
         made.set_glass_vec(away * (1000 * float(-rotation.T @ shift @ away) - GLASS_MM))
         return made
 
     def flat(self, camera: int, places: Any) -> Any:
-        """Return places (n, 2) [px] as OpenPTV's pinhole has them: corner of the image at 0, square pixels."""
+        """Return image positions (n, 2) [px] of OpenPTV's pinhole: corner of the image at 0, square pixels."""
         matrix, coefficients, _, _ = self.given[camera]
         xy = straightened(np.asarray(places, float).reshape(-1, 2), matrix, coefficients)
         xy[:, 1] = matrix[1, 2] + (xy[:, 1] - matrix[1, 2]) * matrix[0, 0] / matrix[1, 1]
         return xy + 0.5
 
     def positions(self, places: Any) -> Any:
-        """Return points (n, 3) [m] of flat places (n, cameras, 2), NaN where a camera has none."""
+        """Return points (n, 3) [m] from flat image positions (n, cameras, 2), NaN where a camera has none."""
         xyz = np.full((len(places), 3), np.nan)
         seen = np.isfinite(places[:, :, 0])
         for which in {tuple(row) for row in seen.tolist()}:
@@ -182,7 +184,7 @@ def detect(dataset: Dataset, out: str, settings: dict[str, Any]) -> None:
 
 
 def points(dataset: Dataset, out: str, settings: dict[str, Any]) -> None:
-    """Write the points of quadruplets, triplets and, where there are two cameras or settings say so, pairs."""
+    """Write the points of quadruplets, triplets and, with two cameras or by a setting, pairs."""
     rig = OpenPTVRig(dataset, settings)
     seen: dict[int, dict[str, list[tuple[float, float]]]] = {}
     for camera, frame, u, v in found(dataset, settings):

@@ -1,7 +1,7 @@
 """Pose2Sim: weighted linear triangulation of image points whose correspondence is known.
 
-As ``Pose2Sim.triangulation.triangulate_all`` does with ``undistort_points = true``: places through
-``cv2.undistortPoints`` onto an undistorted pinhole camera, then ``triangulation_from_best_cameras``, which leaves
+The steps are those of ``Pose2Sim.triangulation.triangulate_all`` with ``undistort_points = true``: image positions go
+through ``cv2.undistortPoints`` onto an undistorted pinhole camera, then ``triangulation_from_best_cameras`` leaves
 cameras out while the reprojection error is above its threshold. Every likelihood is 1.
 """
 

@@ -10,7 +10,7 @@ from opencv_dlt import triangulate
 
 
 def found(dataset: Dataset, settings: dict[str, Any]) -> Iterator[tuple[str, int, float, float]]:
-    """Yield the features: an odd diameter "a bit larger" than a marker's image, as trackpy's guide says.
+    """Yield the features: the diameter is odd and "a bit larger" than a marker's image, as in trackpy's guide.
 
     ``separation_scale`` 0: trackpy's own least separation, its diameter and 1 px, which loses markers side by side.
     """
@@ -23,7 +23,7 @@ def found(dataset: Dataset, settings: dict[str, Any]) -> Iterator[tuple[str, int
     for camera in dataset.names:
         read = lambda path: cv2.imread(path, cv2.IMREAD_GRAYSCALE)  # noqa: E731
         for frame, image in dataset.prepared(camera, read, settings["background"]):
-            # without pre-processing the black level would count as light
+            # without preprocessing the black level would count as light
             image = image if settings["preprocess"] else np.where(image > settings["threshold"], image, 0)
             features = trackpy.locate(
                 image, odd, minmass=settings["minmass_per_px"] * np.pi / 4 * dataset.about["marker_diameter_px"] ** 2,

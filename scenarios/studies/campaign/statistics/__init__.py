@@ -1,1 +1,1 @@
-"""Verdicts from numbers that come one by one, with error rates that hold however often they are looked at."""
+"""Sequential verdicts from numbers that come one by one, with error rates that hold for any number of looks."""

@@ -1,9 +1,9 @@
 """Boundaries of a group-sequential test, and tail probabilities in the stagewise ordering.
 
 Looks are fixed before the first run. The error rate is spent over them by a function of the share of the runs
-(Lan and DeMets 1983, Biometrika 70:659), here a power of it (Kim and DeMets 1987, Biometrika 74:149). Probabilities
-come from the recursion of Armitage, McPherson and Rowe (1969, J. R. Stat. Soc. A 132:235) over a Brownian motion seen
-at the looks.
+(Lan and DeMets 1983, Biometrika 70:659), here a power of that share (Kim and DeMets 1987, Biometrika 74:149).
+Probabilities come from the recursion of Armitage, McPherson and Rowe (1969, J. R. Stat. Soc. A 132:235) over a
+Brownian motion observed at the looks.
 """
 
 from collections.abc import Callable, Sequence
@@ -17,28 +17,28 @@ from scipy.special import ndtr
 from mosca.data.arrays import Array
 
 POWER_OF_MEANS = 3.0
-"""Of the share of the runs, in the spending. 1 spends evenly and has more false verdicts at early looks, where few
-values stand for the tails of a distribution: ``tests/studies/claims.py`` measures 1, 2 and 3."""
+"""Power of the share of the runs in the spending function. 1 spends evenly and has more false verdicts at early
+looks, where few values represent the tails of a distribution: ``tests/studies/claims.py`` measures 1, 2 and 3."""
 POWER_OF_SHARES = 1.0
-"""Evenly: binomial probabilities are exact at each look, and good rigs are known early."""
+"""Even spending: binomial probabilities are exact at each look, and good rigs are known early."""
 NODES = 64
-"""Of the quadrature between two boundaries: tests hold the tails against a multivariate normal integral."""
+"""Nodes of the quadrature between two boundaries: tests compare the tails with a multivariate normal integral."""
 FAR = 8.0
-"""Standard deviations beyond which a normal density is 0 here (1e-15)."""
+"""Standard deviations beyond which a normal density is taken as 0 (1e-15)."""
 
 
 @dataclass(frozen=True)
 class Looks:
-    """When a campaign is looked at, and what a false verdict may cost."""
+    """Looks of a campaign, and the error rate of its verdict."""
 
     at: tuple[int, ...]
-    """Numbers of runs, ascending; the last one is the most that are made."""
+    """Numbers of runs, ascending; the last one is the largest number that is made."""
     error: float
     """Largest probability of a false verdict, both directions together."""
 
     @property
     def shares(self) -> tuple[float, ...]:
-        """Each look's share of the most runs."""
+        """Share of the largest number of runs at each look."""
         return tuple(n / self.at[-1] for n in self.at)
 
     def spent(self, power: float) -> tuple[float, ...]:
@@ -57,14 +57,14 @@ def default_looks(most: int, first: int = 40, ratio: float = 1.5) -> tuple[int, 
 
 @cache
 def normal_boundaries(looks: Looks, power: float = POWER_OF_MEANS) -> tuple[float, ...]:
-    """Return the z at each look beyond which, up or down, there is a verdict."""
+    """Return the |z| at each look beyond which there is a verdict."""
     found: list[float] = []
     walk = Walk(looks.shares)
     before = 0.0
     for spent in looks.spent(power):
         tail = walk.next_tail()
         step = spent - before
-        # beyond FAR there is no tail left that could be spent
+        # beyond FAR no tail is left to spend
         edge = brentq(lambda z, t=tail, s=step: t(z) - s, 0.0, FAR) if tail(FAR) < step else FAR
         found.append(float(edge))
         walk.go_on(-edge, edge)
@@ -73,7 +73,7 @@ def normal_boundaries(looks: Looks, power: float = POWER_OF_MEANS) -> tuple[floa
 
 
 class Walk:
-    """A standard Brownian motion seen at ``times`` (k,), as long as it stays between boundaries in z."""
+    """A standard Brownian motion observed at ``times`` (k,), as long as it stays between boundaries in z."""
 
     def __init__(self, times: Sequence[float]) -> None:
         self._times = tuple(times)
@@ -82,13 +82,13 @@ class Walk:
         self._masses: Array = np.ones(1)
 
     def next_tail(self) -> Callable[[float], float]:
-        """Return z -> probability to be still inside before the next look and above z at it."""
+        """Return z -> probability of being inside until the next look and above z at it."""
         time, step = self._next()
         places, masses = self._places, self._masses
         return lambda z: float(masses @ ndtr((places - z * np.sqrt(time)) / np.sqrt(step)))
 
     def go_on(self, low: float, high: float) -> None:
-        """Keep of the next look what lies between ``low`` and ``high`` [z]."""
+        """Advance to the next look, and keep the part between ``low`` and ``high`` [z]."""
         time, step = self._next()
         width = FAR * np.sqrt(time)
         ends = np.clip(np.array([low, high]) * np.sqrt(time), -width, width)
@@ -111,10 +111,10 @@ def _quadrature() -> tuple[Array, Array]:
 
 
 def upper_tail(times: Sequence[float], low: Sequence[float], high: Sequence[float], z: float) -> float:
-    """Return the probability of what lies above z at the last of ``times``, in the stagewise ordering.
+    """Return the probability of results above z at the last of ``times``, in the stagewise ordering.
 
-    Above are all that crossed ``high`` (k - 1,) [z] at an earlier look, and of those that stayed above ``low`` and
-    below ``high`` until then, those beyond z (Tsiatis, Rosner and Mehta 1984, Biometrics 40:797).
+    Above are all paths that crossed ``high`` (k - 1,) [z] at an earlier look, and those that stayed between ``low``
+    and ``high`` until then and are beyond z (Tsiatis, Rosner and Mehta 1984, Biometrics 40:797).
     """
     walk = Walk(times)
     crossed = 0.0

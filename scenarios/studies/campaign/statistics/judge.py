@@ -1,4 +1,4 @@
-"""The verdict on a question, whatever its statistic."""
+"""The verdict on a question, for any statistic."""
 
 from collections.abc import Sequence
 
@@ -11,6 +11,6 @@ from scenarios.studies.campaign.statistics.shares import judge_share
 def judge(question: Question, values: Sequence[float | None], looks: Looks) -> Judgement:
     """Return the verdict on ``question`` from the runs' ``values`` so far, in the order of the runs.
 
-    None stands for a run that failed. The error rate of ``looks`` holds over all of them together.
+    None stands for a failed run. The error rate of ``looks`` holds over all of them together.
     """
     return (judge_share if question.statistic == "quantile" else judge_mean)(question, values, looks)

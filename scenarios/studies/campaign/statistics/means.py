@@ -1,4 +1,4 @@
-"""Sequential verdicts on means: Student's statistic, freed of skewness, against group-sequential boundaries.
+"""Sequential verdicts on means: Student's statistic, corrected for skewness, against group-sequential boundaries.
 
 Errors are skewed: the mean and the deviation of few values are then correlated, and Student's interval misses large
 means too often. Hall's transformation (1992, J. R. Stat. Soc. B 54:221) removes the skewness by a monotone cubic.
@@ -17,16 +17,16 @@ from scenarios.studies.campaign.statistics.boundaries import FAR, Looks, normal_
 from scenarios.studies.campaign.statistics.questions import Judgement, LookResult, Question, Verdict
 
 SMALL = 1e-9
-"""A skewness below which the cubic is a straight line."""
+"""Skewness below which the cubic is taken as a straight line."""
 FARTHEST = 1e4
-"""Standard deviations of a mean beyond which no end of its interval is looked for."""
+"""Standard deviations of a mean within which the ends of its interval are searched."""
 NEAR_SAME = 1e-12
-"""Deviation over mean below which values are all the same: their last digits are rounding."""
+"""Deviation over mean below which values count as equal: their last digits differ by rounding."""
 
 
 @dataclass(frozen=True)
 class Moments:
-    """Of the values at one look."""
+    """Moments of the values at one look."""
 
     n: int
     mean: float
@@ -37,9 +37,9 @@ class Moments:
     def of(cls, values: Array, positive: bool = False) -> "Moments":
         """Return the moments of ``values`` (n,); deviation and skewness with their small-sample corrections.
 
-        Few values show too little of their skewness: the rare large one is not among them. ``positive``: they cannot
-        be below 0, as squares; then the skewness is at least that of a lognormal distribution of the same relative
-        deviation v, 3 v + v^3 (a chi-square one has 2 v).
+        The skewness of few values is too small, since the rare large value is not among them. ``positive``: the
+        values cannot be below 0, like squares; then the skewness is at least that of a lognormal distribution of the
+        same relative deviation v, 3 v + v^3 (a chi-square distribution has 2 v).
         """
         n = len(values)
         if n < 3:
@@ -59,18 +59,18 @@ class Moments:
         return self.deviation / float(np.sqrt(self.n))
 
     def z(self, value: float) -> float:
-        """Return how far the mean lies above ``value``, as a standard normal deviate."""
+        """Return the distance of the mean above ``value`` as a standard normal deviate."""
         return self.z_of((self.mean - value) / self.sigma)
 
     def z_of(self, student: float) -> float:
-        """Return the normal deviate of Student's statistic: without its skewness, then of the same tail."""
+        """Return the normal deviate for Student's statistic: skewness removed, then the one of the same tail."""
         u = self._bend()
         free = ((1 + u * student) ** 3 - 1) / (3 * u) + self.skewness / (6 * np.sqrt(self.n))
         z = float(np.sign(free) * -ndtri(stdtr(self.n - 1, -abs(free))))
         return min(max(z, -FAR), FAR)
 
     def student_of(self, z: float) -> float:
-        """Return Student's statistic whose normal deviate is ``z``."""
+        """Return the Student's statistic whose normal deviate is ``z``."""
         free = float(np.sign(z) * -stdtrit(self.n - 1, ndtr(-abs(z))))
         u = self._bend()
         cube = 1 + 3 * u * (free - self.skewness / (6 * np.sqrt(self.n)))
@@ -82,11 +82,11 @@ class Moments:
 
 
 def judge_mean(question: Question, values: Sequence[float | None], looks: Looks) -> Judgement:
-    """Return the verdict on the mean, or the root mean square, of the values so far; None: a run that failed.
+    """Return the verdict on the mean, or the root mean square, of the values so far; None: a failed run.
 
-    A run that failed has no value that could be averaged: where more than ``failed_share`` of the most runs failed
-    the claim is not kept, and while more than this share of the runs so far did there is no verdict that it is.
-    Looks are taken in order until there is a verdict; values beyond that look are not used.
+    A failed run has no value for the mean. Where more than ``failed_share`` of the largest number of runs failed, the
+    claim is not kept. While more than this share of the runs so far failed, there is no verdict that the claim is
+    kept. Looks are taken in order until there is a verdict; values beyond that look are not used.
     """
     limit = question.limit**2 if question.statistic == "rms" else question.limit
     edges = normal_boundaries(looks)
@@ -104,7 +104,7 @@ def judge_mean(question: Question, values: Sequence[float | None], looks: Looks)
 
 
 def _moments(question: Question, values: Sequence[float | None]) -> tuple[Moments, int]:
-    """Return the moments of the values, or of their squares, and the number of runs that failed."""
+    """Return the moments of the values, or of their squares, and the number of failed runs."""
     known = np.array([value for value in values if value is not None], float)
     moments = Moments.of(known**2, positive=True) if question.statistic == "rms" else Moments.of(known)
     return moments, len(values) - len(known)
@@ -118,14 +118,14 @@ def _shown(question: Question, x: float) -> float | None:
 
 
 def _at_look(question: Question, limit: float, m: Moments, edge: float, before: Judgement) -> Judgement:
-    """Return what is known at the next look, whose boundary is ``edge`` [z], without the interval."""
+    """Return the judgement at the next look, whose boundary is ``edge`` [z], without the interval."""
     if not m.deviation > 0:
         same = "fewer than 3 runs gave a value" if m.n < 3 else f"all {m.n} runs gave the same value"
         estimate = None if m.n == 0 else _shown(question, m.mean)
         note = f"{same}: nothing is known of the spread; claim a quantile, or vary something"
         look = LookResult(before.runs, estimate, None, None)
         return replace(before, estimate=estimate, guard_band=None, looks=(*before.looks, look), note=note)
-    # estimates at which there would have been a verdict
+    # estimates at which there would be a verdict
     below, above = (_shown(question, limit + m.student_of(one) * m.sigma) for one in (-edge, edge))
     good, bad = (below, above) if question.upper else (above, below)
     z = m.z(limit)
@@ -145,7 +145,7 @@ def _at_look(question: Question, limit: float, m: Moments, edge: float, before: 
 
 
 def _with_failures(found: Judgement, question: Question, looks: Looks) -> Judgement:
-    """Return the verdict as the runs that failed leave it."""
+    """Return the verdict after the failed runs are taken into account."""
     if found.failed > question.failed_share * looks.at[-1]:
         note = f"{found.failed} of {found.runs} runs failed; allowed are {question.failed_share:g} of {looks.at[-1]}"
         return replace(found, verdict="not conforming", done=True, note=note)
@@ -170,9 +170,9 @@ def _with_interval(
 def interval(taken: Sequence[Moments], limit: float, looks: Looks) -> tuple[float, float]:
     """Return the confidence interval of the mean after the looks ``taken``, at 1 minus the error rate.
 
-    It holds the means that are no surprise in the stagewise ordering, given that no earlier look had a verdict on
-    ``limit``; it excludes the limit if and only if the last look has one. Where a mean other than the limit is true,
-    the boundaries of earlier looks lie elsewhere for its own statistic: by the deviations that these looks saw.
+    It contains the means that are not rejected in the stagewise ordering, given that no earlier look had a verdict on
+    ``limit``; it excludes the limit if and only if the last look has a verdict. For a true mean other than the limit,
+    the boundaries of earlier looks are shifted for its own statistic, by the deviations observed at these looks.
     """
     *earlier, m = taken
     edges = normal_boundaries(looks)
@@ -181,7 +181,7 @@ def interval(taken: Sequence[Moments], limit: float, looks: Looks) -> tuple[floa
     bounds = [[then.student_of(one) for one in (-edge, edge)] for then, edge in zip(earlier, edges, strict=False)]
 
     def surprise(mean: float, sign: int) -> float:
-        """Return the probability of what is found, or more (sign 1) or less (-1), where ``mean`` is true."""
+        """Return the probability of the found value or more (sign 1) or less (-1) if ``mean`` is true."""
         ends = [
             sorted(sign * then.z_of(one + (limit - mean) / then.sigma) for one in both)
             for then, both in zip(earlier, bounds, strict=True)

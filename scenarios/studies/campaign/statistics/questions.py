@@ -1,4 +1,4 @@
-"""What is asked of a series of runs, and what is found."""
+"""Questions on a series of runs, and the judgements on them."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -13,17 +13,17 @@ class Question:
 
     statistic: Statistic
     limit: float
-    """In the values' unit."""
+    """Limit in the values' unit."""
     upper: bool = True
     """Whether the limit is the largest value allowed; else the smallest."""
     quantile: float = 0.95
-    """Of "quantile": the share of the runs that must keep the limit, each by itself."""
+    """For "quantile": share of the runs that must keep the limit, each by itself."""
 
     failed_share: float = 0.0
-    """Of a mean: the share of the runs that may fail; the mean is that of the others."""
+    """For a mean: share of the runs that may fail; the mean is that of the others."""
 
     def keeps(self, value: float | None) -> bool:
-        """Return whether one run keeps the limit; one that failed (None) does not."""
+        """Return whether one run keeps the limit; a failed run (None) does not."""
         if value is None:
             return False
         return value <= self.limit if self.upper else value >= self.limit
@@ -31,35 +31,35 @@ class Question:
 
 @dataclass(frozen=True)
 class LookResult:
-    """What was known at one look."""
+    """Result at one look."""
 
     runs: int
     estimate: float | None
     conforming: float | None
-    """Estimates on the good side of this one were conforming; None where none would have been."""
+    """Estimates on the good side of this value are conforming; None where none would be."""
     broken: float | None
-    """Estimates on the bad side of this one were not."""
+    """Estimates on the bad side of this value are not conforming."""
 
 
 @dataclass(frozen=True)
 class Judgement:
-    """The verdict on one question and what it rests on."""
+    """The verdict on one question, with the data for it."""
 
     verdict: Verdict
     done: bool
     """Whether more runs change nothing: there is a verdict, or all looks were taken."""
     runs: int
-    """At the last look taken."""
+    """Number of runs at the last look taken."""
     failed: int
-    """Of these, runs without a value."""
+    """Number of these runs without a value."""
     estimate: float | None
-    """Of "quantile" the share of runs that keep the limit."""
+    """The estimate; for "quantile" the share of runs that keep the limit."""
     low: float | None
     high: float | None
-    """Confidence interval of what is estimated, at 1 minus the error rate; None where there is none."""
+    """Confidence interval (``low``, ``high``) of the estimated value, at 1 minus the error rate; None where none."""
     target: float
-    """What the estimate is held against: the limit, of "quantile" the wanted share."""
+    """Value with which the estimate is compared: the limit, for "quantile" the required share."""
     guard_band: float | None
-    """By how much an estimate must be better than the target to be conforming, at the last look (JCGM 106, 8.3)."""
+    """Margin by which an estimate must beat the target to be conforming, at the last look (JCGM 106, 8.3)."""
     looks: tuple[LookResult, ...]
     note: str = ""

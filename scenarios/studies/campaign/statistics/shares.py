@@ -1,6 +1,6 @@
 """Sequential verdicts on shares of runs: exact binomial probabilities, no approximation and no distribution assumed.
 
-A quantile of the runs' values keeps a limit where at least so large a share of the runs does.
+A quantile of the runs' values keeps a limit where at least that share of the runs keeps it.
 """
 
 from collections.abc import Callable, Sequence
@@ -20,8 +20,8 @@ from scenarios.studies.campaign.statistics.questions import Judgement, LookResul
 def count_boundaries(looks: Looks, share: float) -> tuple[tuple[int, int], ...]:
     """Return for each look (low, high): verdicts are at ``low`` good runs or fewer and ``high`` or more.
 
-    The smallest distance whose probability, where exactly ``share`` of all runs are good, is within what is spent.
-    -1 and n + 1 where no count has a verdict.
+    They are the closest counts whose probability, if exactly ``share`` of all runs are good, is within the error rate
+    spent. -1 and n + 1 where no count has a verdict.
     """
     found: list[tuple[int, int]] = []
     inside = _Counts(share)
@@ -39,7 +39,7 @@ def count_boundaries(looks: Looks, share: float) -> tuple[tuple[int, int], ...]:
 
 
 class _Counts:
-    """The number of good runs, as long as it stays between boundaries, where a ``share`` of all runs is good."""
+    """Distribution of the number of good runs between boundaries, if a ``share`` of all runs is good."""
 
     def __init__(self, share: float) -> None:
         self._share = share
@@ -61,10 +61,10 @@ class _Counts:
 
 
 def tail(share: float, looks: Looks, edges: Sequence[tuple[int, int]], good: int, above: bool) -> float:
-    """Return the probability of ``good`` runs at the look after ``edges``, or of what lies beyond in the ordering.
+    """Return the probability of ``good`` runs at the look after ``edges``, or of results beyond in the ordering.
 
-    Beyond, ``above``: more at this look, or a crossing of the upper boundary at an earlier one; else the mirror
-    image. ``share``: of all runs that are good.
+    With ``above``, beyond are more good runs at this look, or a crossing of the upper boundary at an earlier look;
+    else the mirror image. ``share``: share of all runs that are good.
     """
     inside = _Counts(share)
     crossed = 0.0
@@ -77,7 +77,7 @@ def tail(share: float, looks: Looks, edges: Sequence[tuple[int, int]], good: int
 
 
 def judge_share(question: Question, values: Sequence[float | None], looks: Looks) -> Judgement:
-    """Return the verdict on the share of runs that keep the limit, so far; a run that failed (None) does not.
+    """Return the verdict on the share of runs that keep the limit, so far; a failed run (None) does not.
 
     Looks are taken in order until there is a verdict; values beyond that look are not used.
     """
@@ -112,8 +112,8 @@ def judge_share(question: Question, values: Sequence[float | None], looks: Looks
 def share_interval(looks: Looks, edges: Sequence[tuple[int, int]], good: int) -> tuple[float, float]:
     """Return the exact interval of the share, at 1 minus the error rate, in the stagewise ordering.
 
-    At the first look it is that of Clopper and Pearson (1934, Biometrika 26:404); later ones are Jennison and
-    Turnbull's (1983, Technometrics 25:49).
+    At the first look it is the interval of Clopper and Pearson (1934, Biometrika 26:404), at later looks that of
+    Jennison and Turnbull (1983, Technometrics 25:49).
     """
     half = 0.5 * looks.error
     low = _root(lambda p: tail(p, looks, edges, good, True) - half)
@@ -122,7 +122,7 @@ def share_interval(looks: Looks, edges: Sequence[tuple[int, int]], good: int) ->
 
 
 def _root(rising: Callable[[float], float]) -> float:
-    """Return where a rising function of a share is 0; an end where it is so nowhere."""
+    """Return the root of a rising function of a share; an end where there is none."""
     if rising(0.0) >= 0:
         return 0.0
     if rising(1.0) <= 0:
