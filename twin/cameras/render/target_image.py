@@ -155,9 +155,9 @@ def _row_instant(
     """Instant when the row ``shift`` below a moving target opens, plus ``late``; ``instant``, ``row``: guesses."""
     weights = np.empty(nodes.shape[0])
     t = instant
-    for _ in range(60):
+    for _ in range(ROW_ITERATIONS):
         before = t
-        t = min(max(row, -0.2 * height), 1.2 * height) * row_time + late
+        t = min(max(row, -BEYOND_IMAGE * height), (1.0 + BEYOND_IMAGE) * height) * row_time + late
         if abs(t - before) < 1e-9 * row_time:
             break
         lagrange_weights(nodes, min(max(t, nodes[0]), nodes[nodes.shape[0] - 1]), weights)
