@@ -1,7 +1,8 @@
 """Kernels of the lens models, one pair each: light's direction to a position in the image, and back.
 
 Written from the optics side; the pipeline has its own. ``project_...`` and ``_land_...`` give (u, v), their slopes
-and whether the lens images the light; ``direction_...`` and ``_from_...`` give a direction, NaN where the pixel gets no light.
+and whether the lens images the light; ``direction_...`` and ``_from_...`` give a direction, NaN where the pixel gets
+no light.
 """
 
 import math
