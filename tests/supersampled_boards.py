@@ -5,7 +5,7 @@ averaged; each part's own average is exact for straight edges.
 """
 
 import numpy as np
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import gaussian_filter1d
 
 PARTS = 16
 BLACK, WHITE = 30.0, 200.0
@@ -22,26 +22,31 @@ def pose(square_px, slant, lean, roll, centre, distance=1500.0):
     return camera @ np.column_stack([turn[:, 0], turn[:, 1], [0, 0, distance / square_px]])
 
 
+def averaged(pattern, blur_px):
+    """Blur parts (rows, columns) along their columns, and average those of each pixel's row."""
+    if blur_px > 0:
+        pattern = gaussian_filter1d(pattern, blur_px * PARTS, axis=0, truncate=5)
+    return pattern.reshape(-1, PARTS, pattern.shape[1]).mean(axis=1)
+
+
 def drawn(homography, squares, size, blur_px, radial=0.0):
     """Return the noise-free image (H, W) [DN] of ``squares`` (columns, rows) in a white surrounding.
 
     ``radial`` [px^-2]: straight lines' images are at ``x (1 + radial |x|^2)``, x from the image's middle.
     """
-    x, y = (np.arange(n * PARTS) / PARTS + 0.5 / PARTS - 0.5 for n in size)
-    x, y = np.meshgrid(x - (size[0] - 1) / 2, y - (size[1] - 1) / 2)
-    away = 1 + radial * (x**2 + y**2)
-    pixel = np.stack([x * away + (size[0] - 1) / 2, y * away + (size[1] - 1) / 2, np.ones_like(x)])
-    at = np.tensordot(np.linalg.inv(homography), pixel, 1)
+    middle = (np.array(size) - 1) / 2
+    x, y = (np.arange(n * PARTS) / PARTS + 0.5 / PARTS - 0.5 - m for n, m in zip(size, middle, strict=True))
+    y = y[:, None]
+    away = 1 + radial * (x**2 + y**2) if radial else 1.0
+    x, y = x * away + middle[0], y * away + middle[1]
+    at = [row[0] * x + row[1] * y + row[2] for row in np.linalg.inv(homography)]
     pattern, inside = 1.0, True
-    for t, n in zip(at[:2] / at[2], squares, strict=True):
+    for t, n in zip((at[0] / at[2], at[1] / at[2]), squares, strict=True):
         line = np.rint(t - n / 2)
         distance = (t - n / 2 - line) / np.hypot(*np.gradient(t))  # in parts
-        pattern = pattern * (1 - 2 * (line.astype(int) % 2)) * np.clip(2 * distance, -1, 1)
+        pattern = pattern * (1 - 2 * (line % 2)) * np.clip(2 * distance, -1, 1)
         inside = inside & (np.abs(t) < n / 2)
-    pattern = np.where(inside, pattern, 1.0)
-    if blur_px > 0:
-        pattern = gaussian_filter(pattern, blur_px * PARTS, truncate=5)
-    pattern = pattern.reshape(size[1], PARTS, size[0], PARTS).mean(axis=(1, 3))
+    pattern = averaged(averaged(np.where(inside, pattern, 1.0), blur_px).T, blur_px).T
     return 0.5 * (WHITE + BLACK) + 0.5 * (WHITE - BLACK) * pattern
 
 

@@ -3,6 +3,7 @@
 No stand-in for those systems; it shows that nothing on that way imports or calls what they do not have.
 """
 
+import json
 import os
 import shutil
 import subprocess
@@ -107,9 +108,9 @@ def without_shm(tmp_path):
     if shutil.which("unshare") is None or subprocess.run([*words, "true"], capture_output=True).returncode:
         pytest.skip("mount namespaces are not allowed here")
 
-    def run(*command):
+    def run(*command, given=""):
         return subprocess.run(
-            [*words, sys.executable, *command],
+            [*words, sys.executable, *command], input=given,
             env={**os.environ, "PYTHONPATH": str(ROOT)}, cwd=tmp_path, capture_output=True, text=True, check=False,
         )  # fmt: skip
 
@@ -123,18 +124,37 @@ def test_there_is_no_shm_there(without_shm):
     assert "FileNotFoundError" in done.stderr
 
 
-def test_from_scene_to_score_and_from_frames_to_tracks_without_shm(without_shm, tmp_path):
-    scenario = write_tiny(tmp_path)
-    done = without_shm("-m", "scenarios.cli.main", "run", str(scenario), "--record", "take", "--out", "run")
-    assert "tiny: every limit is met" in done.stdout, done.stdout + done.stderr
-    done = without_shm(
-        "-m", "scenarios.cli.main", "reconstruct", "take", "--rig", "take/rig.toml", "--out", "take.csv"
-    )
-    assert (tmp_path / "take.csv").exists(), done.stdout + done.stderr
+RUN_EACH = """
+import contextlib, io, json, sys
+from scenarios.cli.main import main
+
+for line in json.load(sys.stdin):
+    code, out, errors = 0, io.StringIO(), io.StringIO()
+    sys.argv = ["mosca", *line]
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(errors):
+        try:
+            main()
+        except SystemExit as ended:
+            code = ended.code
+    print(json.dumps([code, out.getvalue(), errors.getvalue()]))
+"""
+"""Runs command lines, one after the other: a process spends seconds on imports and on loading kernels."""
 
 
-def test_verbs_that_need_processes_say_what_is_missing(without_shm, tmp_path):
-    done = without_shm("-m", "scenarios.cli.main", "suite", str(write_tiny(tmp_path)), "--tier", "full")
-    assert done.returncode == 2
-    assert done.stderr.startswith("mosca: processes beside each other need locks, and this system gives none")
-    assert "\n" not in done.stderr.strip()
+def test_from_scene_to_score_from_frames_to_tracks_and_what_is_missing_for_processes(without_shm, tmp_path):
+    tiny = str(write_tiny(tmp_path))
+    lines = [
+        ["suite", tiny, "--tier", "full"],
+        ["run", tiny, "--record", "take", "--out", "run"],
+        ["reconstruct", "take", "--rig", "take/rig.toml", "--out", "take.csv"],
+    ]
+    done = without_shm("-c", RUN_EACH, given=json.dumps(lines))
+    assert done.returncode == 0, done.stderr
+    (suite, _, told), (run, out, errors), (reconstruct, *rest) = map(json.loads, done.stdout.splitlines())
+    assert suite == 2
+    assert told.startswith("mosca: processes beside each other need locks, and this system gives none")
+    assert "\n" not in told.strip()
+    assert run == 0
+    assert "tiny: every limit is met" in out, out + errors
+    assert reconstruct == 0, rest
+    assert (tmp_path / "take.csv").exists(), rest

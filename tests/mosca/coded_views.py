@@ -50,10 +50,28 @@ class View:
 
 def printed(bits: tuple[bool, ...], x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """What is white (1), black (0) or no plate (nan) at plate coordinates in radii of the dot, y up."""
-    radius, angle = np.hypot(x, y), np.arctan2(y, x) % (2 * np.pi)
-    sector = np.minimum((angle / (2 * np.pi / 20)).astype(int), 19)
-    white = (radius < 1) | ((radius > 2) & (radius < 3) & np.array(bits)[sector])
-    return np.where(np.maximum(np.abs(x), np.abs(y)) <= 4, white.astype(float), np.nan)
+    radius2 = x * x + y * y
+    white = (radius2 < 1).astype(float)
+    ring = (radius2 > 4) & (radius2 < 9)
+    angle = np.arctan2(y[ring], x[ring]) % (2 * np.pi)
+    white[ring] = np.array(bits)[np.minimum((angle / (2 * np.pi / 20)).astype(int), 19)]
+    white[(np.abs(x) > 4) | (np.abs(y) > 4)] = np.nan
+    return white
+
+
+def on_plate(view: View, px: np.ndarray, py: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return where rays through image points, relative to the image of the plate's centre [px], meet the plate."""
+    f, turn = view.dot_px / 2 * view.z, view.rotation
+    depth = view.z * turn[2, 2] / (turn[0, 2] / f * px + (turn[1, 2] / f * py + turn[2, 2]))
+    x, y = (depth * (turn[0, k] / f * px + (turn[1, k] / f * py + turn[2, k])) - view.z * turn[2, k] for k in (0, 1))
+    return x, y
+
+
+def averaged(grey: np.ndarray, samples: int, blur: float) -> np.ndarray:
+    """Blur an image (rows, columns) of samples along its columns, and average the samples of each pixel's row."""
+    if blur:
+        grey = ndimage.gaussian_filter1d(grey, blur * samples, axis=0, mode="nearest", truncate=4)
+    return grey.reshape(-1, samples, grey.shape[1]).mean(axis=1)
 
 
 def paint(
@@ -77,25 +95,20 @@ def paint(
     """
     out = np.full(shape, around)
     for view in views:
-        f = view.dot_px / 2 * view.z
-        reach = int(np.ceil(2.9 * view.dot_px * (1.6 if view.tilt else 1.0) + 5 * blur + 2))
+        # a corner of the plate that leans towards the camera is nearer to it
+        nearer = 1 / (1 - 4 * np.sqrt(2) * np.sin(view.tilt) / view.z)
+        reach = int(np.ceil(2.9 * view.dot_px * nearer + 5 * blur + 2))
         left, top = round(view.xy[0]) - reach, round(view.xy[1]) - reach
         n = 2 * reach + 1
         fine = (np.arange(n * samples) + 0.5) / samples - 0.5
-        px, py = np.meshgrid(fine + left - view.xy[0], fine + top - view.xy[1])
-        rays = np.stack([px / f, py / f, np.ones_like(px)], axis=-1)
-        normal = view.rotation[:, 2]
-        depth = (normal @ view.centre) / (rays @ normal)
-        plate = (rays * depth[..., None] - view.centre) @ view.rotation
+        plate_x, plate_y = on_plate(view, fine + left - view.xy[0], (fine + top - view.xy[1])[:, None])
         bits = code_bits(view.number) if view.bits is None else view.bits
-        what = printed(bits, plate[..., 0], plate[..., 1])
-        grey = np.where(np.isnan(what), around, black + (white - black) * np.nan_to_num(what))
+        grey = black + (white - black) * printed(bits, plate_x, plate_y)
+        grey[np.isnan(grey)] = around
         if hide is not None:
-            hidden = hide(plate[..., 0], plate[..., 1])
+            hidden = hide(plate_x, plate_y)
             grey = np.where(np.isnan(hidden), grey, np.nan_to_num(hidden))
-        if blur:
-            grey = ndimage.gaussian_filter(grey, blur * samples, mode="nearest", truncate=4)
-        pixels = grey.reshape(n, samples, n, samples).mean(axis=(1, 3))
+        pixels = averaged(averaged(grey, samples, blur).T, samples, blur).T
         y0, y1, x0, x1 = max(top, 0), min(top + n, shape[0]), max(left, 0), min(left + n, shape[1])
         part = pixels[y0 - top : y1 - top, x0 - left : x1 - left]
         window = out[y0:y1, x0:x1]

@@ -64,6 +64,13 @@ def pixels(image, ix, iy):
     return image[np.ix_((at - iy) % n, (at - ix) % n)]
 
 
+@cache
+def shifted(diameter, blur, **odd):
+    """Images (FINE, FINE, side, side) of a disc, none below 0: [k, m] is k, m fine samples off, from -FINE / 2 on."""
+    image, off = fine_image(diameter, blur, **odd), range(-FINE // 2, FINE // 2)
+    return np.array([[pixels(image, ix, iy) for iy in off] for ix in off]).clip(0)
+
+
 def bound_px(diameter, blur, contrast, gain, **odd):
     """Cramer-Rao bound (x, y) with position, contrast, background and diameter unknown."""
     image = fine_image(diameter, blur, **odd)
@@ -88,15 +95,14 @@ def bound_px(diameter, blur, contrast, gain, **odd):
 
 def frame(rng, diameter, blur, contrast, snr, n=400, **odd):
     """n targets at random positions: image, true positions (n, 2), gain."""
-    image = fine_image(diameter, blur, **odd)
-    side = len(image) // FINE
+    images = shifted(diameter, blur, **odd)
+    side = images.shape[-1]
     across = max(600 // side, 1)
     down = -(-n // across)
     gain = ((contrast / snr) ** 2 - READ**2) / contrast
     shift = rng.integers(-FINE // 2, FINE // 2, (down, across, 2))
-    light = contrast * np.vstack(
-        [np.hstack([pixels(image, *shift[r, c]) for c in range(across)]) for r in range(down)]
-    ).clip(0)
+    cells = images[shift[..., 0] + FINE // 2, shift[..., 1] + FINE // 2]
+    light = contrast * cells.swapaxes(1, 2).reshape(down * side, across * side)
     noisy = BLACK + rng.poisson(light / gain) * gain + rng.normal(0, READ, light.shape)
     rows, columns = np.mgrid[:down, :across]
     truth = np.stack([columns, rows], axis=-1) * side + side // 2 + shift / FINE

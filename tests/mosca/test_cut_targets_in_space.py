@@ -1,5 +1,8 @@
 """Balls before three cameras, one of them half hidden or grown together with another one: the pipeline's points."""
 
+from functools import cache
+from typing import NamedTuple
+
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
@@ -33,6 +36,37 @@ def place(k):
     return np.array([0.0003 * k, 0.0002 * k, 0.0])
 
 
+class Ball(NamedTuple):
+    """A ball before a camera."""
+
+    left: int  # of its pixels in the image
+    top: int
+    x: np.ndarray  # of parts of its pixels, from its centre [px]
+    y: np.ndarray
+    radius: float
+    shape: np.ndarray  # what of a part it covers
+
+    def blurred(self, shape):
+        fine = gaussian_filter(shape, np.sqrt(BLUR**2 - 1 / 12) * FINE)
+        return fine.reshape(19, FINE, 19, FINE).mean(axis=(1, 3))
+
+
+def ball(camera, xyz):
+    centre = project(camera, xyz[None])[0]
+    radius = 0.5 * DIAMETER * FOCAL_PX / np.linalg.norm(xyz - camera.world_from_camera.translation)
+    left, top = np.round(centre).astype(int) - 9
+    at = (np.arange(19 * FINE) + 0.5) / FINE - 0.5
+    x, y = np.meshgrid(at + left - centre[0], at + top - centre[1])
+    return Ball(left, top, x, y, radius, np.clip((radius - np.hypot(x, y)) * FINE + 0.5, 0.0, 1.0))
+
+
+@cache
+def whole(number, k):
+    """Whole balls before a camera at set k, ``WATCHED`` the last: column, row and light (19, 19) of each."""
+    balls = [ball(rig().cameras[number], xyz) for xyz in np.vstack([GRID, WATCHED]) + place(k)]
+    return [(one.left, one.top, one.blurred(one.shape)) for one in balls]
+
+
 class Balls:
     """Frames of the balls; from set 40 on ``draw(shape, camera, x, y, radius)`` changes that of ``WATCHED``."""
 
@@ -43,25 +77,19 @@ class Balls:
     def __iter__(self):
         for k in range(SETS):
             for c, camera in enumerate(self.rig.cameras):
-                image = np.zeros((HEIGHT, WIDTH))
-                for xyz in np.vstack([GRID, WATCHED]) + place(k):
-                    self._ball(image, c, camera, xyz, np.array_equal(xyz, WATCHED + place(k)) and k >= 40)
+                image, seen = np.zeros((HEIGHT, WIDTH)), whole(c, k)
+                if k >= 40:
+                    seen = [*seen[:-1], self._changed(c, camera, k)]
+                for left, top, light in seen:
+                    image[top : top + 19, left : left + 19] += LIGHT * light
                 noisy = image + 8.0 + self.rng.normal(0, 0.7, image.shape) * np.sqrt(1 + image / 20)
                 yield Frame(
                     camera.name, k, round(k * 1e9 / RATE_HZ), 1_000_000, np.clip(noisy, 0, 255).astype(np.uint8)
                 )
 
-    def _ball(self, image, number, camera, xyz, watched):
-        centre = project(camera, xyz[None])[0]
-        radius = 0.5 * DIAMETER * FOCAL_PX / np.linalg.norm(xyz - camera.world_from_camera.translation)
-        left, top = np.round(centre).astype(int) - 9
-        at = (np.arange(19 * FINE) + 0.5) / FINE - 0.5
-        x, y = np.meshgrid(at + left - centre[0], at + top - centre[1])
-        shape = np.clip((radius - np.hypot(x, y)) * FINE + 0.5, 0.0, 1.0)
-        if watched:
-            shape = self.draw(shape, number, x, y, radius)
-        seen = gaussian_filter(shape, np.sqrt(BLUR**2 - 1 / 12) * FINE).reshape(19, FINE, 19, FINE).mean(axis=(1, 3))
-        image[top : top + 19, left : left + 19] += LIGHT * seen
+    def _changed(self, number, camera, k):
+        one = ball(camera, WATCHED + place(k))
+        return one.left, one.top, one.blurred(self.draw(one.shape, number, one.x, one.y, one.radius))
 
     def close(self):
         pass

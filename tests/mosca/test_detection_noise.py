@@ -121,18 +121,19 @@ def taken(rng, profile, gain, hide=1.0):
 
 
 SYMMETRIC = {
-    "ball": limb(12.0, 0.5),
-    "defocus": fine_image(8.3, 0.5, circle=5.0),
-    "large": limb(30.0, 0.5),
-    "motion": smeared(8.3, 0.5, 6.0),
+    "ball": lambda: limb(12.0, 0.5),
+    "defocus": lambda: fine_image(8.3, 0.5, circle=5.0),
+    "large": lambda: limb(30.0, 0.5),
+    "motion": lambda: smeared(8.3, 0.5, 6.0),
 }
 
 
 @pytest.mark.parametrize("name", SYMMETRIC)
 def test_what_a_symmetric_image_has_that_no_disc_has_is_no_noise(name):
     rng, learned, gain = np.random.default_rng(3), NO_STATISTICS, 0.05
+    profile = SYMMETRIC[name]()
     for _ in range(4):
-        image, truth = taken(rng, SYMMETRIC[name], gain)
+        image, truth = taken(rng, profile, gain)
         (seen,), new = detect_with_statistics([image], ["a"], statistics=learned)
         learned = learned.plus(new)
     found, sigma = gain_of(learned.sums, 0, float(np.median(learned.backgrounds["a"].variance)))
