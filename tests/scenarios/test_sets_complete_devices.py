@@ -10,6 +10,7 @@ from tiny_scenario import write_tiny
 from hardware.settings import read_hardware
 from hardware.source import HardwareSource
 from mosca.recording import open_recording
+from reports.record import write_record
 from scenarios.run import scenario as work
 from scenarios.run.folder import write_run
 from scenarios.spec.scenario import load_scenario
@@ -35,7 +36,10 @@ def filmed(tmp_path_factory):
 
 
 def judged(folder, monkeypatch, filmed, line, limits=MET, hardware="", kinds=None):
-    """Return the record of a run of simulated devices, and its page; ``hardware``: a key of [hardware]."""
+    """Return the record, as its file has it, and the result of a run of simulated devices.
+
+    ``hardware``: a key of [hardware].
+    """
     path = write_rig(folder / "rig.toml", tuple(filmed), SIZE)
     path.write_text(path.read_text().replace("[hardware]\n", f"[hardware]\n{hardware}\n", 1))
     rig = read_hardware(path)
@@ -50,9 +54,14 @@ def judged(folder, monkeypatch, filmed, line, limits=MET, hardware="", kinds=Non
     monkeypatch.setattr(work, "opened_source", lambda *given: HardwareSource(rig, PULSES, *fakes))
     spec = load_scenario(write_tiny(folder, duration_s=PULSES / 100, limits=limits))
     result = work.run_scenario(spec, "tiny", folder, RunOptions(source="hardware:rig.toml"))
+    write_record(result.record, folder / "record.json")
+    return json.loads((folder / "record.json").read_text()), result
+
+
+def page_of(result, folder):
+    """Return the page of a run, and write its folder."""
     write_run(result, folder / "out")
-    record = json.loads((folder / "out" / "record.json").read_text())
-    return record, (folder / "out" / "report.html").read_text()
+    return (folder / "out" / "report.html").read_text()
 
 
 def test_a_rig_that_delivers_everything_passes(tmp_path, monkeypatch, filmed):
@@ -64,11 +73,11 @@ def test_a_rig_that_delivers_everything_passes(tmp_path, monkeypatch, filmed):
 
 
 def test_a_killed_rig_has_not_passed(tmp_path, monkeypatch, filmed):
-    record, page = judged(tmp_path, monkeypatch, filmed, Line(gone_at=19))
+    record, result = judged(tmp_path, monkeypatch, filmed, Line(gone_at=19))
     assert not record["passed"]
     assert record["verdict"].startswith("broken: sets_complete; 20 of 40 pulses gave a complete set; frames ended")
     assert "camera cam1: 20 frames missing, the last at 0.19 s" in record["verdict"]
-    assert "20 of 40 pulses gave a complete set" in page
+    assert "20 of 40 pulses gave a complete set" in page_of(result, tmp_path)
 
 
 def test_a_killed_camera_has_not_passed(tmp_path, monkeypatch, filmed):
@@ -87,11 +96,12 @@ class NeverFires(Line):
 
 
 def test_a_rig_whose_pulses_never_come_has_not_passed(tmp_path, monkeypatch, filmed):
-    record, _ = judged(tmp_path, monkeypatch, filmed, NeverFires(), hardware="wait_s = 0.5")
+    record, result = judged(tmp_path, monkeypatch, filmed, NeverFires(), hardware="wait_s = 0.5")
     assert not record["passed"]
     assert record["verdict"].startswith("broken: sets_complete")
     assert "0 of 40 pulses gave a complete set; frames ended after 0 pulses" in record["verdict"]
     assert any("no pulse came in 0.5 s" in note for note in record["counts"]["notes"].values())
+    assert "0 of 40 pulses gave a complete set" in page_of(result, tmp_path)
 
 
 class Stampless(Camera):
