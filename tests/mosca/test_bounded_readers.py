@@ -92,15 +92,19 @@ def npz(path, shape, content):
 BOUNDED = """
 import resource, sys
 from pathlib import Path
+from mosca.data.files import npz
 from mosca.data.tracks import read_npz
+assert npz.SMALL_BYTES < 1 << 29
+npz.SMALL_BYTES = 1 << 20
 resource.setrlimit(resource.RLIMIT_AS, (1 << 30, 1 << 30))
 read_npz(Path(sys.argv[1]))
 """
+"""With a smaller bound, so that a bomb is made at once."""
 
 
 @pytest.mark.parametrize(
     ("shape", "n_bytes", "said"),
-    [((1 << 29,), 8, "states the shape"), ((-1, 1 << 40), 8, "holds no tracks"), ((1 << 26,), 1 << 29, "so small a")],
+    [((1 << 29,), 8, "states the shape"), ((-1, 1 << 40), 8, "holds no tracks"), ((1 << 21,), 1 << 24, "so small a")],
     ids=["shape", "negative shape", "bomb"],
 )
 def test_arrays_larger_than_their_archive_can_hold_are_refused(tmp_path, shape, n_bytes, said):
