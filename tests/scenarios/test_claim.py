@@ -193,7 +193,7 @@ def test_what_was_done_is_not_done_again(tmp_path, made):
     first = []
     _, resumed = made(path, 2, slow_work, told=lambda done, most: first.append(done))
     assert first[0] >= min(kept, 1)
-    _, whole = made(path, 1, slow_work, kept="whole")
+    _, whole = made(path, 1, work, kept="whole")
     assert resumed == whole
 
 
