@@ -38,8 +38,6 @@ FEWEST_SETS = 4
 """Fewest frame sets of a recording from which errors of cameras are learned: one or two updates, each with one or two
 independent residuals a camera, determine a variance to a factor of three. Of MyPTV's three sets, 114 of the 117
 published particles lie within 0.2 mm, and 111 with 2."""
-
-
 COARSER_STARTS = (1.0, 3.0, 9.0)
 """Image errors, over the setting, with which the first sets are matched. Images that err by ten times what is assumed
 meet by chance alone, and what few points show is as small. Of 40 drawn takes of 4 to 12 markers whose cameras'

@@ -5,7 +5,7 @@ averaged; each part's own average is exact for straight edges.
 """
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
+from pixel_parts import averaged
 
 PARTS = 16
 BLACK, WHITE = 30.0, 200.0
@@ -20,13 +20,6 @@ def pose(square_px, slant, lean, roll, centre, distance=1500.0):
     turn = turn @ np.array([[np.cos(roll), -np.sin(roll), 0], [np.sin(roll), np.cos(roll), 0], [0, 0, 1]])
     camera = np.array([[distance, 0, centre[0]], [0, distance, centre[1]], [0, 0, 1]])
     return camera @ np.column_stack([turn[:, 0], turn[:, 1], [0, 0, distance / square_px]])
-
-
-def averaged(pattern, blur_px):
-    """Blur parts (rows, columns) along their columns, and average those of each pixel's row."""
-    if blur_px > 0:
-        pattern = gaussian_filter1d(pattern, blur_px * PARTS, axis=0, truncate=5)
-    return pattern.reshape(-1, PARTS, pattern.shape[1]).mean(axis=1)
 
 
 def drawn(homography, squares, size, blur_px, radial=0.0):
@@ -46,7 +39,7 @@ def drawn(homography, squares, size, blur_px, radial=0.0):
         distance = (t - n / 2 - line) / np.hypot(*np.gradient(t))  # in parts
         pattern = pattern * (1 - 2 * (line % 2)) * np.clip(2 * distance, -1, 1)
         inside = inside & (np.abs(t) < n / 2)
-    pattern = averaged(averaged(np.where(inside, pattern, 1.0), blur_px).T, blur_px).T
+    pattern = averaged(np.where(inside, pattern, 1.0), PARTS, blur_px, truncate=5)
     return 0.5 * (WHITE + BLACK) + 0.5 * (WHITE - BLACK) * pattern
 
 

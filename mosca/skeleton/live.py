@@ -152,9 +152,8 @@ class LiveSkeleton:
 
     def _told_apart(self, time_ns: int, mine: Samples) -> tuple[Samples, Array]:
         """Return samples with the covariances of their own errors, and the covariance (3, 3) of a shift of all."""
-        covariance = np.nan_to_num(mine.covariance)
-        mine = replace(mine, covariance=covariance)
-        if self.rig is None or not len(mine) or not any(camera.shake_px for camera in self.rig.cameras):
+        mine = replace(mine, covariance=np.nan_to_num(mine.covariance))
+        if self.rig is None or not len(mine):
             return mine, NO_SHIFT
         if not 0 <= time_ns - self._shift_ns < _ns(SHIFT_S):
             here = np.isin(mine.track, self._track_of)
@@ -162,9 +161,9 @@ class LiveSkeleton:
             middle, images = mine.xyz[here].mean(axis=0), mine.n_cameras[here].mean()
             self._shift_ns, self._shift = time_ns, common_shift(self.rig, middle[None], images[None])
         shared, alike = self._shift
-        known = np.linalg.eigvalsh(covariance)[:, 0] > 0
-        covariance[known] = without(covariance[known], alike)
-        return mine, shared[0]
+        if not shared.any():
+            return mine, NO_SHIFT
+        return replace(mine, covariance=without(mine.covariance, alike)), shared[0]
 
     def _remember(self, time_ns: int, mine: Samples) -> None:
         self._recent.append((time_ns, mine))

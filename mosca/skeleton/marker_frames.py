@@ -97,9 +97,7 @@ def _told_apart(rig: Rig, xyz: Array, covariance: Array, n_cameras: Array) -> tu
     shared, alike = np.zeros((len(xyz), 3, 3)), np.zeros((len(xyz), 3, 3))
     each = n_cameras[some].sum(axis=1) / seen[some].sum(axis=1)
     shared[some], alike[some] = common_shift(rig, np.nanmean(xyz[some], axis=1), each)
-    own, known = np.array(covariance), seen & (np.linalg.eigvalsh(covariance)[..., 0] > 0)
-    own[known] = without(own[known], np.broadcast_to(alike[:, None], own.shape)[known])
-    return shared, own
+    return shared, np.where(seen[..., None, None], without(covariance, alike[:, None]), covariance)
 
 
 def common_shift(rig: Rig, middle: Array, images: Array) -> tuple[Array, Array]:

@@ -25,6 +25,7 @@ an equally likely one."""
 ROOM_M3 = 1.0
 """Volume about a person in which points that belong to no marker are assumed [m^3]."""
 MEDIAN = float(chi2.ppf(0.5, 3))
+"""Median of chi-square with 3 degrees of freedom."""
 SLIDE_M = 0.005
 """Movement of a marker on the skin that the fitted take did not show, per coordinate [m]: skin slides as joints turn,
 and other movements turn the joints farther. Single markers in walking: 4 to 16 mm (docs/people.md)."""

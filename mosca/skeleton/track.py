@@ -67,18 +67,19 @@ class SkeletonTracker:
         self._q = solution.q
         return solution
 
-    def joints(self, solution: PoseSolution) -> tuple[Array, Array, Array, Array]:
-        """Return the result of ``JointReader.read`` for a pose that ``step`` has returned."""
-        return self.reader.read(solution)
-
-    def joints_at(self, solution: PoseSolution, frame: int, time_ns: int, shared: Array = NO_SHIFT) -> JointMotion:
-        """Return the joints of a pose that ``step`` has returned, as the motion of one instant.
+    def joints(self, solution: PoseSolution, shared: Array = NO_SHIFT) -> tuple[Array, Array, Array, Array]:
+        """Return the result of ``JointReader.read`` for a pose that ``step`` has returned.
 
         ``shared`` (3, 3) [m^2]: covariance of a shift of all markers, which shifts all joints and turns none.
         """
-        centre, own, matrices, rotation_covariance = self.joints(solution)
+        centre, own, matrices, rotation_covariance = self.reader.read(solution)
+        return centre, own + shared, matrices, rotation_covariance
+
+    def joints_at(self, solution: PoseSolution, frame: int, time_ns: int, shared: Array = NO_SHIFT) -> JointMotion:
+        """Return the joints of a pose that ``step`` has returned, as the motion of one instant; see ``joints``."""
+        centre, centre_covariance, matrices, rotation_covariance = self.joints(solution, shared)
         return JointMotion(
-            np.array([frame]), np.array([time_ns]), self.reader.joints, centre[None], (own + shared)[None],
+            np.array([frame]), np.array([time_ns]), self.reader.joints, centre[None], centre_covariance[None],
             _quaternions(matrices)[None], rotation_covariance[None],
         )  # fmt: skip
 
@@ -102,8 +103,7 @@ def track_subject(
             continue
         q[k] = solution.q
         residual[k] = np.where(frames.seen[k], np.linalg.norm(solution.residual, axis=1), np.nan)
-        centre[k], own, matrices, rotation_covariance[k] = tracker.joints(solution)
-        centre_covariance[k] = own + frames.shared[k]
+        centre[k], centre_covariance[k], matrices, rotation_covariance[k] = tracker.joints(solution, frames.shared[k])
         rotation[k] = _quaternions(matrices)
     progress(n, n)
     joints = JointMotion(

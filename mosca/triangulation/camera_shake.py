@@ -52,9 +52,15 @@ def shake_covariance(rig: Rig, xyz: Array) -> tuple[Array, Array]:
 
 
 def without(covariance: Array, shared: Array) -> Array:
-    """Return covariances (n, 3, 3) minus a ``shared`` part (n, 3, 3), at least LEAST_OWN of each direction."""
-    root = np.linalg.cholesky(covariance)
+    """Return covariances (..., 3, 3) minus a ``shared`` part (..., 3, 3), at least LEAST_OWN of each direction.
+
+    Covariances that are not positive definite, 0 where unknown, are returned as they are.
+    """
+    own, known = np.array(covariance), np.linalg.eigvalsh(covariance)[..., 0] > 0
+    root = np.linalg.cholesky(own[known])
     inverse = np.linalg.inv(root)
-    share, axes = np.linalg.eigh(inverse @ shared @ inverse.transpose(0, 2, 1))
+    part = np.broadcast_to(shared, own.shape)[known]
+    share, axes = np.linalg.eigh(inverse @ part @ inverse.transpose(0, 2, 1))
     left = (axes * np.maximum(1.0 - share, LEAST_OWN)[:, None, :]) @ axes.transpose(0, 2, 1)
-    return np.asarray(root @ left @ root.transpose(0, 2, 1))
+    own[known] = root @ left @ root.transpose(0, 2, 1)
+    return own

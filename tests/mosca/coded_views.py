@@ -7,7 +7,7 @@ the plate's plane, where the print is evaluated in polar coordinates.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import ndimage
+from pixel_parts import averaged
 from scipy.spatial.transform import Rotation
 
 from mosca.data.target_codes import code_bits
@@ -67,13 +67,6 @@ def on_plate(view: View, px: np.ndarray, py: np.ndarray) -> tuple[np.ndarray, np
     return x, y
 
 
-def averaged(grey: np.ndarray, samples: int, blur: float) -> np.ndarray:
-    """Blur an image (rows, columns) of samples along its columns, and average the samples of each pixel's row."""
-    if blur:
-        grey = ndimage.gaussian_filter1d(grey, blur * samples, axis=0, mode="nearest", truncate=4)
-    return grey.reshape(-1, samples, grey.shape[1]).mean(axis=1)
-
-
 def paint(
     shape: tuple[int, int],
     views: list[View],
@@ -108,7 +101,7 @@ def paint(
         if hide is not None:
             hidden = hide(plate_x, plate_y)
             grey = np.where(np.isnan(hidden), grey, np.nan_to_num(hidden))
-        pixels = averaged(averaged(grey, samples, blur).T, samples, blur).T
+        pixels = averaged(grey, samples, blur, mode="nearest", truncate=4)
         y0, y1, x0, x1 = max(top, 0), min(top + n, shape[0]), max(left, 0), min(left + n, shape[1])
         part = pixels[y0 - top : y1 - top, x0 - left : x1 - left]
         window = out[y0:y1, x0:x1]

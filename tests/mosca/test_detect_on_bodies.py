@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy.ndimage import gaussian_filter1d
+from pixel_parts import averaged
 
 from mosca.detection.detect import DetectionSettings, detect, target_regions
 from mosca.detection.search import is_compact
@@ -13,10 +13,8 @@ SIZE, FINE = 96, 6
 def disc(x: float, y: float, diameter: float, blur: float) -> np.ndarray:
     """Return a blurred disc of brightness 1 (SIZE, SIZE), drawn on a grid of 1/6 px."""
     at = (np.arange(SIZE * FINE) + 0.5) / FINE - 0.5
-    seen = ((at - x) ** 2 + (at - y)[:, None] ** 2 < (diameter / 2) ** 2).astype(np.float32)
-    for _ in range(2):  # down, and across
-        seen = gaussian_filter1d(seen, blur * FINE, axis=0).reshape(SIZE, FINE, -1).mean(axis=1).T
-    return seen
+    sharp = ((at - x) ** 2 + (at - y)[:, None] ** 2 < (diameter / 2) ** 2).astype(np.float32)
+    return averaged(sharp, FINE, blur)
 
 
 def photographed(light: np.ndarray, seed: int = 3) -> np.ndarray:

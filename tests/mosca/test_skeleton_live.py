@@ -6,9 +6,9 @@ from itertools import permutations
 
 import numpy as np
 import pytest
-from rigs import looking_at
+from rigs import ring
 
-from mosca.data.rig import Camera, OpenCVLens, Rig
+from mosca.data.rig import Rig
 from mosca.data.rotations import rotation_from_vector
 from mosca.data.tracks import Samples
 from mosca.skeleton import live as live_module
@@ -66,10 +66,8 @@ def renumbered(samples, number):
 def test_shake_that_all_markers_share_is_stated_as_offline(person):
     """Rotations are the surer for it, centres are not; an unknown covariance stays one."""
     subject, frames = person
-    places = [(5 * np.cos(angle), 5 * np.sin(angle), 1.5) for angle in (0.3, 1.8, 3.4, 5.0)]
-    poses = [looking_at(np.array(place), (0.0, 0.2, 0.9)) for place in places]
-    lens = OpenCVLens(500.0, 500.0, 328.0, 245.5)
-    rig = Rig(tuple(Camera(f"cam_{k}", 656, 491, lens, pose, shake_px=0.05) for k, pose in enumerate(poses)))
+    cameras = ring(4, radius_m=5.0, height_m=1.5, target=(0.0, 0.2, 0.9)).cameras
+    rig = Rig(tuple(replace(camera, shake_px=0.05) for camera in cameras))
     tracks, _ = take(legs_model(), 40, seed=2)
     here = marker_frames(tracks, subject.model.labels, rig)
     assert here.shared.any(axis=(1, 2)).all()
