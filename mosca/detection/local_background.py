@@ -10,6 +10,7 @@ pixels near a smooth surface through the first levels.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import cached_property, lru_cache
 from typing import Any
 
 import cv2
@@ -76,6 +77,11 @@ class LocalBackground:
             for name in ("level", "variance", "texture")
         )
         return LocalBackground(level, variance, texture, count, pixels, other.rough)
+
+    @cached_property
+    def usual_variance(self) -> float:
+        """Variance of a pixel in most of the image [DN^2]."""
+        return float(np.median(self.variance))
 
     @property
     def textured(self) -> bool:
@@ -317,16 +323,28 @@ def measure_background(image: Array, largest_px: float, known: LocalBackground |
 def _filtered(cells: Array, side: int, of_windows: Callable[[Array], Array]) -> Array:
     """Return a function of the ``side`` x ``side`` cells around each. Cells are extrapolated beyond the rim."""
     reach = side // 2
-    if min(cells.shape) > reach:
-        around = np.pad(cells, reach, "reflect", reflect_type="odd")
-    else:
-        around = np.pad(cells, reach, "edge")
+    before, after = (_extrapolation(n, reach, min(cells.shape) > reach) for n in cells.shape)
+    around = before @ cells @ after.T
     windows = sliding_window_view(around, (side, side))
     return of_windows(windows.reshape(*cells.shape, side * side))
 
 
+@lru_cache(maxsize=64)
+def _extrapolation(n: int, reach: int, mirrored: bool) -> Array:
+    """Return the matrix (n + 2 reach, n) that continues n values at both ends.
+
+    The last value is repeated or, if ``mirrored``, the values before it are reflected at its point.
+    """
+    rows, at = np.arange(n + 2 * reach), np.arange(-reach, n + reach)
+    out, end, beyond = np.zeros((len(rows), n)), np.clip(at, 0, n - 1), mirrored & ((at < 0) | (at >= n))
+    out[rows, end] = np.where(beyond, 2.0, 1.0)
+    out[rows[beyond], (2 * end - at)[beyond]] = -1.0
+    return out
+
+
 def _median(windows: Array) -> Array:
-    return np.asarray(np.median(windows, axis=-1))
+    middle = windows.shape[-1] // 2
+    return np.asarray(np.partition(windows, middle)[..., middle])
 
 
 def _quadratic(windows: Array) -> Array:

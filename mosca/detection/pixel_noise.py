@@ -114,7 +114,7 @@ def gains_changed(before: CameraStatistics, added: CameraStatistics, settings: D
     for k, name in enumerate(added.names):
         if name not in added.backgrounds:
             continue
-        dark = float(np.median(after.backgrounds[name].variance))
+        dark = after.backgrounds[name].usual_variance
         one, two = (_gain_of(part, name, dark) for part in (before, after))
         if abs(two - one) > GAIN_STEP * one:
             changed.append(k)
@@ -176,7 +176,7 @@ def _made_noise(
     if settings.gain_dn_per_e is not None:
         gain = settings.gain_dn_per_e * scale
     else:
-        gain = _gain_of(statistics, name, float(np.median(background.variance)))
+        gain = _gain_of(statistics, name, background.usual_variance)
     if settings.thresholds == "paper":
         limits = np.full(like.shape, search_of(settings, round(8 + np.log2(scale))).lowest + 1, like.dtype)
     else:

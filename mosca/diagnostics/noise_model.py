@@ -98,8 +98,14 @@ def _with_prior(normal: Array, right: Array, weight: Array, variance: float) -> 
     """Return the variances (c + 1,), none below zero, that solve the normal equations with a prior."""
     c = len(weight)
     whole, side = normal.copy(), right.copy()
-    whole[range(c), range(c)] += weight
+    diagonal = whole.reshape(-1)[:: c + 2]
+    diagonal[:c] += weight
     side[:c] += weight * variance
-    size = np.sqrt(np.maximum(whole.diagonal(), 1e-300))
-    result: Array = nnls(whole / size / size[:, None], side / size)[0] / size
-    return result
+    size = np.sqrt(np.maximum(diagonal, 1e-300))
+    whole /= size * size[:, None]
+    side /= size
+    # without motion nothing shows jitter: its equation is empty
+    result: Array = np.linalg.solve(whole, side) if normal[c, c] > 0.0 else -size
+    if result.min() < 0.0:
+        result = nnls(whole, side)[0]
+    return result / size

@@ -8,6 +8,7 @@ misfit of whole discs are learned from each camera's whole targets.
 
 import math
 from collections.abc import Mapping
+from functools import lru_cache
 
 import numpy as np
 
@@ -33,7 +34,7 @@ from mosca.detection.cut_targets.window_fits import (
     OfTracks,
     fit_windows,
 )
-from mosca.detection.cut_targets.windows import Windows, windows_of
+from mosca.detection.cut_targets.windows import LEARNING, READY, Windows, windows_of
 
 LEARNED_FROM, LEARNED_UP_TO = 20, 60
 """Numbers of a camera's whole discs: from which on its cut ones are fitted, and with which learning ends."""
@@ -58,13 +59,14 @@ class _Camera:
     def __init__(self) -> None:
         self.n, self.blur, self.log_size, self.square, self.misfit = 0, 0.75, 0.0, 0.0, LEAST_MISFIT
         self.log_amplitude, self.amplitude_square = 0.0, 0.0
+        self._row: tuple[float, ...] | None = None
 
     def learn(self, fit: Array, expected: float) -> None:
         """Take the fit of a whole disc whose radius was ``expected`` [px]."""
         size = math.log(fit[RADIUS] / expected)
         if not (fit[MISFIT] < 0.01 and abs(size) < 0.3 and fit[AMPLITUDE] > 0.0):
             return
-        self.n += 1
+        self.n, self._row = self.n + 1, None
         gain = 1 / self.n
         self.blur += gain * (fit[BLUR] - self.blur)
         self.misfit += gain * (fit[MISFIT] - self.misfit)
@@ -74,16 +76,17 @@ class _Camera:
         self.log_amplitude += gain * (light - self.log_amplitude)
         self.amplitude_square += gain * (light * light - self.amplitude_square)
 
-    def row(self, has_image: bool) -> tuple[float, ...]:
+    def row(self) -> tuple[float, ...]:
         """Return the columns that ``mosca.detection.cut_targets.windows`` names."""
-        spread = math.sqrt(max(self.amplitude_square - self.log_amplitude**2, 0.0))
-        size_sigma = math.sqrt(max(self.square - self.log_size**2, 0.0))
-        ready = has_image and self.n >= LEARNED_FROM and self.blur >= LEAST_BLUR_PX
-        return (
-            ready, has_image and self.n < LEARNED_UP_TO, self.blur, math.exp(self.log_size),
-            max(size_sigma, LEAST_RADIUS_SIGMA), self.misfit, self.log_amplitude,
-            max(AMPLITUDE_SIGMAS * spread, LEAST_LOG_AMPLITUDE),
-        )  # fmt: skip
+        if self._row is None:
+            spread = math.sqrt(max(self.amplitude_square - self.log_amplitude**2, 0.0))
+            size_sigma = math.sqrt(max(self.square - self.log_size**2, 0.0))
+            self._row = (
+                self.n >= LEARNED_FROM and self.blur >= LEAST_BLUR_PX, self.n < LEARNED_UP_TO, self.blur,
+                math.exp(self.log_size), max(size_sigma, LEAST_RADIUS_SIGMA), self.misfit, self.log_amplitude,
+                max(AMPLITUDE_SIGMAS * spread, LEAST_LOG_AMPLITUDE),
+            )  # fmt: skip
+        return self._row
 
 
 class CutTargets:
@@ -116,15 +119,14 @@ class CutTargets:
             return None
         names, frames = rig.names, frame_set.frames
         images = [frames[name].image if name in frames and name in detections else None for name in names]
-        learned = np.array([camera.row(image is not None) for camera, image in zip(cameras, images, strict=True)])
-        sizes = np.array([(camera.width, camera.height) for camera in rig.cameras])
+        learned = np.array([camera.row() for camera in cameras])
+        learned[[image is None for image in images], READY : LEARNING + 1] = 0.0
         rays = table.rays, table.start, table.xy_px
-        windows, side = windows_of(kinds, (points.rays, share, radius), rays, learned, sizes)
+        windows, side = windows_of(kinds, (points.rays, share, radius), rays, learned, table.cameras)
         if not len(windows.kind):
             return None
-        focal_px = np.array([max(principal_distances_px(camera.lens)) for camera in rig.cameras])
         places, errors, away = expected_images(
-            predicted.xyz, predicted.covariance, table.cameras, table.views, focal_px, EXPECTED_PX
+            predicted.xyz, predicted.covariance, table.cameras, table.views, _focal_px(rig), EXPECTED_PX
         )
         expected = OfTracks(predicted.xyz, places, errors, away, SAME_TARGET * typical_m)
         matched = OfPoints(points.xyz, points.rays, distances)
@@ -138,6 +140,12 @@ class CutTargets:
             rows = windows.rays[these] - table.start[c]
             found[names[c]] = _replaced(found[names[c]], rows, windows.kind[these] == GROWN, fits[these])
         return found if changed.any() else None
+
+
+@lru_cache(maxsize=32)
+def _focal_px(rig: Rig) -> Array:
+    """Return the principal distances (c,) [px], the longer of both of each camera."""
+    return np.array([max(principal_distances_px(camera.lens)) for camera in rig.cameras])
 
 
 def _patches(images: list[Array | None], windows: Windows, side: int) -> Array:

@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mosca.camera.ray_table import HEIGHT, WIDTH
 from mosca.data.arrays import Array
 from mosca.data.detections import SATURATED
 from mosca.data.rays import AREA_RADIUS, FLAGS
@@ -43,21 +44,25 @@ class Windows(NamedTuple):
 
 @kernel
 def windows_of(
-    kinds: Array, images: tuple[Array, Array, Array], table: tuple[Array, Array, Array], learned: Array, sizes: Array
+    kinds: Array,
+    images: tuple[Array, Array, Array],
+    table: tuple[Array, Array, Array],
+    learned: Array,
+    cameras: Array,
 ) -> tuple[Windows, int]:
     """Return the windows of all cameras' images, by camera and kind, and the side of their patches [px].
 
     ``kinds`` (n, c); ``images``: ``Points.rays`` (n, c), areas over a target's and radii expected (n, c); ``table``:
-    ``rays``, ``start``, ``xy_px`` of a ``RayTable``; ``learned`` (c, LEARNED); ``sizes`` (c, 2): width and height of
-    the images. Windows that reach over the edge of the image are left out.
+    ``rays``, ``start``, ``xy_px`` of a ``RayTable``; ``learned`` (c, LEARNED); ``cameras``: of the ``RayTable``.
+    Windows that reach over the edge of the image are left out.
     """
     (rays_of, share, radius), (rays, start, xy) = images, table
-    n, cameras = kinds.shape
-    most = 2 * n * cameras
+    n, many_cameras = kinds.shape
+    most = 2 * n * many_cameras
     found, at, size = np.empty((most, 7), np.int64), np.empty((most, 3)), np.empty(len(rays))
     point = np.empty(len(rays), np.int64)
     many = half = 0
-    for c in range(cameras):
+    for c in range(many_cameras):
         if learned[c, READY] == 0.0 and learned[c, LEARNING] == 0.0:
             continue
         own, blur = learned[c], learned[c, BLUR_PX]
@@ -98,7 +103,7 @@ def windows_of(
                     half = max(half, math.ceil(1.5 * reach + REACH_BLURS * blur) + 1)  # two expected beside it
                 need = math.ceil(reach + REACH_BLURS * blur) + 1
                 left, up = round(x), round(y)
-                if left < need or up < need or left >= sizes[c, 0] - need or up >= sizes[c, 1] - need:
+                if left < need or up < need or left >= cameras[c, WIDTH] - need or up >= cameras[c, HEIGHT] - need:
                     continue
                 half = max(half, need)
                 found[many, 0], found[many, 1], found[many, 2], found[many, 3] = kind, c, i, ray
