@@ -74,8 +74,8 @@ def test_only_kernels_call_what_is_compiled_for_kernels_alone() -> None:
 def test_no_test_calls_what_is_compiled_for_kernels_alone() -> None:
     files = [*TESTS.rglob("*.py"), *(TESTS.parent / "witness").rglob("*.py")]
     assert {path.name: calls for path in files if (calls := called_by_tests(path.read_text(encoding="utf-8")))} == {}
-    planted = "from twin.cameras.optics.pixel_kernel import share\ndef f():\n    return share(1.0, 2.0)\n"
-    assert called_by_tests(planted) == ["share"]
+    planted = "from twin.cameras.render.boundary_integral import nodes_for\ndef f():\n    return nodes_for(1.0)\n"
+    assert called_by_tests(planted) == ["nodes_for"]
 
 
 def test_a_call_from_python_is_found() -> None:

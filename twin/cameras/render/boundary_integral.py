@@ -1,6 +1,7 @@
 """Light on pixels from boundary points, by Green's theorem, for all kinds of targets.
 
-The light on pixel (px, py) of a region is the sum over its boundary of ``share(u - px) weight(v - py) dv``.
+The light on pixel (px, py) of a region is the sum over its boundary of ``share(u - px) weight(v - py) dv``, with the
+share of a row's light up to a pixel and the weight of a row (``twin.cameras.optics.pixel_kernel``).
 Only pixels near the boundary change along a row, so each point adds its steps to the increments and one running
 sum along the rows fills the inside. A point moves during the exposure: its position and dv are quadratics in the
 panel's time tau (-1..1), and each row of pixels integrates over its own window.
@@ -13,7 +14,9 @@ import numpy as np
 
 from mosca.data.arrays import Array
 from mosca.numba_support.decorators import bare_step, step
-from twin.cameras.optics.pixel_kernel import share, weight
+from twin.cameras.optics.pixel_kernel import EDGE as EDGE
+from twin.cameras.optics.pixel_kernel import ROWS, fill_taps
+from twin.cameras.optics.pixel_kernel import SPOT as SPOT
 from twin.cameras.render.inputs import RowTiming
 
 MAX_NODES = 24
@@ -25,9 +28,6 @@ for _n in range(1, MOST_NODES + 1):
     _at, _weight = np.polynomial.legendre.leggauss(_n)
     NODE_AT[_n, :_n], NODE_SHARE[_n, :_n] = _at, _weight / 2
 
-EDGE, SPOT = 0, 1
-"""What a point is: a piece of boundary (amount dv) or a spot of light (amount area)."""
-
 
 class Increments(NamedTuple):
     """Changes of light from pixel to pixel along each row, ``values`` (h, w), the first one at pixel (x0, y0)."""
@@ -38,9 +38,9 @@ class Increments(NamedTuple):
 
 
 class Blur(NamedTuple):
-    """How the light of a point spreads: the pixel kernel's table and reach, and the patches (n, 3) of the pupil."""
+    """How the light of a point spreads: the pixel kernel's taps and reach, and the patches (n, 3) of the pupil."""
 
-    table: Array
+    taps: Array
     reach: int
     patches: Array
 
@@ -69,22 +69,22 @@ def nodes_for(motion_px: float) -> Any:
 
 @step
 def add_points(what: int, out: Increments, blur: Blur, points: Array, panel: Panel, rows: RowTiming) -> None:
-    """Add moving boundary points (EDGE) or spots (SPOT) to the increments ``out``.
+    """Add moving pieces of boundary (EDGE, amount dv) or spots of light (SPOT, amount area) to ``out``.
 
     ``points`` (n, 9): coefficients of u, v and amount in tau. ``rows``: the RowTiming.
     """
     length, row_time, on, off = rows
-    step_x = np.empty(2 * blur.reach + 3)
+    scratch = np.empty((2, 2 * blur.reach + 1))
     if row_time == 0.0:
         begin, end = max(panel.begin_s, max(0.0, on)), min(panel.end_s, min(length, off))
         if end > begin:
-            _add_all_rows(what, out, blur, points, panel, begin, end, length, step_x)
+            _add_all_rows(what, out, blur, points, panel, begin, end, length, scratch)
         return
     for row in range(out.values.shape[0]):
         opens = (out.y0 + row) * row_time
         begin, end = max(panel.begin_s, max(opens, on)), min(panel.end_s, min(opens + length, off))
         if end > begin:
-            _add_one_row(what, out, row, blur, points, panel, begin, end, length, step_x)
+            _add_one_row(what, out, row, blur, points, panel, begin, end, length, scratch)
 
 
 @bare_step
@@ -97,11 +97,12 @@ def _add_all_rows(
     begin: float,
     end: float,
     length: float,
-    step_x: Array,
+    scratch: Array,
 ) -> None:
     """Add points whose rows are all exposed from ``begin`` to ``end`` (global shutter)."""
     change, x0, y0 = out
-    table, reach, patch = blur
+    taps, reach, patch = blur
+    step_x, row_share = scratch[0], scratch[1]
     half, middle = 0.5 * (panel.end_s - panel.begin_s), 0.5 * (panel.begin_s + panel.end_s)
     nodes = nodes_for(panel.motion_px * (end - begin) / (2.0 * half))
     rows = change.shape[0]
@@ -117,13 +118,14 @@ def _add_all_rows(
                 continue
             for i in range(patch.shape[0]):
                 u, v, part = u_here + patch[i, 0], v_here + patch[i, 1], amount * patch[i, 2]
-                px, py = math.floor(u) - reach, math.floor(v) - reach
-                _steps(what, step_x, table, reach, u - px)
-                for p in range(max(0, y0 - py), min(2 * reach + 2, y0 + rows - py)):
-                    w = part * weight(table, reach, py + p - v)
-                    if w != 0.0:
-                        for q in range(2 * reach + 3):
-                            change[py + p - y0, px + q - x0] += w * step_x[q]
+                left, above = math.floor(u), math.floor(v)
+                fill_taps(taps, what, u - left, step_x)
+                fill_taps(taps, ROWS, 1.0 - (v - above), row_share)
+                x, y = left - reach + 1 - x0, above - reach + 1 - y0
+                for p in range(max(0, -y), min(2 * reach, rows - y)):
+                    w = part * row_share[p]
+                    for q in range(2 * reach + 1):
+                        change[y + p, x + q] += w * step_x[q]
 
 
 @bare_step
@@ -137,11 +139,12 @@ def _add_one_row(
     begin: float,
     end: float,
     length: float,
-    step_x: Array,
+    scratch: Array,
 ) -> None:
     """Add points to the one row that is exposed from ``begin`` to ``end`` (rolling shutter)."""
     change, x0, y0 = out
-    table, reach, patch = blur
+    taps, reach, patch = blur
+    step_x, row_share = scratch[0], scratch[1]
     half, middle = 0.5 * (panel.end_s - panel.begin_s), 0.5 * (panel.begin_s + panel.end_s)
     nodes = nodes_for(panel.motion_px * (end - begin) / (2.0 * half))
     for k in range(nodes):
@@ -153,27 +156,18 @@ def _add_one_row(
             v_here = c[3] + tau * (c[4] + tau * c[5])
             for i in range(patch.shape[0]):
                 v = v_here + patch[i, 1]
-                if abs(y0 + row - v) >= reach:
-                    continue
+                above = math.floor(v)
+                p = y0 + row - above + reach - 1
                 amount = node_share * patch[i, 2] * (c[6] + tau * (c[7] + tau * c[8]))
-                w = amount * weight(table, reach, y0 + row - v)
-                if w == 0.0:
+                if amount == 0.0 or not 0 <= p < 2 * reach:
                     continue
                 u = c[0] + tau * (c[1] + tau * c[2]) + patch[i, 0]
-                px = math.floor(u) - reach
-                _steps(what, step_x, table, reach, u - px)
-                for q in range(2 * reach + 3):
-                    change[row, px + q - x0] += w * step_x[q]
-
-
-@bare_step
-def _steps(what: int, step_x: Array, table: Array, reach: int, u: float) -> None:
-    """Write the changes from pixel to pixel, starting at pixel 0, that a point at u adds along a row."""
-    previous = 1.0 if what == EDGE else 0.0
-    for q in range(2 * reach + 3):
-        here = share(table, reach, u - q) if what == EDGE else weight(table, reach, u - q)
-        step_x[q] = here - previous
-        previous = here
+                left = math.floor(u)
+                fill_taps(taps, what, u - left, step_x)
+                fill_taps(taps, ROWS, 1.0 - (v - above), row_share)
+                w, x = amount * row_share[p], left - reach + 1 - x0
+                for q in range(2 * reach + 1):
+                    change[row, x + q] += w * step_x[q]
 
 
 @bare_step

@@ -24,17 +24,27 @@ def fading(profile: Array, sine: float) -> Any:
     return rise * rise * (3.0 - 2.0 * rise)
 
 
-@step
+@bare_step
 def _rings(diameter: float) -> Any:
-    """Number of rings of spots for a disc of this image diameter, and number of spots in each."""
-    return min(MOST_NODES, 4 + int(diameter)), 12 + int(math.pi * diameter / STEP_PX)
+    """Number of rings of spots for a disc of this image diameter."""
+    return min(MOST_NODES, 4 + int(diameter))
+
+
+@bare_step
+def _ring(diameter: float, rings: int, i: int) -> Any:
+    """Radius of ring ``i`` over the disc's, its share of the radial integral, and the number of its spots."""
+    angle = 0.25 * math.pi * (NODE_AT[rings, i] + 1.0)
+    q = math.sin(angle)
+    return q, 0.5 * math.pi * NODE_SHARE[rings, i] * math.cos(angle), 12 + int(math.pi * q * diameter / STEP_PX)
 
 
 @step
 def spot_count(diameter: float) -> Any:
     """Number of spots of a disc of this image diameter."""
-    rings, around = _rings(diameter)
-    return rings * around
+    rings, count = _rings(diameter), 0
+    for i in range(rings):
+        count += _ring(diameter, rings, i)[2]
+    return count
 
 
 @step
@@ -43,13 +53,12 @@ def spots(lens: Array, target: TargetPose, profile: Array, diameter: float, out:
 
     The radius is the sine of the quadrature's variable; in that variable limb darkening is smooth.
     """
-    rings, around = _rings(diameter)
+    rings = _rings(diameter)
     circle = outline_circle(target, target.radius)
     cx, cy, cz = circle[0], circle[1], circle[2]
     n = 0
     for i in range(rings):
-        angle = 0.25 * math.pi * (NODE_AT[rings, i] + 1.0)
-        q, dq = math.sin(angle), 0.5 * math.pi * NODE_SHARE[rings, i] * math.cos(angle)
+        q, dq, around = _ring(diameter, rings, i)
         for k in range(around):
             dx, dy, dz, ex, ey, ez = circle_point(circle, 2.0 * math.pi * (k + 0.5 * (i % 2)) / around)
             gx, gy, gz = dx - cx, dy - cy, dz - cz

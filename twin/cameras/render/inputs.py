@@ -116,10 +116,10 @@ class RenderInputs(NamedTuple):
 
     lens: Array
     """Parameter vector, see ``twin.cameras.optics.lens_vector``."""
-    pixel_table: Array
-    """Table of the pixel kernel, see ``twin.cameras.optics.pixel_kernel``."""
+    pixel_taps: Array
+    """How light spreads to pixels, see ``twin.cameras.optics.pixel_kernel``."""
     pixel_reach: int
-    """Reach of that table [px]."""
+    """Distance beyond which a pixel collects nothing [px]."""
     blur_terms: Array
     """(9,): terms of the blur, see ``twin.cameras.optics.psf.Psf``."""
     nodes_s: Array

@@ -97,7 +97,7 @@ def render_targets(
     on, off = window.light_s
     inputs = RenderInputs(
         lens,
-        psf.kernel.table,
+        psf.kernel.taps,
         psf.kernel.reach,
         psf.terms,
         np.ascontiguousarray(window.nodes_s, dtype=float),

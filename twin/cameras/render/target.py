@@ -201,7 +201,7 @@ def _blur_and_rows(inputs: RenderInputs, m: int, image: TargetImage) -> Any:
     """Return how a target's light spreads, and when its rows collect it."""
     on, off = lit_s(inputs, m)
     rows = RowTiming(inputs.rows.length_s, inputs.rows.row_time_s, on, off)
-    return Blur(inputs.pixel_table, inputs.pixel_reach, image.patches), rows
+    return Blur(inputs.pixel_taps, inputs.pixel_reach, image.patches), rows
 
 
 @step
