@@ -76,7 +76,7 @@ class SubjectSpec(Table):
     """An upright cylinder or capsule that carries the markers: each is seen from before its tangent plane alone."""
 
     directions: int = Field(8, ge=3, le=64, description="directions in which markers face, evenly all round")
-    radius_m: Positive = Field(0.15, description="radius in the simulation [m]; the prediction needs none")
+    radius_m: Positive = Field(0.15, description="its radius [m]: it hides its own markers, and their images overlap")
 
 
 class CameraModelSpec(Table):

@@ -32,8 +32,7 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
-from scipy.optimize import linprog, minimize_scalar
-from scipy.sparse import csr_matrix
+from bench_plan_bound import bound
 
 from mosca.accuracy.planning.exchange import exchanged, information_of, variances_of
 from mosca.accuracy.planning.image_noise import PixelNoiseModel, information_table
@@ -52,19 +51,25 @@ from mosca.accuracy.planning.views import (
 
 ROOMS = (
     "demo", "example_simple", "T_zone_direction_change", "example_evaluation_CHU", "labo_CHU_bis",
-    "example_real_world",
+    "evaluate_labo_CHU", "example_real_world",
 )  # fmt: skip
+"""All that it ships; its ``labo_CHU`` is ``example_real_world`` under another name."""
 WIDE_PX, BODY_PX, DIAMETER_M = 1280, 0.03, 0.014
 TABLES = information_table(PixelNoiseModel(12_000.0, 200.0, 10.0, 20_000 / 255))[None]
 MARKERS = 2000
 """Of all that it evaluates, for the search."""
-COARSE_M, COARSE_DEG, FINE_M, FINE_DEG = 0.3, 8.0, 0.05, 2.0
-NEAR = 3
+COARSE_M, COARSE_DEG = 0.3, 8.0
+FINE = ((0.1, 4.0), (0.05, 2.0), (0.02, 1.0))
+"""Steps along walls [m] and of directions [deg] of the refinements, one after another."""
+NEAR = 2
 """Fine steps to both sides of a camera."""
+ROUNDS, LEAST_GAIN = 3, 1e-3
+"""Refinements with the same steps, at most, and the gain of log sigma below which they end."""
 FINE_STARTS = 2
 RESERVE = 0.002
 """Of its score and of the share measured: what holds at the search's points must hold at all."""
-SHARE_COST, SCORE_COST = 30.0, 3.0
+SHARE_COST, SCORE_COST, HARD = 30.0, 3.0, 100.0
+"""What is missing in the share and the score, as a change of log sigma; HARD times as much in the end."""
 Cameras = list[tuple[Any, ...]]
 
 
@@ -177,31 +182,34 @@ class TheirRoom:
                 found += self.standing(k, along, normal + np.arange(-60, 61, COARSE_DEG))
         return found
 
-    def near(self, camera: tuple[Any, ...]) -> Cameras:
-        """Return cameras near one of its own, FINE_M and FINE_DEG apart."""
+    def near(self, camera: tuple[Any, ...], step_m: float, step_deg: float) -> Cameras:
+        """Return cameras near one on a wall, by NEAR steps along the wall and of its direction."""
         found, at, steps = [], np.array(camera[:2]), np.arange(-NEAR, NEAR + 1)
         for k, (start, end, _) in enumerate(self.walls):
             length = float(np.linalg.norm(end - start))
             along = float((at - start) @ (end - start)) / length
             if np.linalg.norm(start + (end - start) * np.clip(along / length, 0, 1) - at) < 1e-6:
                 for step in steps:
-                    found += self.standing(k, along + FINE_M * step, camera[2] + FINE_DEG * steps)
+                    found += self.standing(k, along + step_m * step, camera[2] + step_deg * steps)
         return found
 
 
 class Scores(dict[int, dict[int, Any]]):
     """Its score of chosen candidates at some points; what a candidate covers is asked of it once."""
 
-    def __init__(self, there: TheirRoom, candidates: Cameras, points: list[Any]) -> None:
+    def __init__(self, there: TheirRoom, candidates: Cameras, points: list[Any], covered: dict[Any, Any]) -> None:
         from core import scoring
 
         super().__init__()
         self.asked = lambda cameras: scoring.precompute_coverage(cameras, [], points, there.cfg, there.state)
         self.summed = lambda chosen, meta: float(scoring.score_indexed(chosen, [], self, [], meta, there.cfg)[0])
-        self.candidates, self.meta = candidates, self.asked([])[2]
+        self.candidates, self.meta, self.covered = candidates, self.asked([])[2], covered
 
     def __missing__(self, chosen: int) -> dict[int, Any]:
-        self[chosen] = self.asked([self.candidates[chosen]])[0][0]
+        camera = self.candidates[chosen]
+        if camera not in self.covered:
+            self.covered[camera] = self.asked([camera])[0][0]
+        self[chosen] = self.covered[camera]
         return self[chosen]
 
     def of(self, chosen: list[int]) -> float:
@@ -216,6 +224,8 @@ class Ours:
         from core import scoring
 
         self.there, cfg = there, there.cfg
+        self.known: dict[tuple[Any, ...], np.ndarray] = {}
+        self.covered: dict[tuple[Any, ...], dict[int, Any]] = {}
         rows = np.array([m for x, y, w in points for m in scoring.cylinder_markers(x, y, w, cfg)])
         angle = np.round(np.degrees(np.arctan2(rows[:, 4], rows[:, 3])), 3)
         rows = rows[np.argsort(angle, kind="stable")]
@@ -229,6 +239,12 @@ class Ours:
 
     def information(self, cameras: Cameras) -> np.ndarray:
         """Return what each camera tells of each marker (c, n, 6), within its range."""
+        new = [one for one in dict.fromkeys(cameras) if one not in self.known]
+        if new:
+            self.known |= dict(zip(new, self._information(new), strict=True))
+        return np.array([self.known[one] for one in cameras])
+
+    def _information(self, cameras: Cameras) -> np.ndarray:
         rows = self.rows(cameras)
         found = np.concatenate([information_of(rows, one) for one in self.rooms], axis=1)
         away = np.linalg.norm(rows[:, None, :2] - self.at[:, :2], axis=2)
@@ -282,15 +298,17 @@ class Search:
     ``few``: of about MARKERS markers, with RESERVE, not all.
     """
 
-    def __init__(self, there: TheirRoom, start: Cameras, count: int, candidates: Cameras, few: bool) -> None:
+    def __init__(
+        self, there: TheirRoom, start: Cameras, count: int, candidates: Cameras, few: bool, ours: "Ours | None" = None
+    ) -> None:
         self.there, self.start, self.count = there, start, count
         a_point = there.cfg.opt.marker_ring * there.cfg.opt.marker_levels
         points = there.points[:: max(1, round(len(there.points) * a_point / MARKERS))] if few else there.points
-        self.ours, self.candidates = Ours(there, points), start + candidates
-        reserve = RESERVE if few else 0.0
+        self.ours, self.candidates = ours or Ours(there, points), start + candidates
+        reserve, self.hard = RESERVE if few else 0.0, 1.0
         self.information = self.ours.information(self.candidates)
         self.places = np.array([one[:2] for one in self.candidates])
-        scores = Scores(there, self.candidates, points)
+        scores = Scores(there, self.candidates, points, self.ours.covered)
         first = list(range(len(start)))
         self.score, self.least = scores.of, scores.of(first) * (1 + reserve)
         self.theirs = np.isfinite(variances_of(self.information, first))
@@ -302,14 +320,16 @@ class Search:
         squares = np.where(seen, variances, 0.0) @ (weight * self.theirs)
         both = seen @ (weight * self.theirs)
         with np.errstate(divide="ignore", invalid="ignore"):
-            found = 0.5 * np.log(squares / both) + SHARE_COST * np.maximum(0.0, self.share - seen @ weight)
+            found = 0.5 * np.log(squares / both) + self.hard * SHARE_COST * np.maximum(
+                0.0, self.share - seen @ weight
+            )
         return np.asarray(np.where(both > 0, found, np.inf))
 
     def more(self, chosen: list[int]) -> float:
         """Return what a lower score costs; nothing with fewer cameras, whose number it counts."""
         if self.count < len(self.start):
             return 0.0
-        return SCORE_COST * max(0.0, 1.0 - self.score(chosen) / self.least)
+        return self.hard * SCORE_COST * max(0.0, 1.0 - self.score(chosen) / self.least)
 
     def beside(self, others: list[int]) -> np.ndarray:
         """Return which candidates keep the spacing."""
@@ -338,68 +358,26 @@ def planned(coarse: Search, starts: int) -> list[Cameras]:
     if coarse.count == len(coarse.start):
         begin[0] = list(range(coarse.count))
     found = sorted((coarse.found(one) for one in begin), key=lambda one: one[0])
-    fine = []
-    for _, cameras in found[:FINE_STARTS]:
-        near = [other for one in cameras for other in coarse.there.near(one)]
-        one = Search(coarse.there, coarse.start, coarse.count, cameras + near, few=False)
-        first = len(coarse.start)
-        fine.append(one.found(list(range(first, first + coarse.count))))
+    layouts = {tuple(sorted(cameras)): cameras for _, cameras in found}
+    fine = [refined(coarse, cameras) for cameras in list(layouts.values())[:FINE_STARTS]]
     return [one for _, one in sorted([*fine, *found], key=lambda one: one[0])]
 
 
-def bound(search: Search, steps: int) -> float:
-    """Return a lower bound of the rms sigma [m] of what ``search.theirs`` has, over all layouts of the candidates."""
-    weight = search.ours.weight * search.theirs
-    weight = (weight / weight.sum())[:, None, None]
-    places, of = np.unique(search.places.round(4), axis=0, return_inverse=True)
-    of, spacing = of.ravel(), search.there.cameras.min_spacing
-    pairs = np.argwhere(np.linalg.norm(places[:, None] - places, axis=2) < spacing - 1e-9)
-    # places within a circle of the spacing's diameter: one camera at most
-    middles = (places[pairs[:, 0]] + places[pairs[:, 1]]) / 2
-    crowds = np.unique(np.linalg.norm(middles[:, None] - places, axis=2) < spacing / 2 - 1e-9, axis=0)
-    limits = csr_matrix(crowds.astype(float))
-
-    def value(total: np.ndarray) -> tuple[float, np.ndarray]:
-        matrix = np.empty((len(total), 3, 3))
-        upper = np.triu_indices(3)
-        matrix[:, upper[0], upper[1]] = matrix[:, upper[1], upper[0]] = total
-        matrix[weight[:, 0, 0] == 0] = np.eye(3)
-        inverse = np.linalg.inv(matrix)
-        slope = -(weight * inverse @ inverse)[:, upper[0], upper[1]] * [1, 2, 2, 1, 2, 1]
-        return float((weight * inverse).trace(axis1=1, axis2=2).sum()), slope
-
-    def least(slopes: np.ndarray) -> tuple[np.ndarray, float]:
-        best = np.full(len(places), np.inf)
-        np.minimum.at(best, of, slopes)
-        which = np.empty(len(places), int)
-        order = np.argsort(-slopes)
-        which[of[order]] = order
-        # HiGHS's tolerances are absolute
-        scale = float(np.abs(best).max())
-        found = linprog(
-            best / scale, A_ub=limits, b_ub=np.ones(limits.shape[0]), A_eq=np.ones((1, len(places))),
-            b_eq=[search.count], bounds=(0, 1),
-        )  # fmt: skip
-        share = np.zeros(len(slopes))
-        share[which] = found.x
-        return share, float(found.fun * scale)
-
-    share = np.full(len(of), search.count / len(of))
-    total = np.tensordot(share, search.information, 1)
-    found = -np.inf
-    for _ in range(steps):
-        now, slope = value(total)
-        slopes = np.tensordot(search.information, slope, 2)
-        corner, lowest = least(slopes)
-        found = max(found, now + lowest - float(slopes @ share))
-        other = np.tensordot(corner, search.information, 1)
-
-        def along(step: float, total: np.ndarray = total, other: np.ndarray = other) -> float:
-            return value((1 - step) * total + step * other)[0]
-
-        step = minimize_scalar(along, bounds=(0.0, 0.9), method="bounded", options={"xatol": 1e-4}).x
-        share, total = (1 - step) * share + step * corner, (1 - step) * total + step * other
-    return float(np.sqrt(max(found, 0.0)))
+def refined(coarse: Search, cameras: Cameras) -> tuple[float, Cameras]:
+    """Return cost and cameras after exchanges among near ones, whose steps shrink, at all points."""
+    there, first = coarse.there, len(coarse.start)
+    ours = Ours(there, there.points)
+    for step, hard in (*((one, 1.0) for one in FINE), (FINE[-1], HARD)):
+        before = np.inf
+        for _ in range(ROUNDS):
+            near = [other for one in cameras for other in there.near(one, *step)]
+            search = Search(there, coarse.start, coarse.count, cameras + near, False, ours)
+            search.hard = hard
+            cost, cameras = search.found(list(range(first, first + coarse.count)))
+            if cost > before - LEAST_GAIN:
+                break
+            before = cost
+    return cost, cameras
 
 
 class Compared:
@@ -443,12 +421,14 @@ def compared(name: str, seed: int, starts: int, steps: int) -> str:
     same = found.first_allowed(planned(coarse, starts))
     our_s = time.process_time() - begun
     least = bound(coarse, steps) / _least_of(coarse) if steps else np.nan
-    coarse.count -= 1
+    coarse.count, begun = coarse.count - 1, time.process_time()
     fewer = found.first_allowed(planned(coarse, starts))
+    fewer_s = time.process_time() - begun
+    seconds = f"{their_s:6.1f} {our_s:6.1f} {fewer_s:6.1f}"
     return (
         f"{name:24s} {len(theirs):2d} {same[0]:7.3f} {same[1]:7.3f} {same[2]:6.3f} {same[3]:6.3f} {least:6.3f}"
         f" {100 * found.share:6.2f} {same[4]:6.2f} {found.score:8.3f} {same[5]:8.3f} |"
-        f" {fewer[2]:6.3f} {fewer[3]:6.3f} {fewer[4]:6.2f} {fewer[5]:8.3f} | {their_s:6.1f} {our_s:6.1f}"
+        f" {fewer[2]:6.3f} {fewer[3]:6.3f} {fewer[4]:6.2f} {fewer[5]:8.3f} | {seconds}"
     )
 
 
@@ -469,7 +449,7 @@ def main() -> None:
     print(
         "room, cameras; rms sigma [mm] theirs, ours; ratio, ratio of all that each measures, bound; measured [%] and"
         " its score, theirs, ours | with one camera fewer: ratio, of all, measured, score | processor time [s]"
-        " theirs, ours",
+        " theirs, ours, with one fewer",
         flush=True,
     )
     for name in given.rooms:

@@ -109,3 +109,20 @@ def test_detection_errs_by_the_shift_of_a_cut_disc(cut):
     nearest = np.linalg.norm(off, axis=2).argmin(axis=1)
     shift = off[np.arange(len(centers)), nearest][::3, 0].mean() / radius
     assert shift == pytest.approx(cut_disc(np.array([cut]))[1][0], rel=0.08)
+
+
+@pytest.mark.parametrize("count", [6, 8, 20])
+def test_overlapping_discs_are_those_whose_middles_are_nearer_than_a_diameter(count):
+    """A far camera looks along parallel rays: offsets across the sight line tell of discs, plane trigonometry."""
+    worn, reach = WornMarkers(BALL, BODY, 0.0, 2.0), BODY + BALL
+    facing = 2 * np.pi * np.arange(count) / count
+    normals = np.column_stack([np.cos(facing), np.sin(facing), np.zeros(count)])
+    for degrees in np.arange(0.5, 180, 3.0):
+        angle = np.deg2rad(degrees)
+        center = reach * normals[0] + [0.3, -0.2, 1.0]
+        place = [0.3, -0.2, 1.0] + 1e4 * np.array([np.cos(angle), np.sin(angle), 0.0])
+        across, ahead = reach * np.sin(facing - angle), reach * np.cos(facing - angle)
+        shown = (ahead > 0) | (np.abs(across) + BALL > BODY)
+        expected = (shown & (np.abs(across - across[0]) < 2 * BALL))[1:].any()
+        found = worn.overlapping(center[None], normals[0], normals, place[None])[0, 0]
+        assert found == expected, degrees

@@ -16,7 +16,15 @@ from scenarios.spec.plan import PlanFile, load_plan
 from scenarios.spec.scenario import load_scenario
 from scenarios.studies.plan import plan as plans
 from scenarios.studies.plan.plan import Plan, PlanSettings, make_plan, task_of
-from scenarios.studies.plan.room import inside_polygon, is_convex, mounts_of, obstacles_of, points_in
+from scenarios.studies.plan.room import (
+    inside_polygon,
+    is_convex,
+    mounts_of,
+    obstacles_of,
+    options_of,
+    points_in,
+    room_of,
+)
 from scenarios.studies.plan.scenario import write_scenario
 from scenarios.studies.plan.verify import verify
 
@@ -227,10 +235,28 @@ def test_the_example_of_the_documentation_is_read():
 
 def test_a_row_of_the_study_says_what_was_found():
     from scenarios.studies.plan.verify import Verified
-    from tests.studies.planner_rooms import drawn_room, row
+    from tests.studies.planner_rooms import drawn_room, ratio_of, row
 
     found = Verified(1e-4, 2e-4, 1.9e-4, 2.1e-4, 3e-4, 3e-4, 0.0, 0.0, 1.0)
-    assert replace(found).ratio == 0.5
-    assert "0.1000     0.2000" in row(0, found)
+    other = replace(found, simulated_rms_m=1e-4)
+    assert found.ratio == 0.5
+    assert "0.1000     0.2000" in row(0, [found])
+    # rms of 0.2 and 0.1 mm
+    assert ratio_of([found, other]) == pytest.approx(0.1 / np.sqrt(0.025))
+    assert "0.50 1.00" in row(0, [found, other])
     assert drawn_room(3).subject is not None
     assert drawn_room(2).subject is None
+
+
+def test_markers_so_dense_that_their_images_overlap_are_predicted_to_be_unmeasured():
+    """A marker of 20 mm every 16 mm round the body: each image overlaps its neighbours'."""
+    needs_cma()
+    plan = one_sided(document(budget={"cameras": 4}))
+    rows = plan.best.layout.rows(plan.mounts, np.array([one.row for one in options_of(plan.spec)]))
+    unseen = {}
+    for directions in (4, 64):
+        spec = document(subject={"directions": directions, "radius_m": 0.15})
+        points = points_in(spec, 40, 1)
+        unseen[directions] = plans.predicted_of(spec, plan.best.rig, rows, room_of(spec, points)).unseen(2)
+    assert unseen[64] == 1.0
+    assert unseen[4] < 0.8

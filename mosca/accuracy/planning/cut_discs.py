@@ -1,4 +1,4 @@
-"""Images of markers that are partly hidden by the body that wears them: shifts of their centres, and their weights.
+"""Images of markers that are partly hidden by the body that wears them, or overlap: shifts, weights, missing images.
 
 A ball of radius r seated on a convex body is partly hidden where the sight line to its centre passes through the body
 or nearer to it than r. With the clearance d of that line (below zero inside), the body's edge cuts a straight piece
@@ -16,6 +16,10 @@ grows by the square of the shift that belongs to the share. A point is the weigh
 e = c r t, with t the edge's normal. With N = sum J'J / v, where v is the assumed variance,
 
     mean error = N^-1 sum J'J e / v,    covariance of the noise = N^-1 (sum J'J sigma^2 / v^2) N^-1.
+
+Discs of two balls on the same body that overlap in an image make one region, up to twice as large as a disc. By the
+same rule the share that it has too much counts as a shift, of up to MOST_LARGE radii. Beside an image whose error is
+a few hundredths of a radius it has almost no weight: such images are predicted as missing.
 """
 
 from dataclasses import dataclass
@@ -48,6 +52,24 @@ class WornMarkers:
         near, edge = body_clearance(points, axes, places, self.body_radius_m, self.low_m, self.high_m)
         hidden, shift = cut_disc(near / self.radius_m)
         return hidden, shift, edge
+
+    def overlapping(self, points: Array, normal: Array, normals: Array, places: Array) -> Array:
+        """Return whether images (c, n) of balls overlap that of another ball of their body that is not hidden.
+
+        ``points``, ``normal`` and ``places`` as in ``images``; ``normals`` (k, 3): of the balls at the same height.
+        """
+        reach, found = self.body_radius_m + self.radius_m, np.zeros((len(places), len(points)), bool)
+        own = points - places[:, None]
+        for other in normals[(normals != normal).any(axis=1)]:
+            there = points + reach * (other - normal)
+            away = there - places[:, None]
+            angle = np.arctan2(np.linalg.norm(np.cross(own, away), axis=2), (own * away).sum(axis=2))
+            apart = self.radius_m / np.linalg.norm(own, axis=2) + self.radius_m / np.linalg.norm(away, axis=2)
+            near = np.flatnonzero((angle < apart).any(axis=0))
+            if len(near):
+                hidden, _, _ = self.images(there[near], other, places)
+                found[:, near] |= (angle < apart)[:, near] & (hidden < 1.0)
+        return found
 
 
 def cut_disc(cut: Array) -> tuple[Array, Array]:

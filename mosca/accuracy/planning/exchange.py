@@ -26,15 +26,15 @@ def information_of(cameras: Array, room: MarkerRoom) -> Array:
     """
     found = []
     for normals in room.normals[:, None] if len(room.normals) else [room.normals]:
-        found.append(
-            np.array([
-                gather(
-                    cameras[c : c + 1], room.points, normals, room.obstacles, room.center, room.diameter_m,
-                    room.tables, Softness().row,
-                )[0][:, 0]
-                for c in range(len(cameras))
-            ], dtype=np.float32)
-        )  # fmt: skip
+        of_normal = np.zeros((len(cameras), len(room.points), 6), dtype=np.float32)
+        for c in range(len(cameras)):
+            # hard borders: points that face away get nothing, and their sight lines are not followed
+            facing = np.flatnonzero((((cameras[c, :3] - room.points) @ normals.T) > 0.0).all(axis=1))
+            of_normal[c, facing] = gather(
+                cameras[c : c + 1], room.points[facing], normals, room.obstacles, room.center, room.diameter_m,
+                room.tables, Softness().row,
+            )[0][:, 0]  # fmt: skip
+        found.append(of_normal)
     return np.concatenate(found, axis=1)
 
 

@@ -21,6 +21,7 @@ from scenarios.studies.plan.room import (
     bounding_box,
     keep_out_of,
     mounts_of,
+    normals_of,
     options_of,
     points_in,
     room_of,
@@ -64,6 +65,9 @@ class Planned:
     rig: Rig
     price: float
     predicted: VolumePrediction
+    rank: tuple[float, float]
+    """What plans are compared by, the less the better: the quantile, then the share that is not seen; as in the
+    search without overlapping images, which would make many plans' quantile infinite."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +84,7 @@ class Plan:
     @property
     def best(self) -> Planned:
         """The plan with the least predicted quantile."""
-        return min(self.planned.values(), key=lambda one: _rank(one, self.spec))
+        return min(self.planned.values(), key=lambda one: one.rank)
 
 
 def make_plan(
@@ -115,19 +119,14 @@ def make_plan(
         # the search uses few points, and the calibration as a fixed noise: its gain may be none at other points
         found += [starts[count]] if task.allowed(start) else []
         if found:
-            planned[count] = min(found, key=lambda one: _rank(one, spec))
+            planned[count] = min(found, key=lambda one: one.rank)
     if not planned:
         raise InputError(
             f"budget.cameras = {most}: no layout keeps goal.spacing_m, the room and the money; allow more room, more "
             "money or fewer cameras"
         )
-    best = min(planned, key=lambda count: _rank(planned[count], spec))
+    best = min(planned, key=lambda count: planned[count].rank)
     return Plan(spec, tasks[0].options, mounts, planned, starts[best])
-
-
-def _rank(one: Planned, spec: PlanFile) -> tuple[float, float]:
-    """Return the values to minimise for a planned rig: the quantile, then the share that is not seen."""
-    return one.predicted.quantile_m(spec.goal.quantile), one.predicted.unseen(2)
 
 
 def _from(told: Callable[[int, int], None], before: int, wanted: int) -> Callable[[int, int], None]:
@@ -145,8 +144,12 @@ def task_of(spec: PlanFile, points: Array, calibration_px: float) -> PlacementTa
     )  # fmt: skip
 
 
-def predicted_of(spec: PlanFile, rig: Rig, rows: Array, room: MarkerRoom) -> VolumePrediction:
+def predicted_of(
+    spec: PlanFile, rig: Rig, rows: Array, room: MarkerRoom, *, overlaps: bool = True
+) -> VolumePrediction:
     """Return the predictions for the markers of ``room`` with ``rig`` and its rows (c, COLUMNS).
+
+    ``overlaps``: whether images that overlap those of other markers on the subject count as missing.
 
     The covariance is given for all markers that the pipeline measures. Sigma is infinite where fewer cameras than
     wanted see at least half of a marker.
@@ -155,7 +158,7 @@ def predicted_of(spec: PlanFile, rig: Rig, rows: Array, room: MarkerRoom) -> Vol
     seen, variance = view_table(
         rows, points, np.empty((0, 3)), room.obstacles, room.center, room.diameter_m, room.tables, Softness().row
     )
-    seen = seen[:, :, 0] > 0.5
+    in_view = seen[:, :, 0] > 0.5
     known = parameter_covariance(rig, session_of(spec, places, spec.seed))
     worn, normals = worn_markers_of(spec), room.normals if len(room.normals) else np.zeros((1, 3))
     radius_px = rows[:, SCALE, None] * room.diameter_m / (2 * np.linalg.norm(points - places[:, None], axis=2))
@@ -164,9 +167,11 @@ def predicted_of(spec: PlanFile, rig: Rig, rows: Array, room: MarkerRoom) -> Vol
     common, sigma = np.full((2, n, kinds), np.inf)
     count = np.zeros((n, kinds), int)
     for k, normal in enumerate(normals):
-        hidden, shift, edge = np.zeros(seen.shape), np.zeros(seen.shape), np.zeros((*seen.shape, 3))
+        seen, hidden, shift, edge = in_view, *np.zeros((2, *in_view.shape)), np.zeros((*in_view.shape, 3))
         if worn is not None and normal.any():
             hidden, shift, edge = worn.images(points, normal, places)
+            if overlaps:
+                seen = in_view & ~worn.overlapping(points, normal, normals_of(spec), places)
         count[:, k] = (seen & (hidden <= 0.5)).sum(axis=0)
         good = measured(seen, hidden)
         images = (seen & (hidden < 1.0))[:, good]
@@ -246,7 +251,10 @@ def _planned(spec: PlanFile, task: PlacementTask, layout: Layout) -> Planned:
     rig = planned_rig(layout, task.mounts, options)
     rows = layout.rows(task.mounts, replace(task, options=options).option_rows)
     room = room_of(spec, points_in(spec, REPORT_POINTS, spec.seed + 1000))
-    return Planned(layout, rig, layout.price(options), predicted_of(spec, rig, rows, room))
+    predicted = predicted_of(spec, rig, rows, room)
+    apart = predicted if spec.subject is None else predicted_of(spec, rig, rows, room, overlaps=False)
+    rank = apart.quantile_m(spec.goal.quantile), apart.unseen(2)
+    return Planned(layout, rig, layout.price(options), predicted, rank)
 
 
 def _calibration_px(spec: PlanFile, mounts: tuple[MountingPlace, ...], count: int) -> float:
@@ -256,12 +264,13 @@ def _calibration_px(spec: PlanFile, mounts: tuple[MountingPlace, ...], count: in
     """
     task = task_of(spec, points_in(spec, SEARCH_POINTS, spec.seed), 0.0)
     layout = first_layout(task, count)
-    found = _planned(spec, task, layout).predicted
+    rows = layout.rows(mounts, task.option_rows)
+    room = room_of(spec, points_in(spec, REPORT_POINTS, spec.seed + 1000))
+    found = predicted_of(spec, planned_rig(layout, mounts, task.options), rows, room, overlaps=False)
     seen = np.isfinite(found.sigma_m) & (found.calibration_m < found.sigma_m)
     if not seen.any():
         return 0.0
     share = np.median(found.calibration_m[seen] ** 2 / (found.sigma_m[seen] ** 2 - found.calibration_m[seen] ** 2))
-    rows = layout.rows(mounts, task.option_rows)
     room = task.objective.room
     _, variance = view_table(
         rows, room.points, room.normals, room.obstacles, room.center, room.diameter_m, room.tables, Softness().row

@@ -50,13 +50,15 @@ class Verified:
 
 
 def verify(
-    plan: Plan, folder: Path, workers: int = 1, stage: Callable[[str], None] | None = None
+    plan: Plan, folder: Path, workers: int = 1, stage: Callable[[str], None] | None = None, *, seed: int | None = None
 ) -> tuple[Verified, RunResult]:
     """Run the scenario in ``folder``; return its errors with the predicted ones, and the run.
 
-    ``stage``: called with the name of each stage.
+    ``stage``: called with the name of each stage. ``seed``: of the simulation; default: the scenario's.
     """
     spec = load_scenario(folder / SCENARIO_FILE)
+    if seed is not None:
+        spec = spec.model_copy(update={"seed": seed})
     run = run_scenario(spec, "plan", folder, RunOptions(workers=workers, stage=stage))
     assert run.truth is not None
     assert isinstance(run.truth, Truth)
