@@ -1,7 +1,7 @@
 """Blind labs: twins with hidden settings play a lab; the fit sees their recordings alone.
 
 Run as a module for a table of z = (estimate - truth) / sigma and of the predicted length errors:
-``python tests/studies/lab_twin.py --labs 4``.
+``python -m tests.studies.lab_twin --labs 4``. With ``--mitsuba`` another renderer plays the labs: ``lab_mitsuba``.
 """
 
 import argparse
@@ -200,6 +200,30 @@ def blind(seed, folder, *, seconds=10.0, draws=4, still=120, moving=200, twice=F
     return z_scores(tables, told), measured, prediction, worse
 
 
+def report(seed, scores, measured, said):
+    """Print the parameters of a lab that are off, and its length error beside the predicted one."""
+    z = np.array([row[-1] for row in scores])
+    print(f"lab {seed}: {np.sum(np.abs(z) <= 3)} of {len(z)} parameters within 3 sigma")
+    for camera, key, truth, value, sigma, score in scores:
+        if abs(score) > 2.5:
+            print(f"  {camera} {key}: {value:.5g} +- {sigma:.2g}, truth {truth:.5g}, z {score:.1f}")
+    inside = said.low <= measured <= said.high
+    print(
+        f"  length error {1e6 * measured:.1f} um measured, {1e6 * said.value:.1f} predicted "
+        f"({100 * (said.value / measured - 1):+.1f} %), 95 % {1e6 * said.low:.1f} .. {1e6 * said.high:.1f}: "
+        f"{'inside' if inside else 'OUTSIDE'}",
+        flush=True,
+    )
+
+
+def summary(every):
+    """Print the z scores of all labs, key by key."""
+    for key in dict.fromkeys(row[1] for row in every):
+        z = np.array([row[-1] for row in every if row[1] == key])
+        rms, most, within = np.sqrt(np.mean(z**2)), np.abs(z).max(), np.sum(np.abs(z) <= 3)
+        print(f"{key:26s} {len(z):3d} z: {within} within 3, mean {z.mean():5.2f} rms {rms:5.2f} max {most:5.2f}")
+
+
 def main():
     """Print z scores and predictions of some labs."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -207,31 +231,24 @@ def main():
     parser.add_argument("--labs", type=int, default=4)
     parser.add_argument("--seconds", type=float, default=10.0, help="of the wand")
     parser.add_argument("--draws", type=int, default=4, help="of the lab's parameters and the seed")
+    parser.add_argument("--mitsuba", action="store_true", help="Mitsuba plays the labs, in place of hidden twins")
     given = parser.parse_args()
     every = []
     for seed in range(given.first, given.first + given.labs):
         with tempfile.TemporaryDirectory() as folder:
+            if given.mitsuba:
+                from tests.studies.lab_mitsuba import blind_and_told
+
+                every += blind_and_told(seed, Path(folder), given.draws)
+                continue
             scores, measured, said, worse = blind(
                 seed, Path(folder), seconds=given.seconds, draws=given.draws, twice=True
             )
         every += scores
-        z = np.array([row[-1] for row in scores])
-        print(f"lab {seed}: {np.sum(np.abs(z) <= 3)} of {len(z)} parameters within 3 sigma")
-        for camera, key, truth, value, sigma, score in scores:
-            if abs(score) > 2.5:
-                print(f"  {camera} {key}: {value:.5g} +- {sigma:.2g}, truth {truth:.5g}, z {score:.1f}")
-        inside = said.low <= measured <= said.high
-        print(
-            f"  length error {1e6 * measured:.1f} um measured, {1e6 * said.value:.1f} predicted "
-            f"({100 * (said.value / measured - 1):+.1f} %), 95 % {1e6 * said.low:.1f} .. {1e6 * said.high:.1f}: "
-            f"{'inside' if inside else 'OUTSIDE'}; shaking twice as much {1e6 * worse:.1f}: "
-            f"{'inside, NOT SEEN' if worse <= said.high else 'outside as it must be'}",
-            flush=True,
-        )
-    for key in dict.fromkeys(row[1] for row in every):
-        z = np.array([row[-1] for row in every if row[1] == key])
-        rms, most = np.sqrt(np.mean(z**2)), np.abs(z).max()
-        print(f"{key:26s} {len(z):3d} z: mean {z.mean():5.2f} rms {rms:5.2f} max {most:5.2f}")
+        report(seed, scores, measured, said)
+        seen = "inside, NOT SEEN" if worse <= said.high else "outside as it must be"
+        print(f"  shaking twice as much {1e6 * worse:.1f}: {seen}", flush=True)
+    summary(every)
 
 
 if __name__ == "__main__":
