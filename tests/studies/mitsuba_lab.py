@@ -184,12 +184,17 @@ class Takes:
     wand: "KeptLight"
 
 
+def wand_seed(seed: int) -> int:
+    """Return the seed of shake and jitter while the wand is waved."""
+    return 3 * seed + 2
+
+
 def takes(cameras: tuple[HiddenCamera, ...], seed: int, cache: Path) -> Takes:
     """Return the recordings of a lab, each with its own shake and jitter."""
     return Takes(
         filmed(cameras, targets(seed, 0.0, len(cameras)), STILL, RATE_HZ, 3 * seed, cache),
         filmed(cameras, targets(seed, 1.5, len(cameras)), MOVING, RATE_HZ, 3 * seed + 1, cache),
-        filmed(cameras, wand(seed), WAND, WAND_HZ, 3 * seed + 2, cache, WAND_SAMPLES),
+        filmed(cameras, wand(seed), WAND, WAND_HZ, wand_seed(seed), cache, WAND_SAMPLES),
     )
 
 
@@ -222,6 +227,12 @@ class KeptLight:
         return np.array([self.light[self.start[k] : self.start[k + 1]].max() for k in rows])
 
 
+def by_chance(camera: HiddenCamera, number: int, frames: int, seed: int) -> tuple[Array, Array]:
+    """Return shifts by shake (frames, 2) [px] and jitter (frames,) [s] of a camera in a recording."""
+    random = np.random.default_rng([seed, number, 5])
+    return camera.shake_px * random.standard_normal((frames, 2)), camera.jitter_s * random.standard_normal(frames)
+
+
 def filmed(
     cameras: tuple[HiddenCamera, ...],
     bodies: tuple[Body, ...],
@@ -244,9 +255,8 @@ def filmed(
             return KeptLight(*(data[name] for name in ("place", "start", "light", "noise")))
     place, light, noise = [], [], []
     for c, one in enumerate(cameras):
-        random = np.random.default_rng([seed, c, 5])
-        shift = one.shake_px * random.standard_normal((frames, 2))
-        late = one.delay_s + one.jitter_s * random.standard_normal(frames)
+        shift, late = by_chance(one, c, frames, seed)
+        late += one.delay_s
         together = AT_ONCE if at_rest else 1
         for first in range(0, frames, together):
             some = slice(first, min(first + together, frames))
@@ -287,8 +297,8 @@ def scale_e(camera: HiddenCamera, number: int, light: Takes) -> float:
     return camera.signal * camera.capacity_e / float(np.percentile(light.still.peaks(number), BRIGHT))
 
 
-def exposed(camera: HiddenCamera, number: int, seed: int, images: Iterator[Array], draw: int) -> Iterator[Array]:
-    """Yield counts for images of expected photoelectrons (H, W); ``draw``: the noise of a recording."""
-    sensor = VirtualSensor(camera.sensor, SIZE, (seed, number))
+def exposed(camera: HiddenCamera, seed: tuple[int, ...], images: Iterator[Array], draw: int) -> Iterator[Array]:
+    """Yield counts for images of expected photoelectrons (H, W); ``seed`` names the sensor, ``draw`` the noise."""
+    sensor = VirtualSensor(camera.sensor, SIZE, seed)
     for frame, image in enumerate(images):
-        yield sensor.counts(image, (seed, number, frame, draw))
+        yield sensor.counts(image, (*seed, frame, draw))

@@ -48,6 +48,8 @@ class FittedTarget:
     """Side of the window [px]."""
     sigma: Array
     """(size, size) temporal standard deviation of the pixels [DN]."""
+    ground: float
+    """Mean of the window's outermost pixels [DN]: the fit's background also takes up what the disc model lacks."""
 
     @property
     def xy_px(self) -> tuple[float, float]:
@@ -89,7 +91,8 @@ def fit_targets(sums: PixelStatistics, found: Detections) -> list[FittedTarget]:
         sigma = np.sqrt(variance[part] / sums.images + (UNEVEN * light) ** 2)
         fit = DiscModel(size).fit(mean[part], sigma, (x - column, y - row, radius))
         if fit is not None and fit.misfit < MOST_MISFIT and fit.radius_px > LEAST_RADIUS_PX:
-            fitted.append(FittedTarget(fit, row, column, size, np.sqrt(variance[part])))
+            rim = np.concatenate([mean[part][[0, -1]].ravel(), mean[part][1:-1, [0, -1]].ravel()])
+            fitted.append(FittedTarget(fit, row, column, size, np.sqrt(variance[part]), float(rim.mean())))
     return fitted
 
 
