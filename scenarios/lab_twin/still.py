@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from mosca.accuracy.lab_twin.estimates import SPREAD, NotTold, ParameterEstimate, Told, weighted_mean
+from mosca.accuracy.lab_twin.moving_targets import turned_images
 from mosca.accuracy.lab_twin.photon_transfer import ROUNDING_DN2
 from mosca.accuracy.lab_twin.pixel_statistics import PixelStatistics
 from mosca.accuracy.lab_twin.shake import shake_estimates
@@ -18,6 +19,7 @@ from mosca.accuracy.lab_twin.target_images import (
     fit_targets,
     sharper,
 )
+from mosca.data.arrays import Array
 from mosca.data.frames import CameraInfo
 from mosca.data.rig import Rig
 from mosca.detection.detect import detect
@@ -80,7 +82,9 @@ def _displacements(
     fps: float | None,
     progress: Progress | None,
 ) -> dict[str, TargetDisplacements]:
-    moved = {name: TargetDisplacements(found, shake[name]) for name, found in targets.items()}
+    moved = {
+        name: TargetDisplacements(found, shake[name], _turned(name, found, rig)) for name, found in targets.items()
+    }
     done: dict[str, set[int]] = {name: set() for name in moved}
     with opened(one, rig, fps) as source:
         total = getattr(source, "n_frames", None)
@@ -91,6 +95,11 @@ def _displacements(
             if progress is not None:
                 progress(k + 1, total)
     return moved
+
+
+def _turned(name: str, targets: list[FittedTarget], rig: Rig | None) -> Array | None:
+    """Return how the camera's rotation moves the targets' images, where the rig is known."""
+    return None if rig is None else turned_images(rig.camera(name), np.array([one.xy_px for one in targets]))
 
 
 def _rate_hz(info: CameraInfo, fps: float | None) -> float | None:
