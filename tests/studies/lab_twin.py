@@ -28,6 +28,8 @@ AT_REST = 1e-9
 """Speed of targets at rest [m/s]: a cloud has some."""
 NO_LIGHT = 1e-7
 """Signal of a marker that is not to be seen."""
+BRIGHT = 0.6
+"""Light of the brighter even surface over the full well."""
 BLIND = {"kind": "cloud", "markers": 1, "marker_diameter_m": 0.01, "speed_mps": AT_REST}
 STILL = {"kind": "cloud", "markers": 30, "marker_diameter_m": 0.02, "speed_mps": AT_REST}
 MOVING = {"kind": "cloud", "markers": 30, "marker_diameter_m": 0.02, "speed_mps": 1.5}
@@ -112,7 +114,7 @@ def record_lab(tables, folder, *, still=150, moving=300, gap="none", seed=1):
     """Record what the fit needs into a folder, with rig.toml; return the recordings as the verb takes them."""
     record(lab_spec(tables, BLIND, frames=16, light=0.0, gap=gap, seed=seed), folder / "dark")
     record(lab_spec(tables, BLIND, frames=32, light=0.3, gap=gap, seed=seed), folder / "lit", 20)
-    record(lab_spec(tables, BLIND, frames=52, light=0.6, gap=gap, seed=seed), folder / "bright", 40)
+    record(lab_spec(tables, BLIND, frames=52, light=BRIGHT, gap=gap, seed=seed), folder / "bright", 40)
     record(lab_spec(tables, STILL, frames=60 + still, gap=gap, seed=seed), folder / "still", 60)
     begin = 60 + still
     rig = record(lab_spec(tables, MOVING, frames=begin + moving, gap=gap, seed=seed), folder / "moving", begin)
@@ -128,8 +130,14 @@ def truth_of(tables, camera, key):
     if name == "delay_s":  # a delay that all share is no delay
         return own["timing"]["delay_s"] - float(np.mean([one["timing"]["delay_s"] for one in tables]))
     found = own.get(table, {}).get(name)
-    if name == "dsnu_e":  # the twin rounds the pixels' mean light to levels
-        return float(np.hypot(found, SPACING * own["errors"]["read_noise_e"] / np.sqrt(12.0)))
+    # the twin rounds the pixels' mean light to levels, SPACING of the temporal noise apart
+    dark_e = SPACING * own["errors"]["read_noise_e"] / np.sqrt(12.0)
+    if name == "dsnu_e":
+        return float(np.hypot(found, dark_e))
+    if name == "prnu":
+        light_e = BRIGHT * own["errors"]["full_well_e"]
+        lit_e = np.hypot(dark_e, SPACING * np.sqrt(light_e / 12.0))
+        return float(np.sqrt(found**2 + (dark_e**2 + lit_e**2) / light_e**2))
     return None if found is None else float(found)
 
 
