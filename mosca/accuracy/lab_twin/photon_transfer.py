@@ -41,9 +41,9 @@ DEAD_SHARE = 0.2
 LEAST_RISE = 4.0
 """Least ratio of a lit recording's variance to the dark one's to estimate the gain."""
 SEEN = 3.0
-"""Standard deviations from which a pattern below rounding is taken for one: of 1000 sensors without any, 1 has it."""
+"""Standard deviations from which a pattern below rounding is stated: reached by chance in 1 of 740 without any."""
 LEAST_TEMPORAL = 1e-3
-"""Least temporal share of a dark variance: noise of 0.03 of the pattern, which the grid of offsets still resolves."""
+"""Least temporal share of a dark variance, derived from the grid of offsets: its root is 3 of the steps."""
 SATURATED_SHARE = 1e-3
 """Share of pixels at the largest grey value from which a lit recording is not used for the gain."""
 
