@@ -1,5 +1,6 @@
 """A scenario with a lab's cameras in place of its own."""
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,11 @@ from scenarios.lab_twin.lab_file import SIGNED, LabTwin, as_written, is_scenario
 from scenarios.spec.cameras import CameraSpec
 from scenarios.spec.scenario import Scenario, apply_overrides
 
+ROOTS = (
+    "errors.read_noise_e", "errors.body_px", "errors.trigger_jitter_s", "mount.vibration_px", "sensor.dsnu_e",
+    "sensor.prnu",
+)  # fmt: skip
+"""Keys that are estimated as variances."""
 LEAST_SHARE = 0.05
 """Lower limit of a draw, as a share of the value, for a key that must be above 0."""
 
@@ -72,13 +78,28 @@ def drawn(lab: LabTwin, random: np.random.Generator) -> LabTwin:
     """Return a lab whose keys are drawn about their values, each with its own standard deviation."""
     cameras: dict[str, dict[str, Any]] = {one.name: written_keys(one) for one in lab.camera}
     for one in lab.estimate:
-        step = float(random.standard_normal()) * one.sigma
+        normal = float(random.standard_normal())
         if one.sigma == 0.0 or not is_scenario_key(one.key):
             continue
         value = _stated(cameras[one.camera], one.key)
         if value is not None:
-            put(cameras[one.camera], one.key, as_written(one.key, bounded(one.key, value, value + step)))
+            put(
+                cameras[one.camera],
+                one.key,
+                as_written(one.key, bounded(one.key, value, stepped(one.key, value, one.sigma, normal))),
+            )
     return check(LabTwin, {**_rest(lab), "camera": list(cameras.values())}, "a draw of the lab's parameters")
+
+
+def stepped(key: str, value: float, sigma: float, normal: float) -> float:
+    """Return a draw of a key, ``normal`` standard deviations off; before ``bounded``.
+
+    The root of a variance that is not above its own uncertainty (``estimates.root``) is drawn as that variance: the
+    squares of such roots drawn about their values would have twice the variance, or more, in the mean.
+    """
+    if key in ROOTS and sigma > value:
+        return math.sqrt(abs(value**2 + (sigma**2 - value**2) * normal))
+    return value + sigma * normal
 
 
 def bounded(key: str, value: float, drawn_value: float) -> float:

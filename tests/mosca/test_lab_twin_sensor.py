@@ -5,7 +5,7 @@ import pytest
 
 from mosca.accuracy.lab_twin.estimates import NotTold, ParameterEstimate, root, weighted_mean
 from mosca.accuracy.lab_twin.frame_losses import arrived, loss_estimates
-from mosca.accuracy.lab_twin.photon_transfer import normal_from_rounded, sensor_estimates
+from mosca.accuracy.lab_twin.photon_transfer import normal_from_rounded, sensor_estimates, temporal_share
 from mosca.accuracy.lab_twin.pixel_statistics import PixelStatistics
 
 SHAPE = (120, 160)
@@ -82,6 +82,29 @@ def test_noise_below_rounding_by_the_normal_law():
     mean, sigma, own = normal_from_rounded(np.bincount(values, minlength=9))
     assert abs(mean - 4.2) < 0.02
     assert abs(sigma - 0.3) < 5.0 * own < 0.02
+
+
+def test_noise_and_pattern_below_rounding_are_told_apart():
+    """At 8 bits 24 e- of noise are 0.3 DN, 14 e- of DSNU 0.17: both make grey values, only noise changes them."""
+    fixed = pattern(prnu=0.006, dsnu=14.0)
+    form = {"bits": 8, "well": 20_000.0, "read": 24.0, "pattern": fixed}
+    lit = [images(light, seed=light, **form) for light in (6000, 12_000)]
+    told = by_key(sensor_estimates("a", images(0.0, n=24, seed=1, **form), lit))
+    read = np.sqrt(24.0**2 - 14.0 / np.sqrt(2.0 * np.pi))
+    truth = {"errors.full_well_e": 20_000.0, "errors.read_noise_e": read, "sensor.dsnu_e": 14.0, "sensor.prnu": 0.006}
+    for key, value in truth.items():
+        assert abs(told[key].value - value) < 3.5 * told[key].sigma < 0.08 * value, told[key]
+    assert "normal law" in told["sensor.dsnu_e"].evidence
+
+
+def test_the_temporal_share_of_rounded_values():
+    """Against 200,000 pixels, each with its own offset; without offsets all is temporal, without noise nothing is."""
+    random = np.random.default_rng(12)
+    offset, noise = random.standard_normal(200_000), random.standard_normal((8, 200_000))
+    for share in (1.0, 0.7, 0.3, 0.0):
+        values = np.rint(5.3 + 0.4 * (np.sqrt(1.0 - share) * offset + np.sqrt(share) * noise))
+        found = temporal_share(5.3, 0.4, float(values.var(axis=0, ddof=1).mean()))
+        assert found == pytest.approx(share, abs=0.01)
 
 
 def test_hot_and_dead_pixels_are_counted_and_left_out():

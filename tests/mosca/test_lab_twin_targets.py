@@ -1,6 +1,7 @@
 """Blur, brightness and shake against images made by plain numpy and scipy, and motions of known spectra."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,9 +9,11 @@ from scipy.ndimage import gaussian_filter
 
 from mosca.accuracy.lab_twin.disc_model import DiscModel
 from mosca.accuracy.lab_twin.estimates import NotTold
+from mosca.accuracy.lab_twin.moving_targets import turned_images
 from mosca.accuracy.lab_twin.pixel_statistics import PixelStatistics
 from mosca.accuracy.lab_twin.shake import shake_estimates, spectrum
 from mosca.accuracy.lab_twin.target_images import TargetDisplacements, corner_blur, fit_targets, sharper
+from mosca.data.rig import Camera, OpenCVLens, Pose
 from mosca.detection.detect import detect
 from mosca.detection.settings import DetectionSettings
 
@@ -114,6 +117,26 @@ def test_the_noise_of_the_common_motion_is_not_taken_for_shake():
         moved.add(image, k)
     common, noise = moved.common()
     assert np.sqrt((common**2).mean()) == pytest.approx(noise, rel=0.4)
+
+
+def test_targets_off_the_axis_move_farther():
+    """Images displaced by what a rotation of the camera makes of them; the motion of the middle comes back."""
+    lens = OpenCVLens(100.0, 100.0, 64.5, 44.5)
+    camera = Camera("a", 130, 90, lens, Pose(np.eye(3), np.zeros(3)))
+    xy = np.array([[20.0, 20.0], [110.0, 25.0], [64.5, 44.5]])
+    turned = turned_images(camera, xy)
+    # closed form: x = f tan; turning by s / f about y moves an image by s (1 + x^2 / f^2), and y by s x y / f^2
+    x, y = ((xy - (64.5, 44.5)) / 100.0).T
+    assert np.allclose(turned[:, :, 0], np.stack([1.0 + x**2, x * y], axis=1), atol=1e-6)
+    assert np.allclose(turned[:, :, 1], np.stack([x * y, 1.0 + y**2], axis=1), atol=1e-6)
+    shake = np.random.default_rng(3).normal(0.0, 0.05, (40, 2))
+    targets = [SimpleNamespace() for _ in xy]
+    moved = TargetDisplacements([], 0.0, turned)
+    moved._targets, moved._sigma = targets, np.array([[0.01, 0.02], [0.03, 0.01], [0.02, 0.02]])
+    moved._rows = list(np.einsum("tij,nj->nti", turned, shake))
+    common, noise = moved.common()
+    assert np.allclose(common, shake - shake.mean(axis=0), atol=1e-9)
+    assert noise < 1e-9
 
 
 def motion(n, white, band=0.0, hz=(8.0, 20.0), drift=0.0, seed=1):

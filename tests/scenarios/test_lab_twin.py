@@ -6,11 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import mosca, refusal
+from scipy.special import ndtri
 
 from mosca.accuracy.lab_twin.estimates import NotTold, ParameterEstimate
-from scenarios.lab_twin.apply import bounded, drawn, load_with_lab
+from scenarios.lab_twin.apply import bounded, drawn, load_with_lab, stepped
 from scenarios.lab_twin.lab_file import lab_document, read_lab, write_lab
 from scenarios.lab_twin.predict import predicted
+from scenarios.lab_twin.still import mean_of_rounded_dn
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "studies"))
 import lab_twin as study
@@ -114,6 +116,29 @@ def test_draws_follow_the_standard_deviations(tmp_path):
     assert bounded("errors.body_px", 0.1, -0.5) == 0.5
     assert bounded("errors.full_well_e", 1e4, 1.0) == 500.0
     assert bounded("delivery.dropped_share", 0.0, -0.01) == 0.01
+
+
+def test_a_root_near_zero_is_drawn_as_its_variance():
+    """A variance of 0 +- 4 (root: 0 +- 2): half-normal, 4 sqrt(2 / pi) in the mean, not 4 as the root's square."""
+    normal = np.random.default_rng(2).standard_normal(20_000)
+    square = np.array([stepped("errors.trigger_jitter_s", 0.0, 2.0, z) ** 2 for z in normal])
+    assert square.mean() == pytest.approx(4.0 * np.sqrt(2.0 / np.pi), rel=0.03)
+    # a variance of 1 +- 1, its root 1 +- sqrt(2)
+    square = np.array([stepped("errors.body_px", 1.0, np.sqrt(2.0), z) ** 2 for z in normal])
+    assert np.sqrt(square.var()) < 1.0
+    assert square.mean() == pytest.approx(np.abs(1.0 + normal).mean(), rel=1e-9)
+    # others, and well determined roots, about their values
+    assert stepped("timing.delay_s", 0.0, 2.0, -1.0) == -2.0
+    assert stepped("errors.body_px", 1.0, 0.1, 1.0) == pytest.approx(1.1)
+
+
+def test_the_mean_of_rounded_values():
+    """Against the error of the mean of rounded normal values, at 200 places between two grey values."""
+    for sigma in (0.0, 0.2, 0.35):
+        middle = np.arange(200) / 200.0
+        draws = ndtri((np.arange(20_000) + 0.5) / 20_000)
+        off = [np.rint(mean + sigma * draws).mean() - mean for mean in middle]
+        assert mean_of_rounded_dn(sigma**2) == pytest.approx(np.sqrt(np.mean(np.square(off))), rel=0.03)
 
 
 def test_the_interval_is_students():

@@ -1,7 +1,7 @@
 """Blind labs: twins with hidden settings play a lab; the fit sees their recordings alone.
 
 Run as a module for a table of z = (estimate - truth) / sigma and of the predicted length errors:
-``python tests/studies/lab_twin.py --labs 4``.
+``python -m tests.studies.lab_twin --labs 4``. With ``--mitsuba`` another renderer plays the labs: ``lab_mitsuba``.
 """
 
 import argparse
@@ -28,6 +28,8 @@ AT_REST = 1e-9
 """Speed of targets at rest [m/s]: a cloud has some."""
 NO_LIGHT = 1e-7
 """Signal of a marker that is not to be seen."""
+BRIGHT = 0.6
+"""Light of the brighter even surface over the full well."""
 BLIND = {"kind": "cloud", "markers": 1, "marker_diameter_m": 0.01, "speed_mps": AT_REST}
 STILL = {"kind": "cloud", "markers": 30, "marker_diameter_m": 0.02, "speed_mps": AT_REST}
 MOVING = {"kind": "cloud", "markers": 30, "marker_diameter_m": 0.02, "speed_mps": 1.5}
@@ -112,7 +114,7 @@ def record_lab(tables, folder, *, still=150, moving=300, gap="none", seed=1):
     """Record what the fit needs into a folder, with rig.toml; return the recordings as the verb takes them."""
     record(lab_spec(tables, BLIND, frames=16, light=0.0, gap=gap, seed=seed), folder / "dark")
     record(lab_spec(tables, BLIND, frames=32, light=0.3, gap=gap, seed=seed), folder / "lit", 20)
-    record(lab_spec(tables, BLIND, frames=52, light=0.6, gap=gap, seed=seed), folder / "bright", 40)
+    record(lab_spec(tables, BLIND, frames=52, light=BRIGHT, gap=gap, seed=seed), folder / "bright", 40)
     record(lab_spec(tables, STILL, frames=60 + still, gap=gap, seed=seed), folder / "still", 60)
     begin = 60 + still
     rig = record(lab_spec(tables, MOVING, frames=begin + moving, gap=gap, seed=seed), folder / "moving", begin)
@@ -128,8 +130,14 @@ def truth_of(tables, camera, key):
     if name == "delay_s":  # a delay that all share is no delay
         return own["timing"]["delay_s"] - float(np.mean([one["timing"]["delay_s"] for one in tables]))
     found = own.get(table, {}).get(name)
-    if name == "dsnu_e":  # the twin rounds the pixels' mean light to levels
-        return float(np.hypot(found, SPACING * own["errors"]["read_noise_e"] / np.sqrt(12.0)))
+    # the twin rounds the pixels' mean light to levels, SPACING of the temporal noise apart
+    dark_e = SPACING * own["errors"]["read_noise_e"] / np.sqrt(12.0)
+    if name == "dsnu_e":
+        return float(np.hypot(found, dark_e))
+    if name == "prnu":
+        light_e = BRIGHT * own["errors"]["full_well_e"]
+        lit_e = np.hypot(dark_e, SPACING * np.sqrt(light_e / 12.0))
+        return float(np.sqrt(found**2 + (dark_e**2 + lit_e**2) / light_e**2))
     return None if found is None else float(found)
 
 
@@ -200,6 +208,30 @@ def blind(seed, folder, *, seconds=10.0, draws=4, still=120, moving=200, twice=F
     return z_scores(tables, told), measured, prediction, worse
 
 
+def report(seed, scores, measured, said):
+    """Print the parameters of a lab that are off, and its length error beside the predicted one."""
+    z = np.array([row[-1] for row in scores])
+    print(f"lab {seed}: {np.sum(np.abs(z) <= 3)} of {len(z)} parameters within 3 sigma")
+    for camera, key, truth, value, sigma, score in scores:
+        if abs(score) > 2.5:
+            print(f"  {camera} {key}: {value:.5g} +- {sigma:.2g}, truth {truth:.5g}, z {score:.1f}")
+    inside = said.low <= measured <= said.high
+    print(
+        f"  length error {1e6 * measured:.1f} um measured, {1e6 * said.value:.1f} predicted "
+        f"({100 * (said.value / measured - 1):+.1f} %), 95 % {1e6 * said.low:.1f} .. {1e6 * said.high:.1f}: "
+        f"{'inside' if inside else 'OUTSIDE'}",
+        flush=True,
+    )
+
+
+def summary(every):
+    """Print the z scores of all labs, key by key."""
+    for key in dict.fromkeys(row[1] for row in every):
+        z = np.array([row[-1] for row in every if row[1] == key])
+        rms, most, within = np.sqrt(np.mean(z**2)), np.abs(z).max(), np.sum(np.abs(z) <= 3)
+        print(f"{key:26s} {len(z):3d} z: {within} within 3, mean {z.mean():5.2f} rms {rms:5.2f} max {most:5.2f}")
+
+
 def main():
     """Print z scores and predictions of some labs."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -207,31 +239,24 @@ def main():
     parser.add_argument("--labs", type=int, default=4)
     parser.add_argument("--seconds", type=float, default=10.0, help="of the wand")
     parser.add_argument("--draws", type=int, default=4, help="of the lab's parameters and the seed")
+    parser.add_argument("--mitsuba", action="store_true", help="Mitsuba plays the labs, in place of hidden twins")
     given = parser.parse_args()
     every = []
     for seed in range(given.first, given.first + given.labs):
         with tempfile.TemporaryDirectory() as folder:
+            if given.mitsuba:
+                from tests.studies.lab_mitsuba import blind_and_told
+
+                every += blind_and_told(seed, Path(folder), given.draws)
+                continue
             scores, measured, said, worse = blind(
                 seed, Path(folder), seconds=given.seconds, draws=given.draws, twice=True
             )
         every += scores
-        z = np.array([row[-1] for row in scores])
-        print(f"lab {seed}: {np.sum(np.abs(z) <= 3)} of {len(z)} parameters within 3 sigma")
-        for camera, key, truth, value, sigma, score in scores:
-            if abs(score) > 2.5:
-                print(f"  {camera} {key}: {value:.5g} +- {sigma:.2g}, truth {truth:.5g}, z {score:.1f}")
-        inside = said.low <= measured <= said.high
-        print(
-            f"  length error {1e6 * measured:.1f} um measured, {1e6 * said.value:.1f} predicted "
-            f"({100 * (said.value / measured - 1):+.1f} %), 95 % {1e6 * said.low:.1f} .. {1e6 * said.high:.1f}: "
-            f"{'inside' if inside else 'OUTSIDE'}; shaking twice as much {1e6 * worse:.1f}: "
-            f"{'inside, NOT SEEN' if worse <= said.high else 'outside as it must be'}",
-            flush=True,
-        )
-    for key in dict.fromkeys(row[1] for row in every):
-        z = np.array([row[-1] for row in every if row[1] == key])
-        rms, most = np.sqrt(np.mean(z**2)), np.abs(z).max()
-        print(f"{key:26s} {len(z):3d} z: mean {z.mean():5.2f} rms {rms:5.2f} max {most:5.2f}")
+        report(seed, scores, measured, said)
+        seen = "inside, NOT SEEN" if worse <= said.high else "outside as it must be"
+        print(f"  shaking twice as much {1e6 * worse:.1f}: {seen}", flush=True)
+    summary(every)
 
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from mosca.camera.projection import project
+from mosca.camera.projection import project, project_with_jacobians, rays
 from mosca.data.arrays import Array
 from mosca.data.frames import mid_exposure_ns
 from mosca.data.rig import Camera, Rig
@@ -131,7 +131,7 @@ def _images(rig: Rig, set_of: Array, columns: list[Array], stated_s: Array, row_
             slope[seen, k, :, axis] = ((project(camera, xyz + away) - project(camera, xyz - away)) / (2 * STEP_M))[
                 seen
             ]
-        turned[:, k] = np.einsum("nij,njk->nik", slope[:, k], _turns(camera, xyz))
+        turned[:, k] = np.einsum("nij,njk->nik", slope[:, k], turns(camera, xyz))
         weight[seen, k] = np.linalg.inv(np.linalg.cholesky(covariance[seen, k]))
         rows[seen, k] = xy[seen, k, 1] - 0.5 * (camera.height - 1)
     speed = np.einsum("ncij,nj->nci", slope, velocity)
@@ -140,7 +140,16 @@ def _images(rig: Rig, set_of: Array, columns: list[Array], stated_s: Array, row_
     )  # fmt: skip
 
 
-def _turns(camera: Camera, xyz: Array) -> Array:
+def turned_images(camera: Camera, xy_px: Array) -> Array:
+    """Return the motions (n, 2, 2) of images (n, 2), in columns, as the camera's body rotates so that the middle of
+    its image moves by 1 px along x, and along y.
+    """
+    ray = rays(camera, xy_px)
+    points = ray.origin + ray.direction
+    return np.asarray(project_with_jacobians(camera, points).by_point @ turns(camera, points))
+
+
+def turns(camera: Camera, xyz: Array) -> Array:
     """Return the motions (n, 3, 2) of points (n, 3) as the camera's body rotates by 1 px at its image's middle."""
     rotation, place = camera.world_from_camera.rotation, camera.world_from_camera.translation
     near = place + (np.array([0.0, 0.0, 1.0]) + STEP_M * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]])) @ (

@@ -3,8 +3,9 @@
 After EMVA 1288 (release 4.0, linear), sections 6 to 8. The temporal variance of a pixel grows linearly with its mean;
 the slope is the gain K: ``var = var_dark + K (mean - mean_dark)``. Fixed patterns are the spatial variance of the
 mean images after the slow part is removed, minus the part that temporal noise leaves in them. Rounding adds 1/12 to
-each variance (Sheppard) if the noise is at least ``LEAST_NOISE_DN``. Below that, the dark noise is estimated from the
-frequencies of the grey values next to the commonest one, assuming normal noise.
+each variance (Sheppard) if the noise is at least ``LEAST_NOISE_DN``. Below that, the scatter of all dark grey values
+is estimated from the frequencies of those next to the commonest one, assuming normal distributions. It is the sum of
+temporal noise and DSNU; their shares follow from how much of it a pixel shows by itself, from image to image.
 
 Standard deviations are those of the mean over ``TILES`` parts of the image each way, so that they include the
 differences between parts.
@@ -16,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import uniform_filter
-from scipy.optimize import minimize
+from scipy.optimize import brentq, minimize
 
 from mosca.accuracy.lab_twin.estimates import SPREAD, NotTold, ParameterEstimate, Told, root, weighted_mean
 from mosca.accuracy.lab_twin.pixel_statistics import PixelStatistics
@@ -39,6 +40,10 @@ DEAD_SHARE = 0.2
 """Share of the usual response below which a pixel is dead."""
 LEAST_RISE = 4.0
 """Least ratio of a lit recording's variance to the dark one's to estimate the gain."""
+SEEN = 3.0
+"""Standard deviations from which a pattern below rounding is stated: reached by chance in 1 of 740 without any."""
+LEAST_TEMPORAL = 1e-3
+"""Least temporal share of a dark variance, derived from the grid of offsets: its root is 3 of the steps."""
 SATURATED_SHARE = 1e-3
 """Share of pixels at the largest grey value from which a lit recording is not used for the gain."""
 
@@ -54,6 +59,8 @@ class Dark:
     """Standard deviation of ``variance_dn2``."""
     measurable: bool
     """Whether the noise is above rounding; otherwise the variance assumes a normal distribution."""
+    pattern_dn2: tuple[float, float] | None = None
+    """Variance of the pixels' offsets and its standard deviation, where noise is below rounding and it is seen."""
 
 
 def sensor_estimates(camera: str, dark: PixelStatistics | None, lit: Sequence[PixelStatistics]) -> list[Told]:
@@ -92,12 +99,56 @@ def _lacking(camera: str, reason: str) -> list[Told]:
 def dark_level(dark: PixelStatistics) -> Dark:
     """Return level and temporal noise of dark images."""
     variance = dark.variance
-    mean = float(np.median(dark.mean))
     if math.sqrt(max(float(np.median(variance)) - ROUNDING_DN2, 0.0)) >= LEAST_NOISE_DN:
         parts = _tiles(variance - ROUNDING_DN2)
         return Dark(float(dark.mean.mean()), float(np.mean(parts)), _of_mean(parts), True)
+    return _below_rounding(dark)
+
+
+def _below_rounding(dark: PixelStatistics) -> Dark:
+    """Return level, temporal noise and pattern of dark images whose noise is below the step of rounding."""
     mean, sigma, own = normal_from_rounded(dark.histogram)
-    return Dark(mean, sigma**2, 2.0 * sigma * own, False)
+    parts = _tiles(np.where(_hot(dark), np.median(dark.variance), dark.variance))
+    each, step = float(np.mean(parts)), _of_mean(parts)
+    if sigma == 0.0 or step == 0.0:
+        return Dark(mean, sigma**2, 2.0 * sigma * own, False)
+    # a pixel's offset is the same in all images: so many values of it are fewer draws of the pattern
+    alike = 1.0 - temporal_share(mean, sigma, each)
+    own *= math.sqrt(1.0 + (dark.images - 1) * alike**2)
+    noise = sigma**2 * (1.0 - alike)
+    by_values = (sigma + own) ** 2 * temporal_share(mean, sigma + own, each) - noise
+    by_pixels = sigma**2 * temporal_share(mean, sigma, each - step) - noise
+    noise_sigma = math.hypot(by_values, by_pixels)
+    pattern, pattern_sigma = sigma**2 - noise, math.hypot(2.0 * sigma * own - by_values, by_pixels)
+    if pattern < SEEN * pattern_sigma:
+        return Dark(mean, sigma**2, 2.0 * sigma * own, False)
+    return Dark(mean, noise, noise_sigma, False, (pattern, pattern_sigma))
+
+
+def temporal_share(mean: float, sigma: float, variance: float) -> float:
+    """Return the temporal share of a normal variance ``sigma``^2 of unrounded values with mean ``mean``.
+
+    The rest is the variance of the pixels' constant offsets. ``variance``: a pixel's own variance from image to image
+    after rounding, averaged over the pixels. It falls with the share, since offsets then select the grey values.
+    """
+    offset = np.linspace(-6.0, 6.0, 1201)
+    weight = np.exp(-0.5 * offset**2)
+    weight /= weight.sum()
+    reach = math.ceil(8.0 * sigma) + 1
+    values = np.arange(math.floor(mean) - reach, math.floor(mean) + reach + 2)
+    edges = np.append(values - 0.5, values[-1] + 0.5)
+
+    def shown(share: float) -> float:
+        own = sigma * math.sqrt(share)
+        middle = mean + sigma * math.sqrt(1.0 - share) * offset[:, None]
+        chances = np.diff(norm.cdf(edges, middle, own), axis=1)
+        return float(weight @ (chances @ values**2 - (chances @ values) ** 2))
+
+    if variance >= shown(1.0):
+        return 1.0
+    if variance <= shown(LEAST_TEMPORAL):
+        return 0.0
+    return float(brentq(lambda share: shown(share) - variance, LEAST_TEMPORAL, 1.0))
 
 
 def normal_from_rounded(histogram: Array) -> tuple[float, float, float]:
@@ -179,7 +230,11 @@ def _with_gain(
 
 def _dark_pattern(camera: str, dark: PixelStatistics, level: Dark, gain: float, hot: Array) -> Told:
     if not level.measurable:
-        return NotTold(camera, "sensor.dsnu_e", "rounding hides it: needs dark images of more bits")
+        if level.pattern_dn2 is None:
+            return NotTold(camera, "sensor.dsnu_e", "rounding hides it: needs dark images of more bits")
+        value, sigma = root(*level.pattern_dn2)
+        how = f"{dark.images} dark images; below rounding: under the normal law"
+        return ParameterEstimate(camera, "sensor.dsnu_e", value / gain, sigma / gain, how)
     left = float(np.mean(dark.variance[~hot])) / dark.images
     value, sigma = root(*_spatial(dark.mean, ~hot, left))
     return ParameterEstimate(camera, "sensor.dsnu_e", value / gain, sigma / gain, f"{dark.images} dark images")
@@ -201,7 +256,10 @@ def _light_pattern(
     dead = signal < DEAD_SHARE * usual
     good = ~(dead | hot)
     left = float(np.mean(bright.variance[good])) / bright.images
-    left += float(np.mean(dark.variance[good])) / dark.images if level.measurable else 0.0
+    if level.measurable:
+        left += float(np.mean(dark.variance[good])) / dark.images
+    elif level.pattern_dn2 is not None:
+        left += level.pattern_dn2[0]
     value, sigma = root(*_spatial(signal, good, left))
     mean = float(signal[good].mean())
     what = f"{bright.images} lit images at {mean:.0f} DN"

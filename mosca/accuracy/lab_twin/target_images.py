@@ -48,6 +48,8 @@ class FittedTarget:
     """Side of the window [px]."""
     sigma: Array
     """(size, size) temporal standard deviation of the pixels [DN]."""
+    ground: float
+    """Mean of the window's outermost pixels [DN]: the fit's background also takes up what the disc model lacks."""
 
     @property
     def xy_px(self) -> tuple[float, float]:
@@ -89,7 +91,8 @@ def fit_targets(sums: PixelStatistics, found: Detections) -> list[FittedTarget]:
         sigma = np.sqrt(variance[part] / sums.images + (UNEVEN * light) ** 2)
         fit = DiscModel(size).fit(mean[part], sigma, (x - column, y - row, radius))
         if fit is not None and fit.misfit < MOST_MISFIT and fit.radius_px > LEAST_RADIUS_PX:
-            fitted.append(FittedTarget(fit, row, column, size, np.sqrt(variance[part])))
+            rim = np.concatenate([mean[part][[0, -1]].ravel(), mean[part][1:-1, [0, -1]].ravel()])
+            fitted.append(FittedTarget(fit, row, column, size, np.sqrt(variance[part]), float(rim.mean())))
     return fitted
 
 
@@ -126,9 +129,14 @@ def _chosen(found: Detections, shape: tuple[int, ...]) -> list[int]:
 class TargetDisplacements:
     """Displacements of a camera's targets, frame by frame; ``add`` takes each image."""
 
-    def __init__(self, targets: Sequence[FittedTarget], shake_px: float = 0.0) -> None:
-        """Prepare the fits; ``shake_px``: rms motion, an axis, that blurs the mean image but not single frames."""
+    def __init__(self, targets: Sequence[FittedTarget], shake_px: float = 0.0, turned: Array | None = None) -> None:
+        """Prepare the fits; ``shake_px``: rms motion, an axis, that blurs the mean image but not single frames.
+
+        ``turned`` (t, 2, 2): motion of each target, in columns, as the middle of the image moves by 1 px along x, and
+        along y; None: the same as there. Rotation moves images off the axis farther.
+        """
         self._targets = targets
+        self._turned = np.tile(np.eye(2), (len(targets), 1, 1)) if turned is None else turned
         self._solve = []
         self._sigma = np.empty((len(targets), 2))
         models: dict[int, DiscModel] = {}
@@ -154,20 +162,20 @@ class TargetDisplacements:
         self.numbers.append(number)
 
     def common(self) -> tuple[Array, float]:
-        """Return the motion (n, 2) that all targets share, about its mean [px], and the rms of its noise, an axis.
+        """Return the motion (n, 2) of the image's middle, about its mean [px], and the rms of its noise, an axis.
 
-        The noise is estimated from the differences between targets.
+        By least squares over all targets; the noise is estimated from the differences between targets.
         """
         moved = np.array(self._rows)
         moved -= moved.mean(axis=0)
         weight = 1.0 / self._sigma**2
-        total = weight.sum(axis=0)
-        shared = (moved * weight).sum(axis=1) / total
-        own = moved - shared[:, None]
+        inverse = np.linalg.inv(np.einsum("tk,tki,tkj->ij", weight, self._turned, self._turned))
+        shared = np.einsum("tk,tki,ntk,ij->nj", weight, self._turned, moved, inverse)
+        own = moved - np.einsum("tki,ni->ntk", self._turned, shared)
         t = len(self._targets)
         # ratio of the scatter about the common motion to the scatter that pixel noise explains
-        excess = float(np.mean((own**2 * weight).sum(axis=(1)) / (t - 1)))
-        return shared, math.sqrt(excess * float(np.mean(1.0 / total)))
+        excess = float(np.mean((own**2 * weight).sum(axis=1) / (t - 1)))
+        return shared, math.sqrt(excess * float(np.mean(np.diag(inverse))))
 
 
 def sharper(target: FittedTarget, shake_px: float) -> float:
