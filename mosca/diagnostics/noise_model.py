@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import nnls
+from scipy.special import ndtr
 
 from mosca.data.arrays import Array
 from mosca.data.rig import Rig
@@ -86,26 +87,48 @@ class NoiseModel:
         # information of an update about each camera: the logarithm of its variance is as certain for noisy as for
         # quiet ones
         update = np.where(seen, own, own[seen].mean()) / self._updates
-        first = _with_prior(self._normal, self._right, START_WEIGHT / self._updates * update, self._start_px**2)
-        found = _with_prior(self._normal, self._right, ALIKE_WEIGHT * update, float(first[:c].mean()))
+        first, _ = _with_prior(self._normal, self._right, START_WEIGHT / self._updates * update, self._start_px**2)
+        found, inverse = _with_prior(self._normal, self._right, ALIKE_WEIGHT * update, float(first[:c].mean()))
+        # a body shakes all images of a set together; what detection adds is independent
+        points = self._images / (seen.sum() * self._updates)
+        shared = np.minimum(found[:c] * np.sqrt(update / points), 1.0) ** 2
+        deviation = np.sqrt((1.0 + max(points - 1.0, 0.0) * shared) * inverse.diagonal()[:c])
+        variance = _mean_above_zero(found[:c], deviation)
         # the estimate is from few residuals: their predictive distribution is Student's
         freedom = (2 * c - 3) / c * self._updates + ALIKE_WEIGHT
-        sigma = np.sqrt((1.0 + 2.0 / freedom) * found[:c] + self._lens_px**2)
+        sigma = np.sqrt((1.0 + 2.0 / freedom) * variance + self._lens_px**2)
         self.noise = ImageNoise(sigma, math.sqrt(found[c]))
 
 
-def _with_prior(normal: Array, right: Array, weight: Array, variance: float) -> Array:
-    """Return the variances (c + 1,), none below zero, that solve the normal equations with a prior."""
+def _mean_above_zero(value: Array, deviation: Array) -> Array:
+    """Return the means (n,) of normal distributions of which the part below zero is cut off.
+
+    What few images give to the jitter of triggers, since points erred more where they happened to be fast, is
+    missing in the cameras' variances. They are then uncertain, and zero is their least value, not their likeliest.
+    """
+    z = value / np.maximum(deviation, 1e-300)
+    return np.asarray(value + deviation * np.exp(-0.5 * z * z) / (math.sqrt(2.0 * math.pi) * ndtr(z)))
+
+
+def _with_prior(normal: Array, right: Array, weight: Array, variance: float) -> tuple[Array, Array]:
+    """Return the variances (c + 1,), none below zero, that solve the normal equations with a prior.
+
+    Also return the inverse of the equations' matrix (c + 1, c + 1).
+    """
     c = len(weight)
     whole, side = normal.copy(), right.copy()
     diagonal = whole.reshape(-1)[:: c + 2]
     diagonal[:c] += weight
     side[:c] += weight * variance
-    size = np.sqrt(np.maximum(diagonal, 1e-300))
-    whole /= size * size[:, None]
-    side /= size
     # without motion nothing shows jitter: its equation is empty
-    result: Array = np.linalg.solve(whole, side) if normal[c, c] > 0.0 else -size
+    n = c + 1 if normal[c, c] > 0.0 else c
+    size = np.sqrt(diagonal[:n])
+    scaled = whole[:n, :n] / (size * size[:, None])
+    inverse, result = np.zeros((c + 1, c + 1)), np.zeros(c + 1)
+    inverse[:n, :n] = np.linalg.inv(scaled)
+    result[:n] = inverse[:n, :n] @ (side[:n] / size)
     if result.min() < 0.0:
-        result = nnls(whole, side)[0]
-    return result / size
+        result[:n] = nnls(scaled, side[:n] / size)[0]
+    result[:n] /= size
+    inverse[:n, :n] /= size * size[:, None]
+    return result, inverse

@@ -38,10 +38,10 @@ def seen(sets):
     return out, xyz
 
 
-def some(seen, count):
-    """Return the first detections of a camera."""
+def some(seen, which):
+    """Return some detections of a camera."""
     columns = {name: getattr(seen, name) for name in Detections.__dataclass_fields__ if name != "camera"}
-    return Detections(seen.camera, **{name: column[:count] for name, column in columns.items()})
+    return Detections(seen.camera, **{name: column[which] for name, column in columns.items()})
 
 
 def nees(points, xyz):
@@ -82,11 +82,12 @@ def test_fewer_than_four_frame_sets_teach_no_errors():
 def test_errors_far_beyond_the_guess_are_learned_too(monkeypatch):
     """Measured as if the lenses had no distortion: images lie 1 px off, of three hardly any meet within the guess."""
     sets = [
-        (frame_set, {name: some(one, 8) for name, one in found.items()}, s) for frame_set, found, s in seen(20)[0]
+        (frame_set, {name: some(one, slice(8, 16)) for name, one in found.items()}, s)
+        for frame_set, found, s in seen(20)[0]
     ]
     rig = Rig(tuple(replace(camera, lens=MoscaLens(8.0, 330.0, 240.0, 0.01, 0.01)) for camera in RIG.cameras))
     steps = list(run_seen(sets, rig, PipelineSettings()))
     assert {tuple(step.points.n_cameras.tolist()) for step in steps} == {(4,) * 8}
     # the control: with the guess alone
     monkeypatch.setattr(pipeline, "COARSER_STARTS", (1.0,))
-    assert max(len(step.points) for step in run_seen(sets, rig, PipelineSettings())) < 4
+    assert sum((step.points.n_cameras > 2).sum() for step in run_seen(sets, rig, PipelineSettings())) <= 2

@@ -81,6 +81,33 @@ def test_ten_frame_sets_tell_the_same_in_whatever_order_their_points_come():
     np.testing.assert_allclose(other.noise.sigma_px, own.noise.sigma_px, rtol=1e-6)
 
 
+def test_a_few_sets_of_two_balls_leave_no_camera_for_still():
+    """Bodies of cameras shake by 0.06 px, each alike for both balls; points err more where they happen to be fast."""
+    rig, still, rms = ring(3, RIG.cameras[0].lens, radius_m=1.99, height_m=(0.2, -0.2, 0.2)), 0, []
+    ends, views = np.array([[-0.15, 0.0, 0.0], [0.15, 0.0, 0.0]]), np.full(2, 3)
+    for seed in range(60):
+        rng, health = np.random.default_rng(seed), Health(rig)
+        phase, hz = rng.uniform(0, 2 * np.pi, 3), rng.uniform(0.3, 0.8, 3)
+        for pulse in range(8):
+            t = pulse / 25
+            where = ends + 0.4 / (2 * np.pi * hz) * np.sin(2 * np.pi * hz * t + phase)
+            image = np.stack([project(c, where) + rng.normal(0, 0.06, 2) for c in rig.cameras], axis=1)
+            image += rng.normal(0, NOISE_PX, image.shape)
+            covariance, many = np.tile(NOISE_PX**2 * np.eye(2), (2, 1, 1)), np.full(2, 200.0)
+            found = {
+                c.name: Detections(c.name, image[:, k], covariance, np.full(2, 6.0), many, np.ones(2))
+                for k, c in enumerate(rig.cameras)
+            }
+            xyz, spread, residual = triangulate(rig, image, 0.05)
+            rays = np.tile(np.arange(2)[:, None], 3)
+            points = Points(xyz, spread, views, residual, rays, np.full(2, 0.01), views)
+            health.attend(rig, FrameSet(pulse, round(t * 1e9)), found, points)
+        still += health.noise.sigma_px.min() < 0.4 * 0.06
+        rms.append(health.noise.sigma_px / 0.06)
+    assert still == 0
+    assert 0.9 < np.sqrt(np.mean(np.square(rms))) < 1.2
+
+
 def test_a_camera_that_errs_more_than_all_others_is_named():
     lines = watched(np.array([0.03, 0.03, 0.3, 0.03])).findings()
     assert len([line for line in lines if "'c2': its images err by 0." in line]) == 1
