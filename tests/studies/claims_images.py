@@ -1,12 +1,13 @@
 """Verdicts of ``mosca claim`` on virtual rigs through rendered images, beside the truth of many other runs.
 
-    python -m tests.studies.claims_images [--rigs 20] [--truth-runs 400] [--seed 1] [--out runs/claims_images]
+    python -m tests.studies.claims_images [--rigs 20] [--truth-runs 100] [--seed 1] [--out runs/claims_images]
 
 Each kind of rig is the scenario controls/none with other cameras, markers and noise. In each run its cameras stand
 elsewhere, shake by another amount, and one was turned by an unknown angle since it was calibrated. Its truth is the
 rms of the position errors over ``--truth-runs`` runs with seeds that no campaign has. The limit of its claim is that
-truth divided by a number drawn uniformly in 0.5 to 1.5. The claim files stay in ``--out``: ``mosca claim`` repeats
-each.
+truth divided by a number drawn uniformly in 0.5 to 1.5. Where the truth's interval holds the limit, the truth is then
+estimated from four times as many runs, whatever the verdict. The claim files stay in ``--out``: ``mosca claim``
+repeats each.
 """
 
 import argparse
@@ -30,6 +31,8 @@ METRIC = "position_rms"
 RUNS = 200
 TRUTH_SEED = 1_000_000
 """First seed of the runs of the truths; campaigns have seeds below."""
+MORE = 4
+"""So many times as many runs has the truth of a rig whose interval holds the limit; the limit stays."""
 HEAD = (
     "| rig | cameras | truth, 95 % [mm] | truth over limit | verdict | found, 95 % [mm] | runs |\n"
     "|---|---|---|---|---|---|---|"
@@ -127,6 +130,8 @@ def judged(
     path.write_text(tomli_w.dumps(claim_document(kind, limit, seed, RUNS)), encoding="utf-8")
     result = run_claim(path, engine, work=work)
     one = result.document["claims"][0]
+    if low <= limit <= high:  # the truth does not show on which side of the limit it is
+        truth, low, high = truth_of(kind, MORE * truth_runs, engine, work)
     found = (one["estimate"], one["low"] or 0.0, np.inf if one["high"] is None else one["high"])
     return Judged(kind["set"]["cameras.count"], truth, low, high, limit, result.verdict, found, one["runs"])
 
@@ -146,7 +151,7 @@ def main() -> None:
     """Print the table."""
     given = argparse.ArgumentParser(description=__doc__)
     given.add_argument("--rigs", type=int, default=20)
-    given.add_argument("--truth-runs", type=int, default=400)
+    given.add_argument("--truth-runs", type=int, default=100)
     given.add_argument("--seed", type=int, default=1)
     given.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     given.add_argument("--out", type=Path, default=Path("runs/claims_images"))
