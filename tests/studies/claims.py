@@ -43,7 +43,7 @@ def with_quantile(values: np.ndarray) -> Decision:
 
 
 def students(edges: tuple[float, ...] | None, power: float = 3.0) -> Callable[[np.ndarray], Decision]:
-    """Return a decision by Student's statistic with its skewness, at ``edges`` or group-sequential boundaries."""
+    """Return a decision by Student's statistic, not freed of skewness, at ``edges`` or the sequential boundaries."""
     limits = edges or boundaries.normal_boundaries(LOOKS, power)
 
     def decide(values: np.ndarray) -> Decision:
