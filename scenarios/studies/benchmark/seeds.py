@@ -1,6 +1,6 @@
 """Held-out seeds: drawn from a passphrase whose SHA-256 was in the repository before the passphrase was.
 
-The steps of a round are: the hash of a passphrase is committed; settings are tuned and frozen; the benchmark is run
+Before a round, settings are tuned and frozen, and the hash of a passphrase is committed. The benchmark is then run
 with the passphrase, which is published with the result. Anyone can check that the hash is that of the passphrase, and
 that it is older than the result. This does not prove that nobody who knew the passphrase tuned on it. For that there
 is ``--fresh``, which draws a passphrase that nobody has known.
