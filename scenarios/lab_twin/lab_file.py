@@ -57,6 +57,14 @@ class EstimateSpec(Table):
     evidence: str = Field(description="from what it was estimated")
 
 
+class CorrelationSpec(Table):
+    """How two estimates of one camera are correlated."""
+
+    camera: str = Field(description="the camera's name")
+    keys: tuple[str, str] = Field(description="keys of the two estimates")
+    value: float = Field(ge=-1, le=1, description="coefficient of correlation; draws of the two have it")
+
+
 class NotToldSpec(Table):
     """A key of one camera that the recordings did not tell."""
 
@@ -74,6 +82,9 @@ class LabTwin(Table):
     cameras: LabRig | None = None
     camera: tuple[CameraSpec, ...] = Field(min_length=1, description="the cameras, as in a scenario; [[camera]]")
     estimate: tuple[EstimateSpec, ...] = Field((), description="how certain each key is; [[estimate]]")
+    correlation: tuple[CorrelationSpec, ...] = Field(
+        (), description="estimates that are not independent of each other; [[correlation]]"
+    )
     not_told: tuple[NotToldSpec, ...] = Field((), description="what the recordings did not tell; [[not_told]]")
 
 
@@ -118,6 +129,11 @@ def lab_document(told: Sequence[Told], recordings: Sequence[str], rig: str | Non
         **({} if rig is None else {"cameras": {"rig": rig}}),
         "camera": list(cameras.values()),
         "estimate": [_row(one) for one in found],
+        "correlation": [
+            {"camera": one.camera, "keys": [one.key, other], "value": _rounded(value)}
+            for one in found
+            for other, value in one.correlation
+        ],
         "not_told": [
             {"camera": one.camera, "key": one.key, "reason": one.reason} for one in told if isinstance(one, NotTold)
         ],
