@@ -97,9 +97,9 @@ def _root_of_correlation(lab: LabTwin) -> Array:
     row = {(one.camera, one.key): k for k, one in enumerate(lab.estimate)}
     matrix = np.eye(len(row))
     for pair in lab.correlation:
-        first, second = (row.get((pair.camera, key)) for key in pair.keys)
-        if first is not None and second is not None and first != second:
-            matrix[first, second] = matrix[second, first] = pair.value
+        first, second = (row[pair.camera, key] for key in pair.keys)
+        matrix[first, second] = matrix[second, first] = pair.value
+    np.fill_diagonal(matrix, 1.0)
     values, vectors = np.linalg.eigh(matrix)
     root: Array = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
     return root

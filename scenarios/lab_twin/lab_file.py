@@ -107,6 +107,13 @@ def read_lab(path: Path) -> LabTwin:
             raise InputError(f"{path}: key 'estimate[{k}].low': {one.low:g} given, above high = {one.high:g}")
         if is_scenario_key(one.key) and not _PLACE.fullmatch(one.key):
             raise InputError(f"{path}: key 'estimate[{k}].key': '{one.key}' given, which no scenario has")
+    known = {(one.camera, one.key) for one in lab.estimate}
+    for k, pair in enumerate(lab.correlation):
+        if missing := [key for key in pair.keys if (pair.camera, key) not in known]:
+            raise InputError(
+                f"{path}: key 'correlation[{k}].keys': '{missing[0]}' given, of which camera '{pair.camera}' has no "
+                "[[estimate]]"
+            )
     if lab.cameras is None:
         return lab
     rig = LabRig(rig=str((path.parent / lab.cameras.rig).resolve()))
