@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from mosca.accuracy.lab_twin.defocus import LEAST_PSF_PX
 from mosca.data.arrays import Array
 from mosca.data.files.toml import Table, check, read_toml
 from mosca.errors import InputError
@@ -75,10 +76,10 @@ def _check_ring(spec: Scenario, lab: LabTwin, where: str) -> None:
 
 
 def drawn(lab: LabTwin, random: np.random.Generator) -> LabTwin:
-    """Return a lab whose keys are drawn about their values, each with its own standard deviation."""
+    """Return a lab whose keys are drawn about their values, with their standard deviations and correlations."""
     cameras: dict[str, dict[str, Any]] = {one.name: written_keys(one) for one in lab.camera}
-    for one in lab.estimate:
-        normal = float(random.standard_normal())
+    normals = _root_of_correlation(lab) @ random.standard_normal(len(lab.estimate))
+    for one, normal in zip(lab.estimate, normals.tolist(), strict=True):
         if one.sigma == 0.0 or not is_scenario_key(one.key):
             continue
         value = _stated(cameras[one.camera], one.key)
@@ -89,6 +90,19 @@ def drawn(lab: LabTwin, random: np.random.Generator) -> LabTwin:
                 as_written(one.key, bounded(one.key, value, stepped(one.key, value, one.sigma, normal))),
             )
     return check(LabTwin, {**_rest(lab), "camera": list(cameras.values())}, "a draw of the lab's parameters")
+
+
+def _root_of_correlation(lab: LabTwin) -> Array:
+    """Return the symmetric root of the correlation matrix of the estimates (n, n)."""
+    row = {(one.camera, one.key): k for k, one in enumerate(lab.estimate)}
+    matrix = np.eye(len(row))
+    for pair in lab.correlation:
+        first, second = (row[pair.camera, key] for key in pair.keys)
+        matrix[first, second] = matrix[second, first] = pair.value
+    np.fill_diagonal(matrix, 1.0)
+    values, vectors = np.linalg.eigh(matrix)
+    root: Array = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
+    return root
 
 
 def stepped(key: str, value: float, sigma: float, normal: float) -> float:
@@ -108,7 +122,8 @@ def bounded(key: str, value: float, drawn_value: float) -> float:
         return drawn_value
     if value == 0.0 and key == "timing.row_time_s":
         return 0.0
-    return max(abs(drawn_value), LEAST_SHARE * value)
+    least = LEAST_PSF_PX if key == "errors.psf_sigma_px" else LEAST_SHARE * value
+    return max(abs(drawn_value), least)
 
 
 def _stated(camera: Mapping[str, Any], key: str) -> float | None:

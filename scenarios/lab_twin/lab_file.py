@@ -57,6 +57,14 @@ class EstimateSpec(Table):
     evidence: str = Field(description="from what it was estimated")
 
 
+class CorrelationSpec(Table):
+    """How two estimates of one camera are correlated."""
+
+    camera: str = Field(description="the camera's name")
+    keys: tuple[str, str] = Field(description="keys of the two estimates")
+    value: float = Field(ge=-1, le=1, description="coefficient of correlation; draws of the two have it")
+
+
 class NotToldSpec(Table):
     """A key of one camera that the recordings did not tell."""
 
@@ -74,6 +82,9 @@ class LabTwin(Table):
     cameras: LabRig | None = None
     camera: tuple[CameraSpec, ...] = Field(min_length=1, description="the cameras, as in a scenario; [[camera]]")
     estimate: tuple[EstimateSpec, ...] = Field((), description="how certain each key is; [[estimate]]")
+    correlation: tuple[CorrelationSpec, ...] = Field(
+        (), description="estimates that are not independent of each other; [[correlation]]"
+    )
     not_told: tuple[NotToldSpec, ...] = Field((), description="what the recordings did not tell; [[not_told]]")
 
 
@@ -96,6 +107,13 @@ def read_lab(path: Path) -> LabTwin:
             raise InputError(f"{path}: key 'estimate[{k}].low': {one.low:g} given, above high = {one.high:g}")
         if is_scenario_key(one.key) and not _PLACE.fullmatch(one.key):
             raise InputError(f"{path}: key 'estimate[{k}].key': '{one.key}' given, which no scenario has")
+    known = {(one.camera, one.key) for one in lab.estimate}
+    for k, pair in enumerate(lab.correlation):
+        if missing := [key for key in pair.keys if (pair.camera, key) not in known]:
+            raise InputError(
+                f"{path}: key 'correlation[{k}].keys': '{missing[0]}' given, of which camera '{pair.camera}' has no "
+                "[[estimate]]"
+            )
     if lab.cameras is None:
         return lab
     rig = LabRig(rig=str((path.parent / lab.cameras.rig).resolve()))
@@ -118,6 +136,11 @@ def lab_document(told: Sequence[Told], recordings: Sequence[str], rig: str | Non
         **({} if rig is None else {"cameras": {"rig": rig}}),
         "camera": list(cameras.values()),
         "estimate": [_row(one) for one in found],
+        "correlation": [
+            {"camera": one.camera, "keys": [one.key, other], "value": _rounded(value)}
+            for one in found
+            for other, value in one.correlation
+        ],
         "not_told": [
             {"camera": one.camera, "key": one.key, "reason": one.reason} for one in told if isinstance(one, NotTold)
         ],

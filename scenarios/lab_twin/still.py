@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from mosca.accuracy.lab_twin.defocus import Defocus
 from mosca.accuracy.lab_twin.estimates import SPREAD, NotTold, ParameterEstimate, Told, weighted_mean
 from mosca.accuracy.lab_twin.moving_targets import turned_images
 from mosca.accuracy.lab_twin.photon_transfer import ROUNDING_DN2
@@ -20,13 +21,18 @@ from mosca.accuracy.lab_twin.target_images import (
     sharper,
 )
 from mosca.data.arrays import Array
+from mosca.data.detections import Detections
 from mosca.data.frames import CameraInfo
 from mosca.data.rig import Rig
 from mosca.detection.detect import detect
 from mosca.detection.settings import DetectionSettings
+from scenarios.lab_twin.focus import FOCUS_KEYS, depths_m, focused, with_focus
 from scenarios.lab_twin.recordings import CameraImages, LabRecording, Progress, opened
 
-KEYS = ("errors.psf_sigma_px", "errors.marker_signal", "errors.background_e", "errors.body_px", "mount.vibration_px")
+KEYS = (
+    "errors.psf_sigma_px", "errors.marker_signal", "errors.background_e", "errors.body_px", "mount.vibration_px",
+    *FOCUS_KEYS,
+)  # fmt: skip
 CORNER = "corner_blur_px"
 """Key for information only: a scenario has one blur for all of the image, unless optics.focus_m focuses a lens."""
 NEEDS = f"needs a recording of {FEWEST_TARGETS} targets at rest or more, apart from each other: static:FOLDER"
@@ -44,34 +50,42 @@ def still_estimates(
     progress: Progress | None = None,
 ) -> dict[str, list[Told]]:
     """Return the estimates for each camera from targets at rest; brightness is in grey values, see ``in_well``."""
-    targets = {name: _targets(name, images.pixels) for name, images in sums.items()}
+    found_in = {name: _detected(name, images.pixels) for name, images in sums.items()}
+    targets = {name: fit_targets(images.pixels, found_in[name]) for name, images in sums.items()}
     seen = {name: found for name, found in targets.items() if len(found) >= FEWEST_TARGETS}
     told: dict[str, list[Told]] = {
         name: [NotTold(name, key, NEEDS) for key in KEYS] for name in sums if name not in seen
     }
+    depths = {} if rig is None else depths_m(rig, found_in, seen)
     shake = dict.fromkeys(seen, 0.0)
     moved: dict[str, TargetDisplacements] = {}
+    lenses: dict[str, tuple[Defocus | None, list[FittedTarget]]] = {
+        name: (None, found) for name, found in seen.items()
+    }
     for _ in range(ROUNDS):
-        moved = _displacements(one, seen, shake, rig, fps, progress)
+        moved = _displacements(one, {name: found for name, (_, found) in lenses.items()}, shake, rig, fps, progress)
         for name, displaced in moved.items():
             common, noise = displaced.common()
             shake[name] = math.sqrt(max(float(common.var(axis=0).mean()) - noise**2, 0.0))
-    for name, found in seen.items():
+            if name in depths:
+                lenses[name] = focused(sums[name].pixels, seen[name], depths[name], shake[name])
+    for name, (defocus, found) in lenses.items():
         images = sums[name]
         common, noise = moved[name].common()
         numbers = np.array(moved[name].numbers)
         whole = np.full((numbers.max() - numbers.min() + 1, 2), np.nan)
         whole[numbers - numbers.min()] = common
         noise_dn2 = float(np.median(images.pixels.variance)) - ROUNDING_DN2
-        told[name] = _optics(name, found, shake[name], (images.info.height, images.info.width), noise_dn2)
+        optics = _optics(name, found, shake[name], (images.info.height, images.info.width), noise_dn2)
+        told[name] = with_focus(optics, None if rig is None else rig.camera(name), defocus)
         told[name] += shake_estimates(name, whole, noise, _rate_hz(images.info, fps))
     return told
 
 
-def _targets(name: str, sums: PixelStatistics) -> list[FittedTarget]:
+def _detected(name: str, sums: PixelStatistics) -> Detections:
     kind = np.uint8 if sums.bits <= 8 else np.uint16
     rounded = np.floor(sums.mean + 0.5).astype(kind)
-    return fit_targets(sums, detect(rounded, name, DetectionSettings(), sums.bits, None))
+    return detect(rounded, name, DetectionSettings(), sums.bits, None)
 
 
 def _displacements(

@@ -157,6 +157,14 @@ def test_the_interval_is_students():
         (("errors.read_noise_e", "errors.read_nose_e"), "'errors.read_nose_e' given, which no scenario has"),
         (("low = 9.0", "low = 19.0"), "key 'estimate[0].low': 19 given, above high = 11"),
         (("sigma = 0.5", "sigma = -1"), "key 'estimate[0].sigma': -1 given; a number greater than or equal to 0"),
+        (
+            (
+                'evidence = "x"\n',
+                'evidence = "x"\n[[correlation]]\ncamera = "cam1"\nkeys = ["errors.read_noise_e", "optics.focus_m"]\n'
+                "value = 0.9\n",
+            ),
+            "'optics.focus_m' given, of which camera 'cam1' has no [[estimate]]",
+        ),
     ],
 )
 def test_a_wrong_lab_file_is_one_line(tmp_path, change, line):

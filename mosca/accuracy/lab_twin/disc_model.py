@@ -36,6 +36,8 @@ class EllipseFit:
     blur_px: float
     misfit: float
     """Rms of the residuals over ``level``."""
+    defocus: float = 0.0
+    """Share of ``blur_px`` squared that is defocus, an even disc; the rest is Gaussian."""
 
     @property
     def radius_px(self) -> float:
@@ -60,20 +62,27 @@ class DiscModel:
 
     def unit(self, x: float, y: float, axes: tuple[float, float, float], blur_px: float) -> Array:
         """Return the image (size, size) of an ellipse of brightness 1 at (x, y) on a dark background."""
-        return self._image(x, y, self._spectrum(axes, blur_px))
+        return self._image(x, y, self._parts(axes, blur_px, 0.0)[0])
 
     def with_slopes(self, fit: EllipseFit, blur_px: float) -> tuple[Array, Array, Array]:
         """Return the fitted ellipse's image at brightness 1 with another blur, and its derivatives by x and y."""
-        spectrum = self._spectrum(fit.axes, blur_px)
+        spectrum = self._parts(fit.axes, blur_px, fit.defocus)[0]
         down_x = -2j * np.pi * self._fx[None, :] * spectrum
         down_y = -2j * np.pi * self._fy[:, None] * spectrum
         return tuple(self._image(fit.x_px, fit.y_px, one) for one in (spectrum, down_x, down_y))  # type: ignore[return-value]
 
-    def _spectrum(self, axes: tuple[float, float, float], blur_px: float) -> Array:
-        return self._parts(axes, blur_px)[0]
+    def _blur(self, blur_px: float, defocus: float) -> tuple[Array, Array]:
+        """Return the blur's factor, and its derivative by ``blur_px``; ``defocus``: see EllipseFit."""
+        gauss = np.exp(-2.0 * np.pi**2 * blur_px**2 * (1.0 - defocus) * self._square)
+        by_gauss = -4.0 * np.pi**2 * blur_px * (1.0 - defocus) * self._square * gauss
+        if defocus == 0.0:
+            return gauss, by_gauss
+        z = np.maximum(4.0 * np.pi * blur_px * np.sqrt(defocus * self._square), 1e-9)
+        disc = 2.0 * j1(z) / z
+        return gauss * disc, by_gauss * disc + gauss * 2.0 * (j0(z) - disc) / blur_px
 
-    def _parts(self, axes: tuple[float, float, float], blur_px: float) -> tuple[Array, Array]:
-        """Return the spectrum, and its derivatives by the axes xx, yy, xy (3, ...)."""
+    def _parts(self, axes: tuple[float, float, float], blur_px: float, defocus: float) -> tuple[Array, Array, Array]:
+        """Return the spectrum, and its derivatives by the axes xx, yy, xy (3, ...) and by ``blur_px``."""
         xx, yy, xy = axes
         fx, fy = self._fx[None, :], self._fy[:, None]
         along, across = xx * fx + xy * fy, xy * fx + yy * fy
@@ -81,8 +90,9 @@ class DiscModel:
         far[len(self._fy) // 2, 0] = 1e-9
         x = 2.0 * np.pi * far
         first = j1(x)
-        rest = self._pixel * self._twice / self._period**2
-        rest = rest * np.exp(-2.0 * np.pi**2 * blur_px**2 * self._square)
+        blur, by_blur = self._blur(blur_px, defocus)
+        sharp = self._pixel * self._twice / self._period**2
+        rest = sharp * blur
         determinant = xx * yy - xy * xy
         spectrum = np.pi * determinant * 2.0 * first / x * rest
         # d(2 J1(x) / x) = -2 J2(x) / x dx, and J2 = 2 J1 / x - J0
@@ -95,7 +105,7 @@ class DiscModel:
                 -2.0 * by_area * xy + slope * (along * fy + across * fx),
             ]
         )
-        return np.asarray(spectrum), by_axes
+        return np.asarray(spectrum), by_axes, np.asarray(np.pi * determinant * 2.0 * first / x * sharp * by_blur)
 
     def _waves(self, x: float, y: float) -> tuple[Array, Array]:
         along_y = np.exp(2j * np.pi * (self._at - y)[:, None] * self._fy[None, :])
@@ -106,12 +116,11 @@ class DiscModel:
         along_y, along_x = self._waves(x, y)
         return np.asarray((along_y @ spectrum @ along_x).real)
 
-    def _columns(self, p: Array) -> tuple[Array, Array]:
+    def _columns(self, p: Array, defocus: float) -> tuple[Array, Array]:
         """Return the image of parameters p (8,) and its derivatives (size^2, 8)."""
-        spectrum, by_axes = self._parts((p[4], p[5], p[6]), p[7])
+        spectrum, by_axes, wider = self._parts((p[4], p[5], p[6]), p[7], defocus)
         down_x = -2j * np.pi * self._fx[None, :] * spectrum
         down_y = -2j * np.pi * self._fy[:, None] * spectrum
-        wider = -4.0 * np.pi**2 * p[7] * self._square * spectrum
         along_y, along_x = self._waves(p[2], p[3])
         stack = np.stack([spectrum, down_x, down_y, *by_axes, wider])
         images = (along_y @ stack @ along_x).real
@@ -120,10 +129,13 @@ class DiscModel:
         columns = [disc, ones, p[0] * by_x, p[0] * by_y, *(p[0] * one for one in others)]
         return p[0] * disc + p[1], np.stack(columns, axis=1)
 
-    def fit(self, image: Array, sigma: Array, first: tuple[float, float, float]) -> EllipseFit | None:
+    def fit(
+        self, image: Array, sigma: Array, first: tuple[float, float, float], defocus: float = 0.0
+    ) -> EllipseFit | None:
         """Fit an ellipse to a window (size, size); None where no ellipse fits.
 
-        ``sigma`` (size, size): standard deviations of the pixels; ``first``: x, y and radius to start from [px].
+        ``sigma`` (size, size): standard deviations of the pixels; ``first``: x, y and radius to start from [px];
+        ``defocus``: share of the squared blur, see EllipseFit.
         """
         x, y, radius = first
         background = float(np.median(image[[0, -1], :]))
@@ -133,11 +145,11 @@ class DiscModel:
         weight = level / sigma
 
         def rest(p: Array) -> Array:
-            made, _ = self._columns(p)
+            made, _ = self._columns(p, defocus)
             return np.asarray((made - scaled.ravel()) * weight.ravel())
 
         def slopes(p: Array) -> Array:
-            return np.asarray(self._columns(p)[1] * weight.ravel()[:, None])
+            return np.asarray(self._columns(p, defocus)[1] * weight.ravel()[:, None])
 
         size = len(image)
         low = [0.0, -1.0, 0.0, 0.0, 0.3, 0.3, -radius, LEAST_BLUR_PX]
@@ -150,5 +162,5 @@ class DiscModel:
         off = rest(p) / weight.ravel()
         return EllipseFit(
             p[0] * level, background + p[1] * level, p[2], p[3], (p[4], p[5], p[6]), p[7],
-            float(np.sqrt(np.mean(off**2)) / p[0]),
+            float(np.sqrt(np.mean(off**2)) / p[0]), defocus,
         )  # fmt: skip

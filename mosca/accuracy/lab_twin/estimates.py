@@ -24,6 +24,8 @@ class ParameterEstimate:
     """Standard deviation, in the unit of ``value``."""
     evidence: str
     """Data from which it was estimated, in words."""
+    correlation: tuple[tuple[str, float], ...] = ()
+    """Coefficient of correlation with the estimates of other keys of the camera; each pair is stated once."""
 
 
 @dataclass(frozen=True)

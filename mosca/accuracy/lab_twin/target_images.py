@@ -8,7 +8,7 @@ motion of single targets is noise.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -60,6 +60,21 @@ class FittedTarget:
         """Return the target's window of an image (H, W)."""
         part: Array = image[self.row : self.row + self.size, self.column : self.column + self.size]
         return part
+
+
+def refitted(sums: PixelStatistics, targets: Sequence[FittedTarget], defocus: Array) -> list[FittedTarget]:
+    """Return the targets (n) fitted anew with shares (n,) of the squared blur that are defocus; as they were
+    where no ellipse fits.
+    """
+    made = []
+    for one, share in zip(targets, defocus, strict=True):
+        first = (one.fit.x_px, one.fit.y_px, one.fit.radius_px)
+        mean = one.window(sums.mean)
+        light = np.maximum(mean - np.median(mean[[0, -1]]), 0.0)
+        sigma = np.sqrt(one.sigma**2 / sums.images + (UNEVEN * light) ** 2)
+        fit = DiscModel(one.size).fit(mean, sigma, first, float(share))
+        made.append(one if fit is None else replace(one, fit=fit))
+    return made
 
 
 def fit_targets(sums: PixelStatistics, found: Detections) -> list[FittedTarget]:
