@@ -17,7 +17,7 @@ from mosca.correspondence.typical_size import TypicalSize
 from mosca.data.arrays import Array
 from mosca.data.detections import Detections, Seen
 from mosca.data.frames import CameraInfo, FrameSet, FrameSource
-from mosca.data.rays import Predicted, RayTable
+from mosca.data.rays import SHARE_SIGMA, Predicted, RayTable
 from mosca.data.rig import Rig
 from mosca.data.tracks import Points, Samples
 from mosca.detection.cut_targets.mend import CutTargets
@@ -265,9 +265,12 @@ class _Matcher:
         """Return the rays of a frame set and the points that they make; sizes are learned from them."""
         table, sizes = make_ray_table(rig, detections, noise.sigma_px, self._settings.target), self._sizes
         first, settings = not sizes.known, self._settings if sizes.alike else self._unjudged
+        if not sizes.known:
+            # images are then judged by the largest one of their own target
+            np.maximum(table.rays[:, SHARE_SIGMA], sizes.image_noise, out=table.rays[:, SHARE_SIGMA])
         points = match(table, predicted, settings, self._volume, sizes.diameter_m)
         if learn:
-            sizes.learn(points)
+            sizes.learn(points, table)
         if first and not sizes.alike:
             points = match(table, predicted, self._unjudged, self._volume, sizes.diameter_m)
         return table, points

@@ -216,7 +216,8 @@ def judge_sizes(hypothesis, data):
 def largest_image(members, point, data):
     """Return the largest and second largest size [m] of a hypothesis's images, and the number of images used.
 
-    Images that detection takes for two targets are no evidence of the size, unless all are.
+    Images that detection takes for two targets and saturated ones, which look larger, are no evidence of the size,
+    unless all are.
     """
     largest = second = anyhow = 0.0
     images = 0
@@ -225,7 +226,7 @@ def largest_image(members, point, data):
         if k >= 0:
             size = image_size(k, c, point, data)
             anyhow = max(anyhow, size)
-            if not int(data.rays[k, FLAGS]) & MERGED:
+            if not int(data.rays[k, FLAGS]) & (MERGED | SATURATED):
                 images += 1
                 second = max(second, min(size, largest))
                 largest = max(largest, size)
@@ -242,8 +243,8 @@ def image_size(ray, camera, point, data):
 
 @inlined_step
 def larger(i, size_i, j, size_j, rays):
-    """Return the larger of two images' sizes; an image of two targets does not count beside one of one target."""
-    one, other = int(rays[i, FLAGS]) & MERGED, int(rays[j, FLAGS]) & MERGED
+    """Return the larger of two sizes; one that is no evidence (``largest_image``) does not count beside another."""
+    one, other = int(rays[i, FLAGS]) & (MERGED | SATURATED), int(rays[j, FLAGS]) & (MERGED | SATURATED)
     if one and not other:
         return size_j
     if other and not one:

@@ -10,6 +10,8 @@ import numpy as np
 
 from mosca.correspondence.hypothesis import HALF_HIDDEN, SIZE_SIGMAS
 from mosca.data.arrays import middle
+from mosca.data.detections import MERGED, PARTIAL, SATURATED, UNREFINED
+from mosca.data.rays import ANGLE, FLAGS, ORIGIN, RayTable
 from mosca.data.tracks import Points
 
 LEAST_GAIN = 0.05
@@ -17,6 +19,10 @@ LEAST_GAIN = 0.05
 first sets small targets are measured without the knowledge of others."""
 QUARTILES = 1.349
 """Distance of a normal distribution's quartiles, in standard deviations."""
+ODD = MERGED | PARTIAL | SATURATED | UNREFINED
+"""Flags of images that are no measure of the sizes' noise."""
+GAPS = (0.954, 0.689, 0.585, 0.528, 0.492, 0.465, 0.443)
+"""Medians of the differences of the two largest of 2, 3 ... 8 and more normal values, in standard deviations."""
 
 
 class TypicalSize:
@@ -27,7 +33,8 @@ class TypicalSize:
         """Typical diameter; 0 until it is known."""
         self.scatter = 0.0
         """Standard deviation of the targets' areas, relative."""
-        self._sets = 0
+        self._image_noise = 0.0
+        self._sets = self._compared = 0
 
     @property
     def known(self) -> bool:
@@ -39,8 +46,17 @@ class TypicalSize:
         """Whether a half-hidden target can be distinguished from a small one."""
         return SIZE_SIGMAS * self.scatter <= HALF_HIDDEN
 
-    def learn(self, points: Points) -> None:
-        """Take a frame set's points."""
+    @property
+    def image_noise(self) -> float:
+        """Standard deviation of the areas of one target's images, relative: what lens and focus do to sizes, too.
+
+        0 where it is so large that half-hidden targets would pass: such images are not of one target.
+        """
+        return self._image_noise if SIZE_SIGMAS * self._image_noise <= HALF_HIDDEN else 0.0
+
+    def learn(self, points: Points, table: RayTable) -> None:
+        """Take a frame set's points and the rays that they were made from."""
+        self._compare(points, table)
         sure = np.sort(points.diameter_m[points.n_cameras >= 3])
         n = len(sure)
         if n < 3:
@@ -55,3 +71,22 @@ class TypicalSize:
         scatter = 4 * math.log(side) / QUARTILES
         self.diameter_m += gain * (median - self.diameter_m)
         self.scatter += gain * (scatter - self.scatter)
+
+    def _compare(self, points: Points, table: RayTable) -> None:
+        """Learn the noise of sizes from the two largest images of each target: the smaller ones may be hidden."""
+        seen = points.n_cameras >= 3
+        if not seen.any():
+            return
+        rays, xyz = points.rays[seen], points.xyz[seen]
+        at = np.where(rays >= 0, rays + table.start[:-1], 0)
+        away = np.linalg.norm(xyz[:, None] - table.views[:, ORIGIN : ORIGIN + 3], axis=2)
+        clean = (rays >= 0) & (table.rays[at, FLAGS].astype(int) & ODD == 0)
+        sizes = np.where(clean, table.rays[at, ANGLE] * away, 0.0)
+        many = clean.sum(axis=1)
+        if not (many >= 3).any():
+            return
+        second, largest = np.partition(sizes[many >= 3], -2, axis=1)[:, -2:].T
+        gaps = 2.0 * np.log(largest / second) / np.array(GAPS)[np.minimum(many[many >= 3], len(GAPS) + 1) - 2]
+        self._compared += 1
+        gain = max(2 / (self._compared + 1), LEAST_GAIN)
+        self._image_noise += gain * (middle(np.sort(gaps)) - self._image_noise)

@@ -1,18 +1,39 @@
 """Targets of one size are judged by it, particles are not: learned from the points."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from track_points import points
 
 from mosca.correspondence.typical_size import TypicalSize
+from mosca.data.detections import SATURATED
+from mosca.data.rays import ANGLE, COLUMNS, FLAGS, VIEW
+
+NO_RAYS = SimpleNamespace(rays=np.zeros((1, COLUMNS)), start=np.zeros(5, int), views=np.zeros((4, VIEW)))
+"""A table without clean images."""
+NO_RAYS.rays[:, FLAGS] = SATURATED
+
+
+def compared(sizes, flags=0.0, sets=1):
+    """What is learned from images of targets 1 m from four cameras, by their ``sizes`` (n, 4) [m]."""
+    n, cameras = sizes.shape
+    rays = np.zeros((sizes.size, COLUMNS))
+    rays[:, ANGLE], rays[:, FLAGS] = sizes.T.ravel(), np.broadcast_to(flags, sizes.shape).T.ravel()
+    start = n * np.arange(cameras + 1)
+    table = SimpleNamespace(rays=rays, start=start, views=np.zeros((cameras, VIEW)))
+    made = replace(points(np.tile([1.0, 0.0, 0.0], (n, 1))), rays=np.tile(np.arange(n)[:, None], cameras))
+    learned = TypicalSize()
+    for _ in range(sets):
+        learned.learn(made, table)
+    return learned.image_noise
 
 
 def learned(diameter_m, sets=1):
     sizes = TypicalSize()
     for _ in range(sets):
-        sizes.learn(replace(points(np.zeros((len(diameter_m), 3))), diameter_m=diameter_m))
+        sizes.learn(replace(points(np.zeros((len(diameter_m), 3))), diameter_m=diameter_m), NO_RAYS)
     return sizes
 
 
@@ -42,3 +63,16 @@ def test_nothing_is_known_of_two_points():
     assert not learned(np.array([0.01, 0.02])).known
     assert learned(np.array([0.01, 0.02])).alike
     assert learned(np.zeros(5)).alike
+
+
+def test_the_noise_of_sizes_is_that_of_the_larger_images():
+    """Lens and focus make an image smaller or larger by 2 %, its area by 4 %; every fourth image is half hidden."""
+    rng = np.random.default_rng(3)
+    sizes = 0.01 * np.exp(0.02 * rng.normal(size=(400, 4)))
+    assert compared(sizes) == pytest.approx(0.04, rel=0.15)
+    hidden = np.where(rng.random(sizes.shape) < 0.25, 0.7, 1.0)
+    assert compared(sizes * hidden) == pytest.approx(0.04, rel=0.5)
+    assert compared(np.full((5, 4), 0.01)) == 0.0
+    # of two balls, and of saturated images, whose sizes are no measure
+    assert compared(sizes[:2]) > 0.0
+    assert compared(1.2 * sizes, SATURATED) == 0.0
