@@ -22,7 +22,9 @@ QUARTILES = 1.349
 ODD = MERGED | PARTIAL | SATURATED | UNREFINED
 """Flags of images that are no measure of the sizes' noise."""
 GAPS = (0.954, 0.689, 0.585, 0.528, 0.492, 0.465, 0.443)
-"""Medians of the differences of the two largest of 2, 3 ... 8 and more normal values, in standard deviations."""
+"""Medians of the differences of the two largest of 2, 3 ... 8 and more normal values, in standard deviations. A wand
+of two balls out of focus with half of them gives 74, 47 and 33 um in three takes of another renderer, with these 74,
+52 and 33, with twice 94, 52 and 45."""
 
 
 class TypicalSize:

@@ -11,7 +11,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from mosca.accuracy.lab_twin.estimates import SPREAD
 from mosca.data.arrays import Array
@@ -101,6 +100,8 @@ def _fit(u: Array, blur: Array) -> Defocus:
 
 def _solved(u: Array, blur: Array, square: float | None) -> tuple[Array, Array, float]:
     """Return (c at the mean of u, slope, psf^2), covariance and rms scatter; ``square``: psf^2 if it is fixed."""
+    from scipy.optimize import least_squares  # takes long to import; most commands that read a lab do not fit one
+
     at = u - u.mean()
     n = 2 if square is not None else 3
 
