@@ -52,13 +52,15 @@ class TypicalSize:
     def image_noise(self) -> float:
         """Standard deviation of the areas of one target's images, relative: what lens and focus do to sizes, too.
 
-        0 where it is so large that half-hidden targets would pass: such images are not of one target.
+        Learned until a typical size is. 0 where it is so large that half-hidden targets would pass: such images are
+        not of one target.
         """
         return self._image_noise if SIZE_SIGMAS * self._image_noise <= HALF_HIDDEN else 0.0
 
     def learn(self, points: Points, table: RayTable) -> None:
         """Take a frame set's points and the rays that they were made from."""
-        self._compare(points, table)
+        if not self.known:
+            self._compare(points, table)
         sure = np.sort(points.diameter_m[points.n_cameras >= 3])
         n = len(sure)
         if n < 3:
