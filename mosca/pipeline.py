@@ -12,7 +12,7 @@ from typing import Protocol
 import numpy as np
 
 from mosca.camera.ray_table import make_ray_table
-from mosca.correspondence.match import MatchSettings, match
+from mosca.correspondence.match import MatchSettings, Shared, match_counted
 from mosca.correspondence.typical_size import TypicalSize
 from mosca.data.arrays import Array
 from mosca.data.detections import Detections, Seen
@@ -20,7 +20,7 @@ from mosca.data.frames import CameraInfo, FrameSet, FrameSource
 from mosca.data.rays import SHARE_SIGMA, Predicted, RayTable
 from mosca.data.rig import Rig
 from mosca.data.tracks import Points, Samples
-from mosca.detection.cut_targets.mend import CutTargets
+from mosca.detection.cut_targets.mend import CutTargets, focal_px
 from mosca.detection.detect import DetectionSettings
 from mosca.detection.scheduler import LOOK_SETS, FrameSetDetector, detect_ahead, most_ahead
 from mosca.diagnostics.camera_health import Health, HealthSettings
@@ -46,6 +46,9 @@ distortion (1 px) is forgotten, 4 find hardly a point with (1,), none with these
 CLEARLY_MORE = 2.0
 """Times as many images that a coarser start must join to points, to be taken: with 1.2, 1.5 and 3 it gives the same
 in all of these takes. Where half of the images are joined, no other start is tried."""
+
+STEADY_SETS = 400.0
+"""Frame sets over which a camera's mean turn is taken. Half or twice of it gives the same in takes of 100 sets."""
 
 
 @dataclass(frozen=True)
@@ -242,12 +245,40 @@ def check_source(source: FrameSource, rig: Rig) -> None:
             )
 
 
+class _SteadyTurns:
+    """Mean turns (c, 2) of a rig's cameras [rad]. What stays is no shake, but an error of calibration or lens model.
+
+    A wrong orientation turns a camera, and is removed like shake. The misfit of a lens model may look like a turn
+    where the targets are, and moves points more if it is taken for one. The share of it in the mean turns is that of
+    the images' own variance in their mean square.
+    """
+
+    def __init__(self) -> None:
+        self._rig: Rig | None = None
+        self._sets, self._mean = 0.0, np.zeros((0, 2))
+
+    def kept(self, rig: Rig, noise: ImageNoise) -> Array:
+        """Return the part of the mean turns that is not to be removed."""
+        if rig is not self._rig:
+            self._rig, self._sets, self._mean = rig, 0.0, np.zeros((len(rig.cameras), 2))
+        square = float(np.mean((self._mean * focal_px(rig)[:, None]) ** 2))
+        own = float(np.mean(noise.sigma_px**2 - noise.shared_px**2))
+        return self._mean * (min(1.0, own / square) if square > 0.0 else 1.0)
+
+    def learn(self, turns: Array) -> None:
+        """Take the turns of a frame set."""
+        if turns.any():
+            # the mean starts at no turn, which weighs as one frame set
+            self._sets = min(self._sets + 1.0, STEADY_SETS)
+            self._mean = self._mean + (turns - self._mean) / (self._sets + 1.0)
+
+
 class _Matcher:
-    """Matches frame sets and learns the targets' size."""
+    """Matches frame sets; learns the targets' size and the cameras' steady turns."""
 
     def __init__(self, settings: MatchSettings, volume: tuple[Array, Array]) -> None:
         self._settings, self._unjudged = settings, replace(settings, judge_sizes=False)
-        self._volume, self._sizes = volume, TypicalSize()
+        self._volume, self._sizes, self._steady = volume, TypicalSize(), _SteadyTurns()
 
     @property
     def typical_m(self) -> float:
@@ -262,18 +293,23 @@ class _Matcher:
         noise: ImageNoise,
         learn: bool = True,
     ) -> tuple[RayTable, Points]:
-        """Return the rays of a frame set and the points that they make; sizes are learned from them."""
+        """Return the rays of a frame set and the points that they make; sizes and turns are learned from them."""
         table, sizes = make_ray_table(rig, detections, noise.sigma_px, self._settings.target), self._sizes
         first, settings = not sizes.known, self._settings if sizes.alike else self._unjudged
+        shared = None
+        if settings.turns:
+            shared = Shared(noise.shared_px, noise.alike_px, self._steady.kept(rig, noise))
         if not sizes.known:
             # images are then judged by the largest one of their own target
             np.maximum(table.rays[:, SHARE_SIGMA], sizes.image_noise, out=table.rays[:, SHARE_SIGMA])
-        points = match(table, predicted, settings, self._volume, sizes.diameter_m)
+        found = match_counted(table, predicted, settings, self._volume, sizes.diameter_m, shared)
         if learn:
-            sizes.learn(points, table)
+            sizes.learn(found.points, table)
         if first and not sizes.alike:
-            points = match(table, predicted, self._unjudged, self._volume, sizes.diameter_m)
-        return table, points
+            found = match_counted(table, predicted, self._unjudged, self._volume, sizes.diameter_m, shared)
+        if learn:
+            self._steady.learn(found.turns)
+        return table, found.points
 
 
 def _errors_first(seen: Iterable[Seen], rig: Rig, matcher: _Matcher, health: Health) -> Iterator[Seen]:

@@ -10,6 +10,7 @@ detection is used at most once. Predictions of tracks decide where two cameras a
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from mosca.correspondence.candidates import search
 from mosca.correspondence.disc_centres import Images, aim_at_centres
 from mosca.correspondence.hypothesis import PAIR, SHAPES, SIZES, Hypotheses, MatchData, Rules, record_of
 from mosca.correspondence.selection import OPEN, choose, columns
+from mosca.correspondence.shared_turns import remove_turns
 from mosca.data.arrays import Array
 from mosca.data.rays import Predicted, RayTable
 from mosca.data.settings import MatchSettings as MatchSettings
@@ -44,6 +46,20 @@ class Matched:
     """How many hypotheses there were."""
     left_open: int
     """Number of ambiguous pairs: another pair with about the same residual shares one of their images."""
+    turns: Array
+    """(c, 2) turns of the cameras about their x and y axes in this frame set [rad]."""
+
+
+class Shared(NamedTuple):
+    """What the images of a camera in a frame set have in common: its body shakes."""
+
+    sigma_px: Array
+    """(c,) standard deviation on each axis: a part of the camera's errors by which rays are whitened."""
+    alike_px: Array
+    """(c,) errors of single images that may be alike in a part of the image: the cameras' turns are not known better
+    than this. The misfit of the lens model that a calibration states has no turn in common."""
+    steady: Array
+    """(c, 2) mean turns of the cameras in earlier frame sets [rad] that are not removed."""
 
 
 def match(
@@ -52,6 +68,7 @@ def match(
     settings: MatchSettings,
     volume: tuple[Array, Array] = EVERYWHERE,
     typical_diameter_m: float = 0.0,
+    shared: Shared | None = None,
 ) -> Points:
     """Return the points whose rays meet, from a consistent set of hypotheses.
 
@@ -74,8 +91,10 @@ def match(
         for it is of a partly hidden target, one too large is merged with another. The centroid is then shifted by
         about ``share of the area x radius``, so the ray counts for less and its gate is wider. A merged image is used
         a second time if a track predicts that hypothesis.
+    shared
+        What the images of a camera in this set have in common, which all points together show. None: nothing.
     """
-    return match_counted(table, predicted, settings, volume, typical_diameter_m).points
+    return match_counted(table, predicted, settings, volume, typical_diameter_m, shared).points
 
 
 def match_counted(
@@ -84,6 +103,7 @@ def match_counted(
     settings: MatchSettings,
     volume: tuple[Array, Array] = EVERYWHERE,
     typical_diameter_m: float = 0.0,
+    shared: Shared | None = None,
 ) -> Matched:
     """Return what ``match`` does, with the counts of hypotheses considered and of pairs left open."""
     (x0, y0, z0), (x1, y1, z1) = volume
@@ -102,18 +122,23 @@ def match_counted(
         table.extra_px2,
         *GRADIENTS[settings.light],
     )
-    found, considered, left_open = match_rays(
+    none = np.zeros(len(table.views))
+    sigma_px, alike_px, steady = shared or (none, none, np.zeros((len(none), 2)))
+    found, considered, left_open, turns = match_rays(
         table.rays, table.views, table.pairs, table.bases, table.start, rules, predicted.xyz, predicted.covariance,
-        images,
+        images, (np.square(sigma_px), np.square(alike_px), np.ravel(steady)),
     )  # fmt: skip
     for column in found:
         column.setflags(write=False)
-    return Matched(Points.handed_over(found), considered, left_open)
+    return Matched(Points.handed_over(found), considered, left_open, turns.reshape(-1, 2))
 
 
 @kernel
-def match_rays(rays, views, pairs, bases, start, rules, xyz, covariance, images):
-    """Return the columns of ``Points``, the number of hypotheses, and how many pairs are left open."""
+def match_rays(rays, views, pairs, bases, start, rules, xyz, covariance, images, shared):
+    """Return the columns of ``Points``, the numbers of hypotheses and of pairs left open, and the cameras' turns.
+
+    ``shared``: both variances (c,) [px^2] and steady turns (2 c,) of ``Shared``.
+    """
     data = MatchData(rays, views, record_of(rules))
     kept, count = search(data, pairs, bases, start, xyz, covariance)
     kept = Hypotheses(kept.values[:count], kept.members[:count], kept.trusts[:count])
@@ -121,10 +146,13 @@ def match_rays(rays, views, pairs, bases, start, rules, xyz, covariance, images)
     if images.freed:
         aim_at_centres(kept, state, data, images)
     weigh_by_agreement(kept, state, data)
+    turns = np.zeros(2 * len(views))
+    if shared[0].max() > 0.0:
+        turns = remove_turns(kept, state, data, start, shared)
     left_open = 0
     for g in range(count):
         left_open += state[g] == OPEN
-    return columns(kept, state, rays, start), count, left_open
+    return columns(kept, state, rays, start), count, left_open, turns
 
 
 def _fewest_images(table: RayTable, settings: MatchSettings) -> int:

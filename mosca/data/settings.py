@@ -131,6 +131,9 @@ class MatchSettings:
     """Whether images of targets that something hides in part, or that have grown together, are fitted again with the
     size that their points tell (``mosca.detection.cut_targets.mend``); needs pixels: without them, as where stations
     or recordings give detections alone, they stay as they are."""
+    turns: bool = True
+    """Whether turns of the cameras from frame set to frame set (bodies that shake) are estimated from all points
+    together and removed from them (``mosca.correspondence.shared_turns``)."""
     target: Literal["auto", "point", "ball"] = "auto"
     """'ball' frees images of a ball's eccentricity; 'point' leaves them (small targets, discs); 'auto' frees
     round images of a ball's, and a point's ellipses that are images of one circle of this circle's."""

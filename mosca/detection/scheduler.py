@@ -1,20 +1,20 @@
 """Detection for all cameras, in threads; per-camera estimates of blur and bias are used for later frame sets."""
 
-from bisect import bisect_right
+from bisect import bisect_left, bisect_right
 from collections import deque
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from functools import partial
-from itertools import accumulate, chain, pairwise
+from itertools import accumulate, chain, groupby, pairwise
 from time import perf_counter
 
 from mosca.data.arrays import Array
 from mosca.data.detections import Detections
 from mosca.data.frames import FrameSet
 from mosca.detection.detect import DetectionSettings, detect_with_statistics
-from mosca.detection.disc_fit.camera_statistics import NO_STATISTICS, CameraStatistics, joined
+from mosca.detection.disc_fit.camera_statistics import NO_STATISTICS, CameraStatistics, joined, summed
 
 DELAY = 4
 """Frame sets after which a set's statistics are used: with any number of threads, each set is detected with the same
@@ -256,14 +256,14 @@ class DelayedStatistics:
     """
 
     def __init__(self, camera: str, known: CameraStatistics = NO_STATISTICS) -> None:
-        self._phase = _phase(camera) % UPDATE_PERIOD
+        self._camera, self._phase = camera, _phase(camera) % UPDATE_PERIOD
         self._known = self._used = known
         self._summed = known.backgrounds_alone()
         self._pending: deque[tuple[int, CameraStatistics]] = deque()
         self._updated = -1
 
     def add(self, number: int, added: CameraStatistics) -> None:
-        """Take what set ``number`` adds; numbers rise."""
+        """Take what set ``number`` adds, of this camera and maybe others; numbers rise."""
         self._pending.append((number, added))
 
     def for_frame_set(self, number: int) -> CameraStatistics:
@@ -273,11 +273,23 @@ class DelayedStatistics:
         else:
             update = max(number - (number - self._phase) % UPDATE_PERIOD, EARLY_UPDATES[-1])
         if update > self._updated:
+            due = list[tuple[int, CameraStatistics]]()
             while self._pending and self._pending[0][0] <= update - DELAY:
-                self._summed = self._summed.plus(self._pending.popleft()[1])
+                due.append(self._pending.popleft())
+            # one sum for each update, also for those at which nobody asked
+            for _, group in groupby(due, lambda one: self._first_use(one[0])):
+                new = summed(self._camera, [added for _, added in group])
+                self._summed = self._summed.plus(new) if new.names else self._summed
             enough = self._summed.targets() >= self._known.targets()
             self._updated, self._used = update, self._summed if enough else self._known
         return self._used
+
+    def _first_use(self, number: int) -> int:
+        """Return the first update at which what set ``number`` adds is used."""
+        earliest = number + DELAY
+        if earliest <= EARLY_UPDATES[-1]:
+            return EARLY_UPDATES[bisect_left(EARLY_UPDATES, earliest)]
+        return earliest + (self._phase - earliest) % UPDATE_PERIOD
 
 
 class _DelayedSums:
@@ -290,10 +302,10 @@ class _DelayedSums:
 
     def add(self, added: CameraStatistics) -> None:
         """Take what the next set adds."""
-        for name, one in added.by_camera().items():
+        for name in added.names:
             if name not in self._cameras:
                 self._cameras[name] = DelayedStatistics(name)
-            self._cameras[name].add(self._number, one)
+            self._cameras[name].add(self._number, added)
         self._number += 1
 
     def for_frame_set(self, number: int) -> CameraStatistics:

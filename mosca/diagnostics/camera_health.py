@@ -18,6 +18,7 @@ from pydantic import PositiveInt
 from pydantic.dataclasses import dataclass
 
 from mosca.camera.ray_table import make_ray_table
+from mosca.correspondence.shared_turns import share_likelihoods
 from mosca.data.arrays import Array
 from mosca.data.detections import Detections
 from mosca.data.files.toml import SETTINGS, NotNegative, Positive
@@ -27,8 +28,8 @@ from mosca.data.rig import Rig
 from mosca.data.settings import MatchSettings
 from mosca.data.tracks import Points
 from mosca.diagnostics.long_run_covariance import long_run_covariance
-from mosca.diagnostics.noise_model import ImageNoise, NoiseModel
-from mosca.diagnostics.residual_sums import ImageErrors, PointColumns, RayColumns, Sampling, residual_sums
+from mosca.diagnostics.noise_model import OWN_SHARES, ImageNoise, NoiseModel
+from mosca.diagnostics.residual_sums import MOST_DOUBT, ImageErrors, PointColumns, RayColumns, Sampling, residual_sums
 
 START_SETS = 200
 """Frame sets at the start after each ``every`` of which residuals are summed."""
@@ -233,8 +234,18 @@ class Health:
             self._square, self._images = keep * self._square + sums.square, keep * self._images + sums.images
             block = self._blocks.setdefault(int(time_s // s.block_s), np.zeros((2, len(self._names))))
             block += [sums.square, sums.images]
-            self._model.update(sums)
+            self._model.update(sums, self._own_likelihoods(bundle, points, every))
         self._clocks.append((sums.pull, sums.clock, sums.timed))
+
+    def _own_likelihoods(self, bundle: RayTable, points: Points, every: int) -> Array:
+        """Return the log-likelihoods of the OWN_SHARES by every so many-th point whose images count in full."""
+        whole = (points.n_cameras >= 2) & (points.trusted >= points.n_cameras - MOST_DOUBT)
+        found: Array = share_likelihoods(
+            bundle.rays, bundle.views, bundle.start, points.rays, points.xyz, whole,
+            np.minimum(self._model.lens_px**2, bundle.extra_px2), bundle.extra_px2, OWN_SHARES,
+            (-self._sets % every, every),
+        )  # fmt: skip
+        return found
 
     def _offsets(self) -> tuple[Array, Array]:
         """Return by how much each camera is late (c,) and the standard deviation [s]; NaN where nothing moved."""

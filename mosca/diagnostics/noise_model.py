@@ -5,7 +5,9 @@ and its lens is not quite what the calibration states. These errors are estimate
 W = S^-1, where S is an image's whole covariance, and its Jacobian J by the point, the image's residual after the
 point is fitted has a covariance with the trace ``tr (S - J P J')``, P = (sum J' W J)^-1. A regression of squared
 residuals on this trace gives the variance that each camera adds. The part that grows with the square of the image's
-speed gives the jitter of the triggers (variance components, Foerstner 1979).
+speed gives the jitter of the triggers (variance components, Foerstner 1979). How much of a camera's variance all of
+its images in a frame set have in common follows from the likelihood of their residuals
+(``mosca.correspondence.shared_turns``).
 """
 
 import math
@@ -26,6 +28,9 @@ two independent residuals a camera. The starting value is a guess of the order o
 number of updates, so that ten frame sets with an error 20 times smaller show that."""
 
 
+OWN_SHARES = 0.5 ** np.arange(9)
+"""Shares of a camera's variance that may be each image's own, the rest being common to its images in a frame set: the
+share is the mean over their likelihoods. In the library's scenarios 1/2 to 1/256 of the variance are found."""
 MOST_WEIGHT = 2.0
 """Largest average weight of earlier images over that of an update's images: the scatter of one update's weights."""
 
@@ -39,6 +44,12 @@ class ImageNoise:
     states."""
     jitter_s: float
     """Standard deviation of the triggers [s]."""
+    shared_px: Array
+    """(c,) the part of ``sigma_px`` that a camera's images in a frame set have in common."""
+    alike_px: Array
+    """(c,) the part that is each image's own, as learned, but may be alike in a part of the image: all of the images'
+    own where most is in common, nothing where nothing is, since images then differ. Without the misfit of the lens
+    model that the calibration states."""
 
 
 class NoiseModel:
@@ -47,13 +58,14 @@ class NoiseModel:
     def __init__(self, rig: Rig, start_px: float, memory: float) -> None:
         """``start_px``: error until it is learned; ``memory``: updates that count."""
         c = len(rig.cameras)
-        self.noise = ImageNoise(np.full(c, start_px), 0.0)
+        self.noise = ImageNoise(np.full(c, start_px), 0.0, np.zeros(c), np.zeros(c))
         self._start_px = start_px
         self._keep = math.exp(-1.0 / memory)
         # points absorb most of the lens's misfit: little of it shows in residuals
-        self._lens_px = np.array([camera.residual_px for camera in rig.cameras])
+        self.lens_px = np.array([camera.residual_px for camera in rig.cameras])
         self._updates = self._images = self._known = 0.0
         self._normal, self._right = np.zeros((c + 1, c + 1)), np.zeros(c + 1)
+        self._own = np.zeros(len(OWN_SHARES))
 
     def start_from(self, other: "NoiseModel") -> None:
         """Use what another model has learned, until this one has as many updates."""
@@ -63,8 +75,11 @@ class NoiseModel:
         """Learn nothing from later updates."""
         self._known = math.inf
 
-    def update(self, sums: ResidualSums) -> None:
-        """Take the sums over the points of a frame set and solve for the variances."""
+    def update(self, sums: ResidualSums, own: Array) -> None:
+        """Take the sums over the points of a frame set and solve for the variances.
+
+        ``own``: log-likelihoods of the OWN_SHARES.
+        """
         # images are weighted by the variances estimated at their time; those of a time when cameras were taken for
         # still would outweigh all later ones
         images, here = float(sums.images.sum()), float(sums.normal.diagonal()[:-1].sum())
@@ -74,12 +89,13 @@ class NoiseModel:
         self._normal, self._right = keep * self._normal + sums.normal, keep * self._right + sums.right
         self._images = self._keep * self._images + images
         self._updates = self._keep * self._updates + 1.0
+        self._own = self._keep * self._own + own
         if self._updates >= self._known:
             self._solve()
 
     def _solve(self) -> None:
         """Solve for the variances that each camera and the triggers add, none below zero."""
-        c = len(self._lens_px)
+        c = len(self.lens_px)
         own = self._normal.diagonal()[:c]
         seen = own > 0
         if not seen.any():
@@ -96,8 +112,13 @@ class NoiseModel:
         variance = _mean_above_zero(found[:c], deviation)
         # the estimate is from few residuals: their predictive distribution is Student's
         freedom = (2 * c - 3) / c * self._updates + ALIKE_WEIGHT
-        sigma = np.sqrt((1.0 + 2.0 / freedom) * variance + self._lens_px**2)
-        self.noise = ImageNoise(sigma, math.sqrt(found[c]))
+        sigma = np.sqrt((1.0 + 2.0 / freedom) * variance + self.lens_px**2)
+        likely = np.exp(self._own - self._own.max())
+        common = 1.0 - float(OWN_SHARES @ likely) / float(likely.sum())
+        random = np.maximum(sigma**2 - self.lens_px**2, 0.0)
+        self.noise = ImageNoise(
+            sigma, math.sqrt(found[c]), np.sqrt(common * random), np.sqrt(common * (1.0 - common) * random)
+        )
 
 
 def _mean_above_zero(value: Array, deviation: Array) -> Array:

@@ -96,16 +96,21 @@ def _told_apart(rig: Rig, xyz: Array, covariance: Array, n_cameras: Array) -> tu
     some = np.flatnonzero(seen.any(axis=1))
     shared, alike = np.zeros((len(xyz), 3, 3)), np.zeros((len(xyz), 3, 3))
     each = n_cameras[some].sum(axis=1) / seen[some].sum(axis=1)
-    shared[some], alike[some] = common_shift(rig, np.nanmean(xyz[some], axis=1), each)
+    trace = np.where(seen[some], np.trace(covariance[some], axis1=2, axis2=3), np.nan)
+    shared[some], alike[some] = common_shift(rig, np.nanmean(xyz[some], axis=1), each, np.nanmedian(trace, axis=1))
     return shared, np.where(seen[..., None, None], without(covariance, alike[:, None]), covariance)
 
 
-def common_shift(rig: Rig, middle: Array, images: Array) -> tuple[Array, Array]:
+def common_shift(rig: Rig, middle: Array, images: Array, stated_m2: Array) -> tuple[Array, Array]:
     """Return the covariance (n, 3, 3) [m^2] of a body's shift by camera shake, and the part that turns no segment.
 
-    ``middle`` (n, 3): mean place of its markers [m]; ``images`` (n,): mean number of images of a marker.
+    ``middle`` (n, 3): mean place of its markers [m]; ``images`` (n,): mean number of images of a marker;
+    ``stated_m2`` (n,): usual trace of a marker's covariance [m^2]. The shift has at most this: where many targets
+    have shown the cameras' turns (``mosca.correspondence.shared_turns``), less than the whole shake is left.
     """
     shared, most = shake_covariance(rig, middle)
+    whole = np.trace(shared, axis1=1, axis2=2)
+    shared *= np.where(whole > 0.0, np.minimum(stated_m2 / np.maximum(whole, 1e-300), 1.0), 0.0)[:, None, None]
     return shared, turned_alike(images / np.maximum(most, 1))[:, None, None] * shared
 
 

@@ -2,10 +2,10 @@
 
 For each image, the Fisher information of a target's position, brightness and background under its pixels' noise is
 computed from images rendered without noise and with the image shifted (Kay 1993, section 3.9 for a Gaussian of known
-variance). Random errors of the scenario, which are not the pipeline's, are added to the bound of the image: the shake
-of the camera's body, and the trigger's jitter times the target's speed. In space the bound is ``(sum J' S^-1 J)^-1``
-over the cameras, where all that see the target see it whole. The target's diameter, which an estimator must find too,
-has no information on the position of a round image.
+variance). The trigger's jitter times the target's speed, a random error of the scenario and not of the pipeline, is
+added to the bound of the image. The shake of a camera's body is one turn for all of its images of a frame: in space
+the bound is that of all points and turns of a frame set together, of points whose cameras see them whole. The
+target's diameter, which an estimator must find too, has no information on the position of a round image.
 
 Lens errors of the calibration are not random and not part of the bound. The difference between the centre of a ball's
 image and the image of the ball's centre is no error of detection either (geometry gives it, and triangulation
@@ -87,23 +87,41 @@ def bound(
                     frame, truth.image_xy_px[pulse, :, at], truth.diameter_px[pulse, :, at],
                     truth.visible[pulse, :, at],
                 )  # fmt: skip
-    information = np.zeros((len(pulses), m, 3, 3))
-    views = np.zeros((len(pulses), m), dtype=int)
+    own, slope, turn = np.full_like(image, np.nan), np.zeros((*image.shape[:-1], 3)), np.zeros_like(image)
     for at, name in enumerate(truth.cameras):
         mount, timing = errors[name]
         moves = timing.jitter_s * _speed_px(truth, at)[pulses]
-        total = image[:, :, at] + moves[..., :, None] * moves[..., None, :]
-        total += mount.body_px**2 * _by_turn(rig.camera(name), truth.xyz[pulses])
-        seen = np.isfinite(total).all(axis=(2, 3))
-        jacobian = _jacobian(rig.camera(name), truth.xyz[pulses][seen])
-        information[seen] += np.einsum("nki,nkl,nlj->nij", jacobian, np.linalg.inv(total[seen]), jacobian)
-        views += seen
-    point = np.full(information.shape, np.nan)
+        own[:, :, at] = image[:, :, at] + moves[..., :, None] * moves[..., None, :]
+        seen = np.isfinite(own[:, :, at]).all(axis=(2, 3))
+        slope[seen, at] = _jacobian(rig.camera(name), truth.xyz[pulses][seen])
+        turn[seen, at] = mount.body_px * _by_turn(rig.camera(name), truth.xyz[pulses][seen])
+    seen = np.asarray(np.isfinite(own).all(axis=(3, 4)))
     # elsewhere images without a bound carry information too, so that the bound would be invalid
-    whole = views == (truth.visible[pulses] > 0).sum(axis=2)
-    bounded = (views >= 2) & whole
-    point[bounded] = np.linalg.inv(information[bounded])
+    bounded = (seen.sum(axis=2) >= 2) & (seen.sum(axis=2) == (truth.visible[pulses] > 0).sum(axis=2))
+    weight = np.zeros_like(own)
+    weight[seen] = np.linalg.inv(own[seen])
+    point = np.full((len(pulses), m, 3, 3), np.nan)
+    for k in range(len(pulses)):
+        rows = seen[k].sum(axis=1) >= 2
+        together = _with_turns(weight[k, rows], slope[k, rows], turn[k, rows])
+        point[k, rows] = np.where(bounded[k, rows, None, None], together, np.nan)
     return Bound(np.asarray(pulses), image, light, point)
+
+
+def _with_turns(weight: Array, slope: Array, turn: Array) -> Array:
+    """Return the covariances (m, 3, 3) [m^2] of the points of a frame set whose cameras turn by unknown amounts.
+
+    ``weight`` (m, c, 2, 2): inverse covariance of an image, 0 where there is none; ``slope`` (m, c, 2, 3): its
+    derivative by the point; ``turn`` (m, c, 2, 2): that by the camera's turns, in their standard deviations.
+    """
+    m, c = weight.shape[:2]
+    toward = np.einsum("mcki,mckl,mclj->mcij", slope, weight, turn)
+    inverse = np.linalg.inv(np.einsum("mcki,mckl,mclj->mij", slope, weight, slope))
+    held = np.einsum("mij,mcjk->mick", inverse, toward).reshape(m, 3, 2 * c)
+    normal = np.eye(2 * c) - np.einsum("mick,mil->ckl", np.swapaxes(toward, 1, 2), held).reshape(2 * c, 2 * c)
+    for at, own in enumerate(np.einsum("mcki,mckl,mclj->cij", turn, weight, turn)):
+        normal[2 * at : 2 * at + 2, 2 * at : 2 * at + 2] += own
+    return np.asarray(inverse + held @ np.linalg.inv(normal) @ np.swapaxes(held, 1, 2))
 
 
 def efficiencies(
@@ -203,12 +221,11 @@ def _speed_px(truth: Truth, camera: int) -> Array:
 
 
 def _by_turn(camera: Camera, xyz: Array) -> Array:
-    """Return the covariances (..., 2, 2) of images of ``xyz`` (..., 3) for a shake of the body, a rotation, that
-    moves the middle of the image by 1 px on each axis (the rim moves more).
+    """Return the derivatives (n, 2, 2) of images of ``xyz`` (n, 3) by rotations of the camera about two axes, each of
+    which moves the middle of the image by 1 px (the rim moves more).
     """
-    turned = project_with_jacobians(camera, xyz.reshape(-1, 3)).by_pose[:, :, 1::-1]
-    turned = turned / np.array(principal_distances_px(camera.lens))
-    return np.asarray(turned @ np.swapaxes(turned, 1, 2)).reshape(*xyz.shape[:-1], 2, 2)
+    turned = project_with_jacobians(camera, xyz).by_pose[:, :, 1::-1]
+    return np.asarray(turned / np.array(principal_distances_px(camera.lens)))
 
 
 def _jacobian(camera: Camera, xyz: Array) -> Array:

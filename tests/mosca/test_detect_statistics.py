@@ -30,6 +30,19 @@ def summed(name, numbers):
     return known
 
 
+def summed_by_update(name, last, missing):
+    """What is used at update ``last``: the sets that each update adds count as one."""
+    known, first = NO_STATISTICS, 0
+    for update in (t for t in EARLY_UPDATES if t <= last):
+        numbers = [k for k in range(first, update - DELAY + 1) if k not in missing]
+        first = max(first, update - DELAY + 1)
+        if numbers:
+            each = [lesson(name, k).sums for k in numbers]
+            sums = StatisticsSums(*(sum(one[1:], one[0]) for one in zip(*each, strict=True)))
+            known = known.plus(CameraStatistics((name,), sums))
+    return known
+
+
 def alike(a, b):
     return a.names == b.names and all(one.tobytes() == two.tobytes() for one, two in zip(a.sums, b.sums, strict=True))
 
@@ -52,8 +65,23 @@ def test_what_is_known_at_a_set_does_not_depend_on_which_were_asked_about(name, 
         if k < EARLY_SETS:
             turn = max(t for t in EARLY_UPDATES if t <= k)
             assert turn > 0.8 * k - 1
-            assert alike(known, summed(name, [i for i in range(turn - DELAY + 1) if i not in missing]))
+            assert alike(known, summed_by_update(name, turn, missing))
     assert {b - a for a, b in pairwise(changes)} <= {UPDATE_PERIOD * n for n in range(1, 9)}
+
+
+def test_a_camera_takes_its_own_part_of_what_a_set_adds():
+    names, lessons = ("a", "b", "c"), DelayedStatistics("b")
+    for k in range(12):
+        together = NO_STATISTICS
+        for n, name in enumerate(names):
+            together = together.plus(lesson(name, 100 * n + k))
+        lessons.for_frame_set(k)
+        lessons.add(k, together)
+    known, own = lessons.for_frame_set(12), DelayedStatistics("b")
+    for k in range(12):
+        own.add(k, lesson("b", 100 + k))
+    assert alike(known, own.for_frame_set(12))
+    assert known.names == ("b",)
 
 
 def test_each_camera_has_its_own_turn():

@@ -37,8 +37,8 @@ def rms(path):
 
 
 def test_a_planted_five_per_cent_is_a_regression_and_a_second_run_is_none(with_baseline):
-    # the cameras shake 12 % more: the same random numbers, larger; with the other errors that is 5 %
-    shaken(with_baseline, 0.0336)
+    # the cameras shake 20 % more: the same random numbers, larger; with the other errors that is 5 %
+    shaken(with_baseline, 0.036)
     done = suite(with_baseline, "--compare", "base", "--junit", "out/junit.xml")
     shaken(with_baseline, 0.03)
     share = rms(with_baseline / "runs/suite/tiny/record.json") / rms(with_baseline / "base/tiny.json")
@@ -75,7 +75,7 @@ def test_baselines_state_what_other_processors_change_and_tolerate_twice_of_it(w
     assert suite(with_baseline, "--update-baselines", "--baselines", "stated").returncode == 0
     kept = {m["name"]: m for m in json.loads((with_baseline / "stated/tiny.json").read_text())["metrics"]}
     assert {name: m["spread"] for name, m in kept.items()} == {name: m["spread"] for name, m in stated.items()}
-    shaken(with_baseline, 0.0336)
+    shaken(with_baseline, 0.036)
     assert "position_rms" not in suite(with_baseline, "--compare", "stated").stderr
     shaken(with_baseline, 0.0336 * 1.05)
     assert "regression: tiny: position_rms" in suite(with_baseline, "--compare", "stated").stderr

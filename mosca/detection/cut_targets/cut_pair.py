@@ -2,8 +2,8 @@
 
 The light is that of the whole disc and of the cut one (``mosca.detection.cut_targets.disc``). Where they overlap, and
 the edge does not hide the overlap, bright discs cover it once. Their common chord then divides both, so that the
-light is that of two discs cut by the chord, plus that of the cut disc less the whole one in its place. Radii must be
-known.
+light is that of the whole disc cut by the chord, plus that of the cut one less what the chord cuts off it. Radii must
+be known.
 """
 
 import math
@@ -23,8 +23,7 @@ from mosca.detection.cut_targets.disc import (
     LEAST_CUT,
     LEAST_GAIN,
     LEVEL,
-    MOST_PANELS,
-    PANEL,
+    MOST_NODES,
     RADIUS,
     SETTLED_PX,
     STEPS,
@@ -64,8 +63,8 @@ def _draw(pixels, disc, radius, x, y, cut, turn, image, nodes):
 def _pair_image(pixels, pair, disc, images, nodes):
     """Draw a pair: its light is the first row of ``images[0]``; return the chord's direction, NaN where none counts.
 
-    ``images`` (4, 7, n): those of the whole and the cut disc. Where a chord counts, the first and the third are those
-    of both discs cut by the chord, and the last is that of the second disc as a whole.
+    ``images`` (3, 7, n): those of the whole and the cut disc. Where a chord counts, the first is cut by the chord,
+    and the third is what the chord cuts off the second disc.
     """
     dx, dy = pair[X2] - pair[X1], pair[Y2] - pair[Y1]
     apart = max(math.sqrt(dx * dx + dy * dy), TOUCHING_PX)
@@ -79,11 +78,9 @@ def _pair_image(pixels, pair, disc, images, nodes):
         return np.nan
     chord, turn = 0.5 * (apart + (first * first - second * second) / apart), math.atan2(dy, dx)
     _draw(pixels, disc, first, pair[X1], pair[Y1], min(max(chord, -first), first), turn, images[0], nodes)
-    chord = min(max(apart - chord, -second), second)
-    _draw(pixels, disc, second, pair[X2], pair[Y2], chord, turn + math.pi, images[2], nodes)
-    _draw(pixels, disc, second, pair[X2], pair[Y2], second, 0.0, images[3], nodes)
+    _draw(pixels, disc, second, pair[X2], pair[Y2], min(max(chord - apart, -second), second), turn, images[2], nodes)
     for i in range(pixels.shape[1]):
-        images[0, 0, i] += images[1, 0, i] + images[2, 0, i] - images[3, 0, i]
+        images[0, 0, i] += images[1, 0, i] - images[2, 0, i]
     return turn
 
 
@@ -93,7 +90,7 @@ def _columns(pixels, pair, a, turn, images, by):
 
     ``turn``: what ``_pair_image`` returned. A change of a centre also turns and moves the chord.
     """
-    one, cut, two, whole = images[0], images[1], images[2], images[3]
+    one, cut, off = images[0], images[1], images[2]
     cosine, sine = math.cos(pair[TURN]), math.sin(pair[TURN])
     for i in range(pixels.shape[1]):
         by[0, i], by[1, i] = -a * one[1, i], -a * one[2, i]
@@ -106,12 +103,12 @@ def _columns(pixels, pair, a, turn, images, by):
     cosine, sine = math.cos(turn), math.sin(turn)
     apart = max(math.hypot(pair[X2] - pair[X1], pair[Y2] - pair[Y1]), TOUCHING_PX)
     for i in range(pixels.shape[1]):
-        edge, swing = a * 0.5 * (one[3, i] + two[3, i]), a * (one[4, i] + two[4, i]) / apart
+        edge, swing = a * 0.5 * (one[3, i] + off[3, i]), a * (one[4, i] - off[4, i]) / apart
         along_x, along_y = cosine * edge - sine * swing, sine * edge + cosine * swing
         by[0, i] = a * (sine * one[2, i] - cosine * one[1, i]) - along_x
         by[1, i] = -a * (sine * one[1, i] + cosine * one[2, i]) - along_y
-        by[2, i] += a * (cosine * two[1, i] - sine * two[2, i] + whole[1, i]) + along_x
-        by[3, i] += a * (sine * two[1, i] + cosine * two[2, i] + whole[2, i]) + along_y
+        by[2, i] += a * (cosine * off[1, i] - sine * off[2, i]) + along_x
+        by[3, i] += a * (sine * off[1, i] + cosine * off[2, i]) + along_y
 
 
 @bare_step
@@ -234,7 +231,7 @@ def fit_cut_pairs(patches, there, given, usual):
     out = np.full((n, WAYS, PAIR_RESULT), np.inf)
     pixels, disc, starts = np.empty((3, h * w), f32), np.empty(8), np.empty((WAYS, 8))
     work = (
-        np.zeros((4, 7, h * w), f32), np.empty((3, PANEL * MOST_PANELS), f32), np.empty((UNKNOWNS, h * w), f32),
+        np.zeros((3, 7, h * w), f32), np.empty((3, MOST_NODES), f32), np.empty((UNKNOWNS, h * w), f32),
         np.empty((UNKNOWNS, UNKNOWNS)), np.empty((UNKNOWNS, UNKNOWNS)), np.empty(8),
     )  # fmt: skip
     misfit = np.empty(2)

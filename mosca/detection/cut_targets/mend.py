@@ -126,7 +126,7 @@ class CutTargets:
         if not len(windows.kind):
             return None
         places, errors, away = expected_images(
-            predicted.xyz, predicted.covariance, table.cameras, table.views, _focal_px(rig), EXPECTED_PX
+            predicted.xyz, predicted.covariance, table.cameras, table.views, focal_px(rig), EXPECTED_PX
         )
         expected = OfTracks(predicted.xyz, places, errors, away, SAME_TARGET * typical_m)
         matched = OfPoints(points.xyz, points.rays, distances)
@@ -143,7 +143,7 @@ class CutTargets:
 
 
 @lru_cache(maxsize=32)
-def _focal_px(rig: Rig) -> Array:
+def focal_px(rig: Rig) -> Array:
     """Return the principal distances (c,) [px], the longer of both of each camera."""
     return np.array([max(principal_distances_px(camera.lens)) for camera in rig.cameras])
 

@@ -18,8 +18,7 @@ from mosca.detection.cut_targets.disc import (
     LARGEST_STEP,
     LEAST_GAIN,
     LEVEL,
-    MOST_PANELS,
-    PANEL,
+    MOST_NODES,
     RADIUS,
     SETTLED_PX,
     STEPS,
@@ -132,7 +131,7 @@ def fit_pairs(patches, there, discs, usual):
     pixels, disc, pair, at = np.empty((3, h * w), f32), np.empty(8), np.empty(4), np.empty(4)
     work = (
         np.empty((7, h * w), f32), np.empty((7, h * w), f32), np.empty((7, h * w), f32), np.empty((7, h * w), f32),
-        np.empty((3, PANEL * MOST_PANELS), f32), np.empty((6, h * w), f32), np.empty((6, 6)), np.empty((6, 6)),
+        np.empty((3, MOST_NODES), f32), np.empty((6, h * w), f32), np.empty((6, 6)), np.empty((6, 6)),
         np.empty(4),
     )  # fmt: skip
     image, other, _, _, nodes, by, normal, right, _ = work

@@ -37,7 +37,7 @@ No point spread function is given. The following is estimated from the frames, c
 The offsets are used from ``ENOUGH`` centroids on, where they are statistically significant (``CHANCE``).
 """
 
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Hashable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
@@ -189,6 +189,20 @@ def _less_profile(sums: StatisticsSums, added: StatisticsSums) -> StatisticsSums
     tallies = sums.tallies.copy()
     tallies[:, profiles] *= weights[:, None]
     return sums._replace(tallies=tallies)
+
+
+def summed(camera: str, parts: Iterable[CameraStatistics]) -> CameraStatistics:
+    """Return the sum of what ``parts`` hold of one camera: of sets so near each other that none counts as older."""
+    own = [(part, part.names.index(camera)) for part in parts if camera in part.names]
+    if not own:
+        return NO_STATISTICS
+    columns = zip(*([part[k] for part in one.sums] for one, k in own), strict=True)
+    sums = StatisticsSums(*(np.sum(column, axis=0)[None] for column in columns))
+    background: LocalBackground | None = None
+    for one, _ in own:
+        later = one.backgrounds.get(camera)
+        background = later if background is None else background.plus(later)
+    return CameraStatistics((camera,), sums, {} if background is None else {camera: background})
 
 
 def joined(parts: Mapping[str, CameraStatistics]) -> CameraStatistics:

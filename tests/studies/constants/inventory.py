@@ -45,8 +45,6 @@ NOT_CHOSEN = {
     "mosca/correspondence/hypothesis.py::SHAPES": "number of a rule",
     **dict.fromkeys((f"mosca/detection/disc_fit/disc_image.py::P{k}" for k in range(5)), "mathematics"),
     **dict.fromkeys((f"mosca/detection/disc_fit/disc_image.py::Q{k}" for k in range(5)), "mathematics"),
-    "mosca/detection/cut_targets/disc.py::NODES": "mathematics",
-    "mosca/detection/cut_targets/disc.py::WEIGHTS": "mathematics",
     "mosca/detection/cut_targets/disc.py::_DENSITY": "mathematics",
     "mosca/detection/cut_targets/disc.py::_E": "mathematics",
     "mosca/detection/cut_targets/disc.py::_HALF": "mathematics",

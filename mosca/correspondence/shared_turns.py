@@ -1,0 +1,338 @@
+"""Errors that the images of one camera in one frame set have in common: estimated, and removed from the points.
+
+A body that shakes turns its camera, which moves all images of an exposure. For a single point such a shift is an
+error like any other; the images of many points show most of it. With unknown points p and turns d of the cameras
+(about their x and y axes) the residuals are r + J p + B d + e, where e is an image's own error with covariance R, and
+d has the variance by which cameras are known to turn (mixed linear model; Henderson, Biometrics 31, 1975). The points
+are eliminated first, each with its own normal matrix N = sum J' R^-1 J. Two equations for each camera are left.
+
+Compiled steps of ``mosca.correspondence.match``. ``share_likelihoods`` shows how much images have in common.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from mosca.correspondence.hypothesis import COVARIANCE, XYZ
+from mosca.correspondence.selection import TAKEN
+from mosca.data.rays import ROOT, ROTATION, SIGMA, WHITE
+from mosca.numba_support.decorators import bare_step, kernel, step
+from mosca.numba_support.linalg3 import cofactors3, determinant3, divided3, store3, symmetric3
+
+SINGULAR = 1e-12
+"""Determinant of a point's normal matrix over the product of its diagonal, below which it is left as it is: parallel
+rays. Half or twice of it gives the same."""
+LEAST_RAD2 = 1e-18
+"""Least variance of a camera's turns [rad^2]: none that any image shows. Half or twice of it gives the same."""
+
+
+class PointEquations(NamedTuple):
+    """Equations of one point: working memory."""
+
+    slope: Any
+    """(2, 3) J, derivative of an image by the point [px/m]."""
+    turn: Any
+    """(2, 2) B, the same by the camera's turns about its x and y axes [px/rad]."""
+    weight: Any
+    """(2, 2) R^-1 of that image [px^-2]."""
+    rest: Any
+    """(2,) residual r of that image [px]."""
+    square: Any
+    """(c, 2, 2) B' R^-1 B [rad^-2]; as all further ones 0 for a camera without an image."""
+    push: Any
+    """(c, 2) B' R^-1 r [1/rad]."""
+    toward: Any
+    """(c, 3, 2) J' R^-1 B [1/(m rad)]."""
+    held: Any
+    """(c, 3, 2) N^-1 J' R^-1 B: how the point goes against a turn [m/rad]."""
+    inverse: Any
+    """(3, 3) N^-1 [m^2]."""
+    whole: Any
+    """(3, 3) covariance of the point if the errors of all images were independent [m^2]."""
+    pull: Any
+    """(3,) N^-1 sum J' R^-1 r [m]."""
+
+
+@step
+def point_equations(cameras):
+    """Return working memory for ``cameras``."""
+    return PointEquations(
+        np.zeros((2, 3)), np.zeros((2, 2)), np.zeros((2, 2)), np.zeros(2), np.zeros((cameras, 2, 2)),
+        np.zeros((cameras, 2)), np.zeros((cameras, 3, 2)), np.zeros((cameras, 3, 2)), np.zeros((3, 3)),
+        np.zeros((3, 3)), np.zeros(3),
+    )  # fmt: skip
+
+
+@bare_step
+def turn_of(k, c, rays, views, turn):
+    """Fill ``turn`` (2, 2): derivative of the image of ray k by the turns of its camera about x and y [px/rad]."""
+    l00, l10 = rays[k, ROOT], rays[k, ROOT + 1]
+    l11 = rays[k, SIGMA] * rays[k, SIGMA] / l00
+    for i in range(2):
+        # the direction times axis i of the camera, world frame: the scene turns against the camera
+        m = ROTATION + i
+        x, y, z = views[c, m], views[c, m + 3], views[c, m + 6]
+        across = (z * rays[k, 1] - y * rays[k, 2], x * rays[k, 2] - z * rays[k, 0], y * rays[k, 0] - x * rays[k, 1])
+        first = second = 0.0
+        for p in range(3):
+            first += rays[k, WHITE + p] * across[p]
+            second += rays[k, WHITE + 3 + p] * across[p]
+        turn[0, i], turn[1, i] = l00 * first, l10 * first + l11 * second
+
+
+@bare_step
+def _fill_image(c, k, trust, point, rays, views, shared_px2, out, usual_weight):
+    """Fill slope, turn, weight and rest with those of ray k, of camera c; return ln det R.
+
+    ``usual_weight`` (2, 2): inverse of the image's whole covariance.
+    """
+    slope, weight, rest = out.slope, out.weight, out.rest
+    l00, l10 = rays[k, ROOT], rays[k, ROOT + 1]
+    l11 = rays[k, SIGMA] * rays[k, SIGMA] / l00
+    depth = 0.0
+    for p in range(3):
+        depth += rays[k, p] * (point[p] - views[c, p])
+    rest[0] = rest[1] = 0.0
+    for p in range(3):
+        a, b = rays[k, WHITE + p] / depth, rays[k, WHITE + 3 + p] / depth
+        slope[0, p], slope[1, p] = l00 * a, l10 * a + l11 * b
+        rest[0] += slope[0, p] * (point[p] - views[c, p])
+        rest[1] += slope[1, p] * (point[p] - views[c, p])
+    turn_of(k, c, rays, views, out.turn)
+    t2 = trust * trust
+    s00, s01, s11 = l00 * l00 / t2, l00 * l10 / t2, (l10 * l10 + l11 * l11) / t2
+    _invert(s00, s01, s11, usual_weight)
+    return np.log(_invert(s00 - shared_px2[c], s01, s11 - shared_px2[c], weight))
+
+
+@bare_step
+def _invert(xx, xy, yy, out):
+    """Fill ``out`` (2, 2) with the inverse of a symmetric matrix; return the determinant of the latter."""
+    det = xx * yy - xy * xy
+    out[0, 0], out[1, 1] = yy / det, xx / det
+    out[0, 1] = out[1, 0] = -xy / det
+    return det
+
+
+@bare_step
+def _add_image(c, usual_weight, out, normal, usual, pull):
+    """Add the image of camera c to the equations of its point; return r' R^-1 r.
+
+    ``usual_weight``: (2, 2) inverse of the image's whole covariance. ``normal``, ``usual`` (3, 3) and ``pull`` (3,)
+    are sums of J' R^-1 J, of the same with the whole covariance, and of J' R^-1 r.
+    """
+    slope, turn, weight, rest = out.slope, out.turn, out.weight, out.rest
+    total = 0.0
+    for i in range(2):
+        pushed = weight[i, 0] * rest[0] + weight[i, 1] * rest[1]
+        total += rest[i] * pushed
+        for p in range(3):
+            pull[p] += slope[i, p] * pushed
+            heavy = weight[i, 0] * slope[0, p] + weight[i, 1] * slope[1, p]
+            light = usual_weight[i, 0] * slope[0, p] + usual_weight[i, 1] * slope[1, p]
+            for q in range(3):
+                normal[q, p] += slope[i, q] * heavy
+                usual[q, p] += slope[i, q] * light
+            for j in range(2):
+                out.toward[c, p, j] += heavy * turn[i, j]
+        for j in range(2):
+            out.push[c, j] += turn[i, j] * pushed
+            heavy = weight[i, 0] * turn[0, j] + weight[i, 1] * turn[1, j]
+            for k in range(2):
+                out.square[c, k, j] += turn[i, k] * heavy
+    return total
+
+
+@step
+def fill_equations(point, members, trusts, rays, views, shared_px2, out):
+    """Fill the equations of a ``point`` (3,) with the rays ``members`` (c,), -1 for none, and their ``trusts`` (c,).
+
+    Returns whether its images determine it, and minus twice the log-likelihood of its images without turns of the
+    cameras, the point integrated out, up to a constant.
+    """
+    normal, usual, pull, usual_weight = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3), np.zeros((2, 2))
+    total = 0.0
+    for c in range(members.shape[0]):
+        out.square[c], out.push[c], out.toward[c], out.held[c] = 0.0, 0.0, 0.0, 0.0
+        if members[c] >= 0:
+            total += _fill_image(c, members[c], trusts[c], point, rays, views, shared_px2, out, usual_weight)
+            total += _add_image(c, usual_weight, out, normal, usual, pull)
+    one, other = symmetric3(normal), symmetric3(usual)
+    one_cofactors, other_cofactors = cofactors3(one), cofactors3(other)
+    det, other_det = determinant3(one, one_cofactors), determinant3(other, other_cofactors)
+    if not (det > SINGULAR * one.xx * one.yy * one.zz and other_det > SINGULAR * other.xx * other.yy * other.zz):
+        return False, 0.0
+    store3(divided3(one_cofactors, det), out.inverse)
+    store3(divided3(other_cofactors, other_det), out.whole)
+    for p in range(3):
+        out.pull[p] = 0.0
+        for q in range(3):
+            out.pull[p] += out.inverse[p, q] * pull[q]
+            for c in range(members.shape[0]):
+                for i in range(2):
+                    out.held[c, p, i] += out.inverse[p, q] * out.toward[c, q, i]
+        total -= out.pull[p] * pull[p]
+    return True, total + np.log(det)
+
+
+@bare_step
+def add_turn_equations(point, normal, right):
+    """Add a point's equations to those of the turns: ``normal`` (2 c, 2 c), lower triangle, and ``right`` (2 c,)."""
+    for c in range(len(point.push)):
+        for i in range(2 if point.square[c, 0, 0] > 0.0 else 0):
+            row = 2 * c + i
+            right[row] += point.push[c, i]
+            for j in range(2):
+                normal[row, 2 * c + j] += point.square[c, i, j]
+            for p in range(3):
+                right[row] -= point.toward[c, p, i] * point.pull[p]
+            for d in range(c + 1):
+                for j in range(2 if point.square[d, 0, 0] > 0.0 else 0):
+                    for p in range(3):
+                        normal[row, 2 * d + j] -= point.toward[c, p, i] * point.held[d, p, j]
+
+
+@step
+def turn_variances(rays, views, start, shared_px2):
+    """Return the variances (c,) [rad^2] of turns that shift each camera's images by ``shared_px2`` on average."""
+    turn, variance = np.zeros((2, 2)), np.full(len(shared_px2), LEAST_RAD2)
+    for c in range(len(shared_px2)):
+        square, many = 0.0, 0
+        for k in range(start[c], start[c + 1]):
+            if np.isfinite(rays[k, SIGMA]):
+                turn_of(k, c, rays, views, turn)
+                square += 0.5 * (turn[0, 0] ** 2 + turn[0, 1] ** 2 + turn[1, 0] ** 2 + turn[1, 1] ** 2)
+                many += 1
+        if square > 0.0:
+            variance[c] = max(shared_px2[c] * many / square, LEAST_RAD2)
+    return variance
+
+
+@step
+def solved(normal, right):
+    """Return the turns (2 c,) [rad], their covariance [rad^2], and ln det of ``normal``, which is replaced.
+
+    By Cholesky's method: of ``normal``, which is positive definite, the lower triangle is read.
+    """
+    n, log_det = len(right), 0.0
+    for i in range(n):
+        for j in range(i + 1):
+            total = normal[i, j]
+            for k in range(j):
+                total -= normal[i, k] * normal[j, k]
+            normal[i, j] = np.sqrt(total) if i == j else total / normal[j, j]
+        log_det += 2.0 * np.log(normal[i, i])
+    inverse = np.zeros((n, n))
+    for k in range(n):
+        inverse[k, k] = 1.0 / normal[k, k]
+        for i in range(k + 1, n):
+            total = 0.0
+            for j in range(k, i):
+                total -= normal[i, j] * inverse[j, k]
+            inverse[i, k] = total / normal[i, i]
+    turns, covariance = np.zeros(n), np.zeros((n, n))
+    for i in range(n):
+        for j in range(i + 1):
+            for k in range(i, n):
+                covariance[i, j] += inverse[k, i] * inverse[k, j]
+            covariance[j, i] = covariance[i, j]
+    for i in range(n):
+        for j in range(n):
+            turns[i] -= covariance[i, j] * right[j]
+    return turns, covariance, log_det
+
+
+@step
+def remove_turns(kept, state, data, start, shared):
+    """Solve the accepted hypotheses again, together with the turns of the cameras: place and covariance.
+
+    ``shared``: the variances (c,) [px^2] of what a camera's images have in common and of what may be alike, and the
+    turns (2 c,) [rad] that are not removed (``mosca.correspondence.match.Shared``). Images that do not count in full
+    (targets hidden in part) tell nothing of the turns, which are returned. A point with such an image keeps its
+    images' weights. A point's correlation with others is not kept; what a flat target's uncertainty adds stays.
+    """
+    shared_px2, alike_px2, steady = shared
+    cameras = kept.members.shape[1]
+    point = point_equations(cameras)
+    normal, right = np.zeros((2 * cameras, 2 * cameras)), np.zeros(2 * cameras)
+    variance = turn_variances(data.rays, data.views, start, shared_px2)
+    for c in range(cameras):
+        normal[2 * c, 2 * c] = normal[2 * c + 1, 2 * c + 1] = 1.0 / variance[c]
+    certain = np.empty(cameras, np.int64)
+    for g in range(len(state)):
+        if state[g] == TAKEN:
+            for c in range(cameras):
+                certain[c] = kept.members[g, c] if kept.trusts[g, c] >= 1.0 else -1
+            if fill_equations(kept.values[g], certain, kept.trusts[g], data.rays, data.views, shared_px2, point)[0]:
+                add_turn_equations(point, normal, right)
+    turns, covariance, _ = solved(normal, right)
+    change = covariance.copy()  # of the variance of the turns
+    for c in range(cameras):
+        for k in range(2 * c, 2 * c + 2):
+            covariance[k, k] += alike_px2[c] * variance[c] / max(shared_px2[c], alike_px2[c], LEAST_RAD2)
+            change[k, k] = covariance[k, k] - variance[c]
+    nothing = np.zeros(cameras)
+    for g in range(len(state)):
+        if state[g] == TAKEN:
+            doubtful = False
+            for c in range(cameras):
+                doubtful |= kept.members[g, c] >= 0 and kept.trusts[g, c] < 1.0
+            own, left = (nothing, change) if doubtful else (shared_px2, covariance)
+            if fill_equations(kept.values[g], kept.members[g], kept.trusts[g], data.rays, data.views, own, point)[0]:
+                _move(kept.values[g], point, turns, steady, left)
+    return turns
+
+
+@bare_step
+def _move(values, point, turns, steady, covariance):
+    """Give a point's values its place and covariance from images without the shifts."""
+    cameras = len(point.push)
+    for p in range(3):
+        step_m = -point.pull[p]
+        for c in range(cameras):
+            for i in range(2):
+                step_m -= point.held[c, p, i] * (turns[2 * c + i] - steady[2 * c + i])
+        values[XYZ + p] += step_m
+        for q in range(3):
+            change = point.inverse[p, q] - point.whole[p, q]
+            for c in range(cameras):
+                for i in range(2 if point.square[c, 0, 0] > 0.0 else 0):
+                    for d in range(cameras):
+                        for j in range(2 if point.square[d, 0, 0] > 0.0 else 0):
+                            change += point.held[c, p, i] * covariance[2 * c + i, 2 * d + j] * point.held[d, q, j]
+            values[COVARIANCE + 3 * p + q] += change
+
+
+@kernel
+def share_likelihoods(rays, views, start, members, xyz, whole, own_px2, extra_px2, shares, sampling):
+    """Return the log-likelihoods (m,) of some of a frame set's points if ``shares`` (m,) of the cameras' variance are
+    each image's own and the rest common to a camera's images, up to a constant.
+
+    ``members`` (n, c): of ``Points.rays``; ``whole`` (n,): points whose images count in full, which alone are used;
+    ``own_px2`` (c,): what is each image's own anyway, of all variance ``extra_px2`` (c,) besides detection noise;
+    ``sampling``: the first point and the step to the next.
+    """
+    cameras = members.shape[1]
+    point, found = point_equations(cameras), np.zeros(len(shares))
+    trusts, which = np.ones(cameras), np.empty(cameras, np.int64)
+    for m in range(len(shares)):
+        shared_px2 = (1.0 - shares[m]) * (extra_px2 - own_px2)
+        variance = turn_variances(rays, views, start, shared_px2)
+        normal, right, total = np.zeros((2 * cameras, 2 * cameras)), np.zeros(2 * cameras), 0.0
+        for c in range(cameras):
+            normal[2 * c, 2 * c] = normal[2 * c + 1, 2 * c + 1] = 1.0 / variance[c]
+            total += 2.0 * np.log(variance[c])
+        for n in range(sampling[0], len(xyz), sampling[1]):
+            if not whole[n]:
+                continue
+            for c in range(cameras):
+                which[c] = start[c] + members[n, c] if members[n, c] >= 0 else -1
+            known, error = fill_equations(xyz[n], which, trusts, rays, views, shared_px2, point)
+            if known:
+                add_turn_equations(point, normal, right)
+                total += error
+        turns, _, log_det = solved(normal, right)
+        for k in range(2 * cameras):
+            total += turns[k] * right[k]
+        found[m] = -0.5 * (total + log_det)
+    return found
