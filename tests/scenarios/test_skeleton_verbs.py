@@ -180,7 +180,7 @@ def test_a_rig_says_what_shakes_all_joints(fitted, tmp_path):
         replace(camera, world_from_camera=Pose(turns[0], 9.0 * turns[0][:, 2]), shake_px=0.5) for camera in cameras
     ]
     write_rig(Rig(tuple(behind)), tmp_path / "elsewhere.toml")
-    told = refusal(*words, tmp_path / "c.csv", "--rig", tmp_path / "elsewhere.toml", cwd=folder)
+    told = refusal(*words, tmp_path / "e.csv", "--rig", tmp_path / "elsewhere.toml", cwd=folder)
     assert "elsewhere.toml: no two of its cameras see the markers" in told
     assert not (tmp_path / "c.csv").exists()
 
