@@ -35,8 +35,16 @@ class PointEquations(NamedTuple):
     """(2, 2) B, the same by the camera's turns about its x and y axes [px/rad]."""
     weight: Any
     """(2, 2) R^-1 of that image [px^-2]."""
+    whole_weight: Any
+    """(2, 2) inverse of its whole covariance [px^-2]."""
     rest: Any
     """(2,) residual r of that image [px]."""
+    normal: Any
+    """(3, 3) N [m^-2]."""
+    usual: Any
+    """(3, 3) the same with the images' whole covariances [m^-2]."""
+    right: Any
+    """(3,) sum J' R^-1 r [1/m]."""
     square: Any
     """(c, 2, 2) B' R^-1 B [rad^-2]; as all further ones 0 for a camera without an image."""
     push: Any
@@ -57,9 +65,9 @@ class PointEquations(NamedTuple):
 def point_equations(cameras):
     """Return working memory for ``cameras``."""
     return PointEquations(
-        np.zeros((2, 3)), np.zeros((2, 2)), np.zeros((2, 2)), np.zeros(2), np.zeros((cameras, 2, 2)),
-        np.zeros((cameras, 2)), np.zeros((cameras, 3, 2)), np.zeros((cameras, 3, 2)), np.zeros((3, 3)),
-        np.zeros((3, 3)), np.zeros(3),
+        np.zeros((2, 3)), np.zeros((2, 2)), np.zeros((2, 2)), np.zeros((2, 2)), np.zeros(2), np.zeros((3, 3)),
+        np.zeros((3, 3)), np.zeros(3), np.zeros((cameras, 2, 2)), np.zeros((cameras, 2)), np.zeros((cameras, 3, 2)),
+        np.zeros((cameras, 3, 2)), np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3),
     )  # fmt: skip
 
 
@@ -81,11 +89,8 @@ def turn_of(k, c, rays, views, turn):
 
 
 @bare_step
-def _fill_image(c, k, trust, point, rays, views, shared_px2, out, usual_weight):
-    """Fill slope, turn, weight and rest with those of ray k, of camera c; return ln det R.
-
-    ``usual_weight`` (2, 2): inverse of the image's whole covariance.
-    """
+def _fill_image(c, k, trust, point, rays, views, shared_px2, out):
+    """Fill slope, turn, both weights and rest with those of ray k, of camera c; return ln det R."""
     slope, weight, rest = out.slope, out.weight, out.rest
     l00, l10 = rays[k, ROOT], rays[k, ROOT + 1]
     l11 = rays[k, SIGMA] * rays[k, SIGMA] / l00
@@ -101,7 +106,7 @@ def _fill_image(c, k, trust, point, rays, views, shared_px2, out, usual_weight):
     turn_of(k, c, rays, views, out.turn)
     t2 = trust * trust
     s00, s01, s11 = l00 * l00 / t2, l00 * l10 / t2, (l10 * l10 + l11 * l11) / t2
-    _invert(s00, s01, s11, usual_weight)
+    _invert(s00, s01, s11, out.whole_weight)
     return np.log(_invert(s00 - shared_px2[c], s01, s11 - shared_px2[c], weight))
 
 
@@ -115,19 +120,16 @@ def _invert(xx, xy, yy, out):
 
 
 @bare_step
-def _add_image(c, usual_weight, out, normal, usual, pull):
-    """Add the image of camera c to the equations of its point; return r' R^-1 r.
-
-    ``usual_weight``: (2, 2) inverse of the image's whole covariance. ``normal``, ``usual`` (3, 3) and ``pull`` (3,)
-    are sums of J' R^-1 J, of the same with the whole covariance, and of J' R^-1 r.
-    """
-    slope, turn, weight, rest = out.slope, out.turn, out.weight, out.rest
+def _add_image(c, out):
+    """Add the image of camera c to the equations of its point; return r' R^-1 r."""
+    slope, turn, weight, rest, usual_weight = out.slope, out.turn, out.weight, out.rest, out.whole_weight
+    normal, usual, right = out.normal, out.usual, out.right
     total = 0.0
     for i in range(2):
         pushed = weight[i, 0] * rest[0] + weight[i, 1] * rest[1]
         total += rest[i] * pushed
         for p in range(3):
-            pull[p] += slope[i, p] * pushed
+            right[p] += slope[i, p] * pushed
             heavy = weight[i, 0] * slope[0, p] + weight[i, 1] * slope[1, p]
             light = usual_weight[i, 0] * slope[0, p] + usual_weight[i, 1] * slope[1, p]
             for q in range(3):
@@ -143,21 +145,26 @@ def _add_image(c, usual_weight, out, normal, usual, pull):
     return total
 
 
-@step
+@bare_step
 def fill_equations(point, members, trusts, rays, views, shared_px2, out):
     """Fill the equations of a ``point`` (3,) with the rays ``members`` (c,), -1 for none, and their ``trusts`` (c,).
 
     Returns whether its images determine it, and minus twice the log-likelihood of its images without turns of the
     cameras, the point integrated out, up to a constant.
     """
-    normal, usual, pull, usual_weight = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3), np.zeros((2, 2))
     total = 0.0
+    for p in range(3):
+        out.right[p] = 0.0
+        for q in range(3):
+            out.normal[p, q] = out.usual[p, q] = 0.0
     for c in range(members.shape[0]):
-        out.square[c], out.push[c], out.toward[c], out.held[c] = 0.0, 0.0, 0.0, 0.0
+        for i in range(2):
+            out.push[c, i] = out.square[c, 0, i] = out.square[c, 1, i] = 0.0
+            for p in range(3):
+                out.toward[c, p, i] = out.held[c, p, i] = 0.0
         if members[c] >= 0:
-            total += _fill_image(c, members[c], trusts[c], point, rays, views, shared_px2, out, usual_weight)
-            total += _add_image(c, usual_weight, out, normal, usual, pull)
-    one, other = symmetric3(normal), symmetric3(usual)
+            total += _fill_image(c, members[c], trusts[c], point, rays, views, shared_px2, out) + _add_image(c, out)
+    one, other = symmetric3(out.normal), symmetric3(out.usual)
     one_cofactors, other_cofactors = cofactors3(one), cofactors3(other)
     det, other_det = determinant3(one, one_cofactors), determinant3(other, other_cofactors)
     if not (det > SINGULAR * one.xx * one.yy * one.zz and other_det > SINGULAR * other.xx * other.yy * other.zz):
@@ -167,11 +174,11 @@ def fill_equations(point, members, trusts, rays, views, shared_px2, out):
     for p in range(3):
         out.pull[p] = 0.0
         for q in range(3):
-            out.pull[p] += out.inverse[p, q] * pull[q]
+            out.pull[p] += out.inverse[p, q] * out.right[q]
             for c in range(members.shape[0]):
                 for i in range(2):
                     out.held[c, p, i] += out.inverse[p, q] * out.toward[c, q, i]
-        total -= out.pull[p] * pull[p]
+        total -= out.pull[p] * out.right[p]
     return True, total + np.log(det)
 
 
