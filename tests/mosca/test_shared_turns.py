@@ -141,9 +141,12 @@ def test_a_steady_turn_is_kept():
     assert np.median(away) < 0.2 * np.median(np.linalg.norm(matched.points.xyz - never.points.xyz, axis=1))
 
 
-@pytest.mark.parametrize(("own", "shake", "least", "most"), [(NOISE, SHAKE, 0.0, 0.02), (SHAKE, 0.0, 0.5, 1.0)])
+@pytest.mark.parametrize(
+    ("own", "shake", "least", "most"),
+    [(NOISE, SHAKE, 0.0, 0.02), (np.hypot(NOISE, 0.5 * SHAKE), SHAKE * 0.75**0.5, 0.2, 0.3), (SHAKE, 0.0, 0.5, 1.0)],
+)
 def test_the_share_of_what_images_have_in_common_is_learned(own, shake, least, most):
-    """The second case is the control: errors that are each image's own are not taken for shake."""
+    """The last case is the control: errors that are each image's own are not taken for shake."""
     rng, total = np.random.default_rng(5), np.zeros(len(OWN_SHARES))
     for _ in range(10):
         table, matched = solved(seen(placed(rng, 15), rng, own, shake)[0], 0.0)
