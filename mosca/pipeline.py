@@ -18,9 +18,9 @@ from mosca.data.arrays import Array
 from mosca.data.detections import Detections, Seen
 from mosca.data.frames import CameraInfo, FrameSet, FrameSource
 from mosca.data.rays import SHARE_SIGMA, Predicted, RayTable
-from mosca.data.rig import Rig
+from mosca.data.rig import Rig, focal_px
 from mosca.data.tracks import Points, Samples
-from mosca.detection.cut_targets.mend import CutTargets, focal_px
+from mosca.detection.cut_targets.mend import CutTargets
 from mosca.detection.detect import DetectionSettings
 from mosca.detection.scheduler import LOOK_SETS, FrameSetDetector, detect_ahead, most_ahead
 from mosca.diagnostics.camera_health import Health, HealthSettings

@@ -13,9 +13,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from mosca.correspondence.circle_fit import pixel_by_direction
 from mosca.correspondence.hypothesis import COVARIANCE, XYZ
 from mosca.correspondence.selection import TAKEN
-from mosca.data.rays import ROOT, ROTATION, SIGMA, WHITE
+from mosca.data.rays import ROOT, ROTATION, SIGMA
+from mosca.numba_support.cholesky import solve
 from mosca.numba_support.decorators import bare_step, kernel, step
 from mosca.numba_support.linalg3 import cofactors3, determinant3, divided3, store3, symmetric3
 
@@ -74,37 +76,31 @@ def point_equations(cameras):
 @bare_step
 def turn_of(k, c, rays, views, turn):
     """Fill ``turn`` (2, 2): derivative of the image of ray k by the turns of its camera about x and y [px/rad]."""
-    l00, l10 = rays[k, ROOT], rays[k, ROOT + 1]
-    l11 = rays[k, SIGMA] * rays[k, SIGMA] / l00
+    g00, g01, g02, g10, g11, g12 = pixel_by_direction(k, rays)
     for i in range(2):
         # the direction times axis i of the camera, world frame: the scene turns against the camera
         m = ROTATION + i
         x, y, z = views[c, m], views[c, m + 3], views[c, m + 6]
-        across = (z * rays[k, 1] - y * rays[k, 2], x * rays[k, 2] - z * rays[k, 0], y * rays[k, 0] - x * rays[k, 1])
-        first = second = 0.0
-        for p in range(3):
-            first += rays[k, WHITE + p] * across[p]
-            second += rays[k, WHITE + 3 + p] * across[p]
-        turn[0, i], turn[1, i] = l00 * first, l10 * first + l11 * second
+        u, v, w = z * rays[k, 1] - y * rays[k, 2], x * rays[k, 2] - z * rays[k, 0], y * rays[k, 0] - x * rays[k, 1]
+        turn[0, i], turn[1, i] = g00 * u + g01 * v + g02 * w, g10 * u + g11 * v + g12 * w
 
 
 @bare_step
 def _fill_image(c, k, trust, point, rays, views, shared_px2, out):
     """Fill slope, turn, both weights and rest with those of ray k, of camera c; return ln det R."""
     slope, weight, rest = out.slope, out.weight, out.rest
-    l00, l10 = rays[k, ROOT], rays[k, ROOT + 1]
-    l11 = rays[k, SIGMA] * rays[k, SIGMA] / l00
     depth = 0.0
     for p in range(3):
         depth += rays[k, p] * (point[p] - views[c, p])
-    rest[0] = rest[1] = 0.0
-    for p in range(3):
-        a, b = rays[k, WHITE + p] / depth, rays[k, WHITE + 3 + p] / depth
-        slope[0, p], slope[1, p] = l00 * a, l10 * a + l11 * b
-        rest[0] += slope[0, p] * (point[p] - views[c, p])
-        rest[1] += slope[1, p] * (point[p] - views[c, p])
+    (slope[0, 0], slope[0, 1], slope[0, 2], slope[1, 0], slope[1, 1], slope[1, 2]) = pixel_by_direction(k, rays)
+    for i in range(2):
+        rest[i] = 0.0
+        for p in range(3):
+            slope[i, p] /= depth
+            rest[i] += slope[i, p] * (point[p] - views[c, p])
     turn_of(k, c, rays, views, out.turn)
-    t2 = trust * trust
+    l00, l10, t2 = rays[k, ROOT], rays[k, ROOT + 1], trust * trust
+    l11 = rays[k, SIGMA] * rays[k, SIGMA] / l00
     s00, s01, s11 = l00 * l00 / t2, l00 * l10 / t2, (l10 * l10 + l11 * l11) / t2
     _invert(s00, s01, s11, out.whole_weight)
     return np.log(_invert(s00 - shared_px2[c], s01, s11 - shared_px2[c], weight))
@@ -200,53 +196,47 @@ def add_turn_equations(point, normal, right):
 
 
 @step
-def turn_variances(rays, views, start, shared_px2):
-    """Return the variances (c,) [rad^2] of turns that shift each camera's images by ``shared_px2`` on average."""
-    turn, variance = np.zeros((2, 2)), np.full(len(shared_px2), LEAST_RAD2)
-    for c in range(len(shared_px2)):
-        square, many = 0.0, 0
+def turn_squares(rays, views, start):
+    """Return the mean squared shifts (c,) of each camera's images by a turn of 1 rad, on each axis [px^2]."""
+    turn, squares = np.zeros((2, 2)), np.zeros(len(views))
+    for c in range(len(views)):
+        many = 0
         for k in range(start[c], start[c + 1]):
             if np.isfinite(rays[k, SIGMA]):
                 turn_of(k, c, rays, views, turn)
-                square += 0.5 * (turn[0, 0] ** 2 + turn[0, 1] ** 2 + turn[1, 0] ** 2 + turn[1, 1] ** 2)
+                squares[c] += 0.5 * (turn[0, 0] ** 2 + turn[0, 1] ** 2 + turn[1, 0] ** 2 + turn[1, 1] ** 2)
                 many += 1
-        if square > 0.0:
-            variance[c] = max(shared_px2[c] * many / square, LEAST_RAD2)
-    return variance
+        squares[c] /= max(many, 1)
+    return squares
+
+
+@step
+def prior_equations(shared_px2, squares):
+    """Return the variances (c,) [rad^2] of turns that shift each camera's images by ``shared_px2`` on average.
+
+    Also the turns' equations before any point: ``normal`` (2 c, 2 c) and ``right`` (2 c,). ``squares``: of
+    ``turn_squares``.
+    """
+    n = 2 * len(squares)
+    variance, normal = np.full(len(squares), LEAST_RAD2), np.zeros((n, n))
+    for c in range(len(squares)):
+        if squares[c] > 0.0:
+            variance[c] = max(shared_px2[c] / squares[c], LEAST_RAD2)
+        normal[2 * c, 2 * c] = normal[2 * c + 1, 2 * c + 1] = 1.0 / variance[c]
+    return variance, normal, np.zeros(n)
 
 
 @step
 def solved(normal, right):
-    """Return the turns (2 c,) [rad], their covariance [rad^2], and ln det of ``normal``, which is replaced.
-
-    By Cholesky's method: of ``normal``, which is positive definite, the lower triangle is read.
-    """
+    """Return the turns (2 c,) [rad], their covariance [rad^2], and ln det of ``normal``, which is replaced."""
     n, log_det = len(right), 0.0
+    sides = np.zeros((n, n + 1))
     for i in range(n):
-        for j in range(i + 1):
-            total = normal[i, j]
-            for k in range(j):
-                total -= normal[i, k] * normal[j, k]
-            normal[i, j] = np.sqrt(total) if i == j else total / normal[j, j]
+        sides[i, i], sides[i, n] = 1.0, -right[i]
+    solve(normal, sides, n)  # positive definite, by the prior
+    for i in range(n):
         log_det += 2.0 * np.log(normal[i, i])
-    inverse = np.zeros((n, n))
-    for k in range(n):
-        inverse[k, k] = 1.0 / normal[k, k]
-        for i in range(k + 1, n):
-            total = 0.0
-            for j in range(k, i):
-                total -= normal[i, j] * inverse[j, k]
-            inverse[i, k] = total / normal[i, i]
-    turns, covariance = np.zeros(n), np.zeros((n, n))
-    for i in range(n):
-        for j in range(i + 1):
-            for k in range(i, n):
-                covariance[i, j] += inverse[k, i] * inverse[k, j]
-            covariance[j, i] = covariance[i, j]
-    for i in range(n):
-        for j in range(n):
-            turns[i] -= covariance[i, j] * right[j]
-    return turns, covariance, log_det
+    return sides[:, n].copy(), sides[:, :n].copy(), log_det
 
 
 @step
@@ -261,10 +251,7 @@ def remove_turns(kept, state, data, start, shared):
     shared_px2, alike_px2, steady = shared
     cameras = kept.members.shape[1]
     point = point_equations(cameras)
-    normal, right = np.zeros((2 * cameras, 2 * cameras)), np.zeros(2 * cameras)
-    variance = turn_variances(data.rays, data.views, start, shared_px2)
-    for c in range(cameras):
-        normal[2 * c, 2 * c] = normal[2 * c + 1, 2 * c + 1] = 1.0 / variance[c]
+    variance, normal, right = prior_equations(shared_px2, turn_squares(data.rays, data.views, start))
     certain = np.empty(cameras, np.int64)
     for g in range(len(state)):
         if state[g] == TAKEN:
@@ -292,7 +279,7 @@ def remove_turns(kept, state, data, start, shared):
 
 @bare_step
 def _move(values, point, turns, steady, covariance):
-    """Give a point's values its place and covariance from images without the shifts."""
+    """Give a point's values its place and covariance from images without the turns."""
     cameras = len(point.push)
     for p in range(3):
         step_m = -point.pull[p]
@@ -321,14 +308,11 @@ def share_likelihoods(rays, views, start, members, xyz, whole, own_px2, extra_px
     """
     cameras = members.shape[1]
     point, found = point_equations(cameras), np.zeros(len(shares))
-    trusts, which = np.ones(cameras), np.empty(cameras, np.int64)
+    trusts, which, squares = np.ones(cameras), np.empty(cameras, np.int64), turn_squares(rays, views, start)
     for m in range(len(shares)):
         shared_px2 = (1.0 - shares[m]) * (extra_px2 - own_px2)
-        variance = turn_variances(rays, views, start, shared_px2)
-        normal, right, total = np.zeros((2 * cameras, 2 * cameras)), np.zeros(2 * cameras), 0.0
-        for c in range(cameras):
-            normal[2 * c, 2 * c] = normal[2 * c + 1, 2 * c + 1] = 1.0 / variance[c]
-            total += 2.0 * np.log(variance[c])
+        variance, normal, right = prior_equations(shared_px2, squares)
+        total = 2.0 * np.log(variance).sum()
         for n in range(sampling[0], len(xyz), sampling[1]):
             if not whole[n]:
                 continue

@@ -3,6 +3,7 @@
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -175,3 +176,9 @@ class Rig:
             if camera.name == name:
                 return camera
         raise InputError(f"rig: no camera '{name}'; it has {', '.join(self.names)}")
+
+
+@lru_cache(maxsize=32)
+def focal_px(rig: Rig) -> Array:
+    """Return the principal distances (c,) [px], the longer of both of each camera."""
+    return np.array([max(principal_distances_px(camera.lens)) for camera in rig.cameras])

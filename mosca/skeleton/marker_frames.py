@@ -110,7 +110,7 @@ def common_shift(rig: Rig, middle: Array, images: Array, stated_m2: Array) -> tu
     """
     shared, most = shake_covariance(rig, middle)
     whole = np.trace(shared, axis1=1, axis2=2)
-    shared *= np.where(whole > 0.0, np.minimum(stated_m2 / np.maximum(whole, 1e-300), 1.0), 0.0)[:, None, None]
+    shared *= np.minimum(stated_m2 / np.maximum(whole, 1e-300), 1.0)[:, None, None]
     return shared, turned_alike(images / np.maximum(most, 1))[:, None, None] * shared
 
 

@@ -31,10 +31,10 @@ from mosca.detection.cut_targets.disc import (
     gather,
     levels,
     normal_equations,
-    solve,
 )
 from mosca.detection.cut_targets.pair import PAIR_AMPLITUDE, PAIR_COVARIANCE, PAIR_MISFIT, PAIR_RESULT, TOUCHING_PX
 from mosca.detection.disc_fit.disc_image import f32
+from mosca.numba_support.cholesky import solve
 from mosca.numba_support.decorators import bare_step, step
 
 X1, Y1, X2, Y2, EDGE, TURN, RADIUS_1, RADIUS_2 = range(8)

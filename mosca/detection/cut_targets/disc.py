@@ -18,6 +18,7 @@ import math
 import numpy as np
 
 from mosca.detection.disc_fit.disc_image import FAST, f32
+from mosca.numba_support.cholesky import solve
 from mosca.numba_support.decorators import bare_step, inlined_step, step
 
 FEWEST_NODES, NODES_A_BLUR, MOST_NODES = 3.0, 3.3, 64
@@ -185,32 +186,6 @@ def _by_radius(pixels, disc, image, other, nodes, by, row):
     disc[RADIUS], disc[CUT] = kept, cut
     for i in range(pixels.shape[1]):
         by[row, i] = disc[AMPLITUDE] * (other[0, i] - image[0, i]) / NUMERIC
-
-
-@bare_step
-def solve(normal, right, n):
-    """Replace ``right`` (n, k) by the solution with a symmetric ``normal`` (n, n); False where there is none."""
-    for a in range(n):
-        for b in range(a + 1):
-            total = normal[a, b]
-            for k in range(b):
-                total -= normal[a, k] * normal[b, k]
-            if a > b:
-                normal[a, b] = total / normal[b, b]
-            elif total > 0.0:
-                normal[a, a] = math.sqrt(total)
-            else:
-                return False
-    for c in range(right.shape[1]):
-        for a in range(n):
-            for k in range(a):
-                right[a, c] -= normal[a, k] * right[k, c]
-            right[a, c] /= normal[a, a]
-        for a in range(n - 1, -1, -1):
-            for k in range(a + 1, n):
-                right[a, c] -= normal[k, a] * right[k, c]
-            right[a, c] /= normal[a, a]
-    return True
 
 
 @bare_step

@@ -8,7 +8,6 @@ misfit of whole discs are learned from each camera's whole targets.
 
 import math
 from collections.abc import Mapping
-from functools import lru_cache
 
 import numpy as np
 
@@ -16,7 +15,7 @@ from mosca.data.arrays import Array
 from mosca.data.detections import Detections
 from mosca.data.frames import FrameSet
 from mosca.data.rays import Predicted, RayTable
-from mosca.data.rig import Rig, principal_distances_px
+from mosca.data.rig import Rig, focal_px
 from mosca.data.tracks import Points
 from mosca.detection.cut_targets.disc import AMPLITUDE, BLUR, MISFIT, RADIUS
 from mosca.detection.cut_targets.expected import expected_images
@@ -140,12 +139,6 @@ class CutTargets:
             rows = windows.rays[these] - table.start[c]
             found[names[c]] = _replaced(found[names[c]], rows, windows.kind[these] == GROWN, fits[these])
         return found if changed.any() else None
-
-
-@lru_cache(maxsize=32)
-def focal_px(rig: Rig) -> Array:
-    """Return the principal distances (c,) [px], the longer of both of each camera."""
-    return np.array([max(principal_distances_px(camera.lens)) for camera in rig.cameras])
 
 
 def _patches(images: list[Array | None], windows: Windows, side: int) -> Array:

@@ -26,9 +26,9 @@ from mosca.detection.cut_targets.disc import (
     gather,
     levels,
     normal_equations,
-    solve,
 )
 from mosca.detection.disc_fit.disc_image import f32
+from mosca.numba_support.cholesky import solve
 from mosca.numba_support.decorators import bare_step, step
 
 TOUCHING_PX = 1e-6
