@@ -55,9 +55,8 @@ class Shared(NamedTuple):
 
     sigma_px: Array
     """(c,) standard deviation on each axis: a part of the camera's errors by which rays are whitened."""
-    alike_px: Array
-    """(c,) errors of single images that may be alike in a part of the image: the cameras' turns are not known better
-    than this. The misfit of the lens model that a calibration states has no turn in common."""
+    field_px: Array
+    """(c,) standard deviation on each axis of the smooth field of errors that the lens model leaves, another part."""
     steady: Array
     """(c, 2) mean turns of the cameras in earlier frame sets [rad] that are not removed."""
 
@@ -123,10 +122,10 @@ def match_counted(
         *GRADIENTS[settings.light],
     )
     none = np.zeros(len(table.views))
-    sigma_px, alike_px, steady = shared or (none, none, np.zeros((len(none), 2)))
+    sigma_px, field_px, steady = shared or (none, none, np.zeros((len(none), 2)))
     found, considered, left_open, turns = match_rays(
         table.rays, table.views, table.pairs, table.bases, table.start, rules, predicted.xyz, predicted.covariance,
-        images, (np.square(sigma_px), np.square(alike_px), np.ravel(steady)),
+        images, (np.square(sigma_px), np.square(field_px), np.ravel(steady)),
     )  # fmt: skip
     for column in found:
         column.setflags(write=False)

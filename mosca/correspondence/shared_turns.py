@@ -4,7 +4,9 @@ A body that shakes turns its camera, which moves all images of an exposure. For 
 error like any other; the images of many points show most of it. With unknown points p and turns d of the cameras
 (about their x and y axes) the residuals are r + J p + B d + e, where e is an image's own error with covariance R, and
 d has the variance by which cameras are known to turn (mixed linear model; Henderson, Biometrics 31, 1975). The points
-are eliminated first, each with its own normal matrix N = sum J' R^-1 J. Two equations for each camera are left.
+are eliminated first, each with its own normal matrix N = sum J' R^-1 J. Two equations for each camera are left. What
+lens models do not fit is alike in neighbouring images, and must not be taken for independent errors
+(``mosca.correspondence.lens_field``).
 
 Compiled steps of ``mosca.correspondence.match``. ``share_likelihoods`` shows how much images have in common.
 """
@@ -15,6 +17,7 @@ import numpy as np
 
 from mosca.correspondence.circle_fit import pixel_by_direction
 from mosca.correspondence.hypothesis import COVARIANCE, XYZ
+from mosca.correspondence.lens_field import MODES, add_field, field_as_noise, field_covariance, fill_modes, product
 from mosca.correspondence.selection import TAKEN
 from mosca.data.rays import ROOT, ROTATION, SIGMA
 from mosca.numba_support.cholesky import solve
@@ -24,23 +27,38 @@ from mosca.numba_support.linalg3 import cofactors3, determinant3, divided3, stor
 SINGULAR = 1e-12
 """Determinant of a point's normal matrix over the product of its diagonal, below which it is left as it is: parallel
 rays. Half or twice of it gives the same."""
+LEAST_PX2 = 1e-12
+"""Least variance of a field's amplitude [px^2]: none that any image shows. Half or twice of it gives the same."""
 LEAST_RAD2 = 1e-18
 """Least variance of a camera's turns [rad^2]: none that any image shows. Half or twice of it gives the same."""
 
 
 class PointEquations(NamedTuple):
-    """Equations of one point: working memory."""
+    """Equations of one point in c cameras with w unknowns each: working memory.
+
+    The unknowns are the turns about the camera's x and y axes and, where they are estimated, the amplitudes [px] of
+    the modes of its lens's field on x, then on y. Units are those of turns.
+    """
 
     slope: Any
-    """(2, 3) J, derivative of an image by the point [px/m]."""
+    """(c, 2, 3) J, derivative of the images by the point [px/m]."""
     turn: Any
-    """(2, 2) B, the same by the camera's turns about its x and y axes [px/rad]."""
+    """(c, 2, w) B, the same by their cameras' unknowns [px/rad]."""
     weight: Any
-    """(2, 2) R^-1 of that image [px^-2]."""
+    """(c, 2, 2) R^-1 of the images [px^-2]."""
     whole_weight: Any
-    """(2, 2) inverse of its whole covariance [px^-2]."""
+    """(2, 2) inverse of the whole covariance of one image [px^-2]."""
     rest: Any
-    """(2,) residual r of that image [px]."""
+    """(2,) residual r of one image [px]."""
+    modes: Any
+    """(c, MODES) modes of the lens's field at the images."""
+    answer: Any
+    """(c, 2, 3) N^-1 J' R^-1: how the point goes with an error of each image on each axis [m/px]
+    (``mosca.correspondence.lens_field``)."""
+    crossed: Any
+    """(2, 3, 2 c) of ``mosca.correspondence.lens_field.field_covariance``."""
+    by_field: Any
+    """(3, 3) covariance that the field adds [m^2]."""
     normal: Any
     """(3, 3) N [m^-2]."""
     usual: Any
@@ -48,13 +66,13 @@ class PointEquations(NamedTuple):
     right: Any
     """(3,) sum J' R^-1 r [1/m]."""
     square: Any
-    """(c, 2, 2) B' R^-1 B [rad^-2]; as all further ones 0 for a camera without an image."""
+    """(c, w, w) B' R^-1 B [rad^-2]; as all further ones 0 for a camera without an image."""
     push: Any
-    """(c, 2) B' R^-1 r [1/rad]."""
+    """(c, w) B' R^-1 r [1/rad]."""
     toward: Any
-    """(c, 3, 2) J' R^-1 B [1/(m rad)]."""
+    """(c, 3, w) J' R^-1 B [1/(m rad)]."""
     held: Any
-    """(c, 3, 2) N^-1 J' R^-1 B: how the point goes against a turn [m/rad]."""
+    """(c, 3, w) N^-1 J' R^-1 B: how the point goes against a turn [m/rad]."""
     inverse: Any
     """(3, 3) N^-1 [m^2]."""
     whole: Any
@@ -64,12 +82,14 @@ class PointEquations(NamedTuple):
 
 
 @step
-def point_equations(cameras):
-    """Return working memory for ``cameras``."""
+def point_equations(cameras, unknowns):
+    """Return working memory for ``cameras`` with so many ``unknowns`` each."""
+    c, w = cameras, unknowns
     return PointEquations(
-        np.zeros((2, 3)), np.zeros((2, 2)), np.zeros((2, 2)), np.zeros((2, 2)), np.zeros(2), np.zeros((3, 3)),
-        np.zeros((3, 3)), np.zeros(3), np.zeros((cameras, 2, 2)), np.zeros((cameras, 2)), np.zeros((cameras, 3, 2)),
-        np.zeros((cameras, 3, 2)), np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3),
+        np.zeros((c, 2, 3)), np.zeros((c, 2, w)), np.zeros((c, 2, 2)), np.zeros((2, 2)), np.zeros(2),
+        np.zeros((c, MODES)), np.zeros((c, 2, 3)), np.zeros((2, 3, 2 * c)), np.zeros((3, 3)),
+        np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3), np.zeros((c, w, w)), np.zeros((c, w)),
+        np.zeros((c, 3, w)), np.zeros((c, 3, w)), np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3),
     )  # fmt: skip
 
 
@@ -87,8 +107,8 @@ def turn_of(k, c, rays, views, turn):
 
 @bare_step
 def _fill_image(c, k, trust, point, rays, views, shared_px2, out):
-    """Fill slope, turn, both weights and rest with those of ray k, of camera c; return ln det R."""
-    slope, weight, rest = out.slope, out.weight, out.rest
+    """Fill slope, turn, modes, both weights and rest with those of ray k, of camera c; return ln det R."""
+    slope, weight, rest = out.slope[c], out.weight[c], out.rest
     depth = 0.0
     for p in range(3):
         depth += rays[k, p] * (point[p] - views[c, p])
@@ -98,7 +118,11 @@ def _fill_image(c, k, trust, point, rays, views, shared_px2, out):
         for p in range(3):
             slope[i, p] /= depth
             rest[i] += slope[i, p] * (point[p] - views[c, p])
-    turn_of(k, c, rays, views, out.turn)
+    turn_of(k, c, rays, views, out.turn[c])
+    fill_modes(k, c, rays, views, out.modes[c])
+    if out.turn.shape[2] > 2:
+        for m in range(MODES):
+            out.turn[c, 0, 2 + m] = out.turn[c, 1, 2 + MODES + m] = out.modes[c, m]
     l00, l10, t2 = rays[k, ROOT], rays[k, ROOT + 1], trust * trust
     l11 = rays[k, SIGMA] * rays[k, SIGMA] / l00
     s00, s01, s11 = l00 * l00 / t2, l00 * l10 / t2, (l10 * l10 + l11 * l11) / t2
@@ -118,7 +142,8 @@ def _invert(xx, xy, yy, out):
 @bare_step
 def _add_image(c, out):
     """Add the image of camera c to the equations of its point; return r' R^-1 r."""
-    slope, turn, weight, rest, usual_weight = out.slope, out.turn, out.weight, out.rest, out.whole_weight
+    slope, turn, weight, rest, usual_weight = out.slope[c], out.turn[c], out.weight[c], out.rest, out.whole_weight
+    unknowns = turn.shape[1]
     normal, usual, right = out.normal, out.usual, out.right
     total = 0.0
     for i in range(2):
@@ -131,12 +156,12 @@ def _add_image(c, out):
             for q in range(3):
                 normal[q, p] += slope[i, q] * heavy
                 usual[q, p] += slope[i, q] * light
-            for j in range(2):
+            for j in range(unknowns):
                 out.toward[c, p, j] += heavy * turn[i, j]
-        for j in range(2):
+        for j in range(unknowns):
             out.push[c, j] += turn[i, j] * pushed
             heavy = weight[i, 0] * turn[0, j] + weight[i, 1] * turn[1, j]
-            for k in range(2):
+            for k in range(unknowns):
                 out.square[c, k, j] += turn[i, k] * heavy
     return total
 
@@ -148,14 +173,16 @@ def fill_equations(point, members, trusts, rays, views, shared_px2, out):
     Returns whether its images determine it, and minus twice the log-likelihood of its images without turns of the
     cameras, the point integrated out, up to a constant.
     """
-    total = 0.0
+    total, unknowns = 0.0, out.push.shape[1]
     for p in range(3):
         out.right[p] = 0.0
         for q in range(3):
             out.normal[p, q] = out.usual[p, q] = 0.0
     for c in range(members.shape[0]):
-        for i in range(2):
-            out.push[c, i] = out.square[c, 0, i] = out.square[c, 1, i] = 0.0
+        for i in range(unknowns):
+            out.push[c, i] = 0.0
+            for j in range(unknowns):
+                out.square[c, i, j] = 0.0
             for p in range(3):
                 out.toward[c, p, i] = out.held[c, p, i] = 0.0
         if members[c] >= 0:
@@ -172,27 +199,28 @@ def fill_equations(point, members, trusts, rays, views, shared_px2, out):
         for q in range(3):
             out.pull[p] += out.inverse[p, q] * out.right[q]
             for c in range(members.shape[0]):
-                for i in range(2):
+                for i in range(unknowns):
                     out.held[c, p, i] += out.inverse[p, q] * out.toward[c, q, i]
         total -= out.pull[p] * out.right[p]
     return True, total + np.log(det)
 
 
 @bare_step
-def add_turn_equations(point, normal, right):
-    """Add a point's equations to those of the turns: ``normal`` (2 c, 2 c), lower triangle, and ``right`` (2 c,)."""
+def add_equations(point, normal, right):
+    """Add a point's equations to those of the unknowns, the lower triangle of ``normal`` (w c, w c), ``right``."""
+    unknowns = point.push.shape[1]
     for c in range(len(point.push)):
-        for i in range(2 if point.square[c, 0, 0] > 0.0 else 0):
-            row = 2 * c + i
+        for i in range(unknowns if point.square[c, 0, 0] > 0.0 else 0):
+            row = unknowns * c + i
             right[row] += point.push[c, i]
-            for j in range(2):
-                normal[row, 2 * c + j] += point.square[c, i, j]
+            for j in range(unknowns):
+                normal[row, unknowns * c + j] += point.square[c, i, j]
             for p in range(3):
                 right[row] -= point.toward[c, p, i] * point.pull[p]
             for d in range(c + 1):
-                for j in range(2 if point.square[d, 0, 0] > 0.0 else 0):
+                for j in range(unknowns if point.square[d, 0, 0] > 0.0 else 0):
                     for p in range(3):
-                        normal[row, 2 * d + j] -= point.toward[c, p, i] * point.held[d, p, j]
+                        normal[row, unknowns * d + j] -= point.toward[c, p, i] * point.held[d, p, j]
 
 
 @step
@@ -211,68 +239,70 @@ def turn_squares(rays, views, start):
 
 
 @step
-def prior_equations(shared_px2, squares):
+def turn_variances(shared_px2, squares):
     """Return the variances (c,) [rad^2] of turns that shift each camera's images by ``shared_px2`` on average.
 
-    Also the turns' equations before any point: ``normal`` (2 c, 2 c) and ``right`` (2 c,). ``squares``: of
-    ``turn_squares``.
+    ``squares``: of ``turn_squares``.
     """
-    n = 2 * len(squares)
-    variance, normal = np.full(len(squares), LEAST_RAD2), np.zeros((n, n))
+    variance = np.full(len(squares), LEAST_RAD2)
     for c in range(len(squares)):
         if squares[c] > 0.0:
             variance[c] = max(shared_px2[c] / squares[c], LEAST_RAD2)
-        normal[2 * c, 2 * c] = normal[2 * c + 1, 2 * c + 1] = 1.0 / variance[c]
-    return variance, normal, np.zeros(n)
+    return variance
 
 
 @step
-def solved(normal, right):
-    """Return the turns (2 c,) [rad], their covariance [rad^2], and ln det of ``normal``, which is replaced."""
-    n, log_det = len(right), 0.0
+def solved(normal, right, variance):
+    """Return the turns (2 c,) [rad] and their covariance [rad^2]; ``normal`` is replaced."""
+    n = len(right)
     sides = np.zeros((n, n + 1))
     for i in range(n):
+        normal[i, i] += 1.0 / variance[i // 2]
         sides[i, i], sides[i, n] = 1.0, -right[i]
     solve(normal, sides, n)  # positive definite, by the prior
-    for i in range(n):
-        log_det += 2.0 * np.log(normal[i, i])
-    return sides[:, n].copy(), sides[:, :n].copy(), log_det
+    return sides[:, n].copy(), sides[:, :n].copy()
 
 
 @step
 def remove_turns(kept, state, data, start, shared):
     """Solve the accepted hypotheses again, together with the turns of the cameras: place and covariance.
 
-    ``shared``: the variances (c,) [px^2] of what a camera's images have in common and of what may be alike, and the
+    ``shared``: the variances (c,) [px^2] of what a camera's images have in common and of its lens's field, and the
     turns (2 c,) [rad] that are not removed (``mosca.correspondence.match.Shared``). Images that do not count in full
     (targets hidden in part) tell nothing of the turns, which are returned. A point with such an image keeps its
     images' weights. A point's correlation with others is not kept; what a flat target's uncertainty adds stays.
     """
-    shared_px2, alike_px2, steady = shared
+    shared_px2, field_px2, steady = shared
     cameras = kept.members.shape[1]
-    point = point_equations(cameras)
-    variance, normal, right = prior_equations(shared_px2, turn_squares(data.rays, data.views, start))
-    certain = np.empty(cameras, np.int64)
+    point = point_equations(cameras, 2)
+    variance = turn_variances(shared_px2, turn_squares(data.rays, data.views, start))
+    normal, right = np.zeros((2 * cameras, 2 * cameras)), np.zeros(2 * cameras)
+    # by the field's amplitudes: of each camera, on each axis, of each mode
+    by_field = np.zeros((2 * cameras, cameras, 2, MODES))
+    certain, own_px2 = np.empty(cameras, np.int64), shared_px2 + field_px2
     for g in range(len(state)):
         if state[g] == TAKEN:
             for c in range(cameras):
                 certain[c] = kept.members[g, c] if kept.trusts[g, c] >= 1.0 else -1
-            if fill_equations(kept.values[g], certain, kept.trusts[g], data.rays, data.views, shared_px2, point)[0]:
-                add_turn_equations(point, normal, right)
-    turns, covariance, _ = solved(normal, right)
+            if fill_equations(kept.values[g], certain, kept.trusts[g], data.rays, data.views, own_px2, point)[0]:
+                add_equations(point, normal, right)
+                add_field(certain, point, by_field)
+    gain = field_as_noise(normal, right, by_field, field_px2, variance)
+    turns, covariance = solved(normal, right, variance)
+    gain = product(covariance, gain)
     change = covariance.copy()  # of the variance of the turns
-    for c in range(cameras):
-        for k in range(2 * c, 2 * c + 2):
-            covariance[k, k] += alike_px2[c] * variance[c] / max(shared_px2[c], alike_px2[c], LEAST_RAD2)
-            change[k, k] = covariance[k, k] - variance[c]
+    for k in range(2 * cameras):
+        change[k, k] -= variance[k // 2]
     nothing = np.zeros(cameras)
     for g in range(len(state)):
         if state[g] == TAKEN:
             doubtful = False
             for c in range(cameras):
                 doubtful |= kept.members[g, c] >= 0 and kept.trusts[g, c] < 1.0
-            own, left = (nothing, change) if doubtful else (shared_px2, covariance)
+            own, left = (nothing, change) if doubtful else (own_px2, covariance)
+            alike_px2 = nothing if doubtful else field_px2
             if fill_equations(kept.values[g], kept.members[g], kept.trusts[g], data.rays, data.views, own, point)[0]:
+                field_covariance(kept.members[g], point, by_field, alike_px2, gain)
                 _move(kept.values[g], point, turns, steady, left)
     return turns
 
@@ -288,7 +318,7 @@ def _move(values, point, turns, steady, covariance):
                 step_m -= point.held[c, p, i] * (turns[2 * c + i] - steady[2 * c + i])
         values[XYZ + p] += step_m
         for q in range(3):
-            change = point.inverse[p, q] - point.whole[p, q]
+            change = point.inverse[p, q] - point.whole[p, q] + point.by_field[p, q]
             for c in range(cameras):
                 for i in range(2 if point.square[c, 0, 0] > 0.0 else 0):
                     for d in range(cameras):
@@ -298,32 +328,61 @@ def _move(values, point, turns, steady, covariance):
 
 
 @kernel
-def share_likelihoods(rays, views, start, members, xyz, whole, own_px2, extra_px2, shares, sampling):
-    """Return the log-likelihoods (m,) of some of a frame set's points if ``shares`` (m,) of the cameras' variance are
-    each image's own and the rest common to a camera's images, up to a constant.
+def share_likelihoods(rays, views, start, members, xyz, whole, extra_px2, shares, chosen, sampling):
+    """Return the log-likelihoods (m, f) of some of a frame set's points, up to a constant, for each pair of shares.
 
-    ``members`` (n, c): of ``Points.rays``; ``whole`` (n,): points whose images count in full, which alone are used;
-    ``own_px2`` (c,): what is each image's own anyway, of all variance ``extra_px2`` (c,) besides detection noise;
-    ``sampling``: the first point and the step to the next.
+    Parameters
+    ----------
+    rays, views, start
+        Of ``mosca.data.rays.RayTable``.
+    members
+        (n, c) of ``Points.rays``.
+    xyz
+        (n, 3) the points [m].
+    whole
+        (n,) points whose images count in full, which alone are used.
+    extra_px2
+        (c,) the part of the images' variance that is shared out.
+    shares
+        Shares (m,) of it that are each image's own, and shares (f,) of it that the lens's field has. What is left is
+        common to a camera's images.
+    chosen
+        (k,) cameras whose images are used.
+    sampling
+        The first point and the step to the next.
     """
-    cameras = members.shape[1]
-    point, found = point_equations(cameras), np.zeros(len(shares))
-    trusts, which, squares = np.ones(cameras), np.empty(cameras, np.int64), turn_squares(rays, views, start)
-    for m in range(len(shares)):
-        shared_px2 = (1.0 - shares[m]) * (extra_px2 - own_px2)
-        variance, normal, right = prior_equations(shared_px2, squares)
-        total = 2.0 * np.log(variance).sum()
-        for n in range(sampling[0], len(xyz), sampling[1]):
-            if not whole[n]:
+    own_shares, field_shares = shares
+    cameras, unknowns = len(chosen), 2 + 2 * MODES
+    split_px2, squares = extra_px2[chosen], turn_squares(rays, views, start)[chosen]
+    seen, first, n = views[chosen], start[chosen], unknowns * cameras
+    point, found = point_equations(cameras, unknowns), np.zeros((len(own_shares), len(field_shares)))
+    trusts, which, side, factor = np.ones(cameras), np.empty(cameras, np.int64), np.empty((n, 1)), np.empty((n, n))
+    for m in range(len(own_shares)):
+        normal, right, total = np.zeros((n, n)), np.zeros(n), 0.0
+        for k in range(sampling[0], len(xyz), sampling[1]):
+            if not whole[k]:
                 continue
             for c in range(cameras):
-                which[c] = start[c] + members[n, c] if members[n, c] >= 0 else -1
-            known, error = fill_equations(xyz[n], which, trusts, rays, views, shared_px2, point)
+                member = members[k, chosen[c]]
+                which[c] = first[c] + member if member >= 0 else -1
+            known, error = fill_equations(xyz[k], which, trusts, rays, seen, (1.0 - own_shares[m]) * split_px2, point)
             if known:
-                add_turn_equations(point, normal, right)
+                add_equations(point, normal, right)
                 total += error
-        turns, _, log_det = solved(normal, right)
-        for k in range(2 * cameras):
-            total += turns[k] * right[k]
-        found[m] = -0.5 * (total + log_det)
+        for f in range(len(field_shares)):
+            common = max(1.0 - own_shares[m] - field_shares[f], 0.0)
+            turn_rad2, error = turn_variances(common * split_px2, squares), total
+            for i in range(n):
+                c = i // unknowns
+                field_px2 = max(field_shares[f] * split_px2[c], LEAST_PX2)
+                variance = turn_rad2[c] if i - unknowns * c < 2 else field_px2
+                side[i, 0] = right[i]
+                for j in range(i):
+                    factor[i, j] = normal[i, j]
+                factor[i, i] = normal[i, i] + 1.0 / variance
+                error += np.log(variance)
+            solve(factor, side, n)  # positive definite, by the prior
+            for i in range(n):
+                error += 2.0 * np.log(factor[i, i]) - side[i, 0] * right[i]
+            found[m, f] = -0.5 * error
     return found

@@ -56,7 +56,6 @@ import numpy as np
 from mosca.data.arrays import Array
 from mosca.data.detections import Detections
 from mosca.detection.background import mean_background, minimum_background
-from mosca.detection.bright_runs import SearchBoxes
 from mosca.detection.disc_fit.camera_statistics import NO_STATISTICS, CameraStatistics
 from mosca.detection.disc_fit.light_offset import StatisticsSums, no_sums
 from mosca.detection.frame_set_kernel import (
@@ -69,7 +68,7 @@ from mosca.detection.frame_set_kernel import (
     columns,
     detect_frame_set,
 )
-from mosca.detection.images import ImageSet, image_set
+from mosca.detection.images import image_set
 from mosca.detection.local_background import LocalBackground
 from mosca.detection.merged_targets.split import split_pairs
 from mosca.detection.pixel_noise import gains_changed, measured_backgrounds, noise_of_set
@@ -94,7 +93,6 @@ __all__ = [
 _METHODS = {"paper": PAPER, "background": BACKGROUND, "refined": REFINED}
 BLURS = 3.0
 """Assumed reach of a target's light beyond its disc, in blurs of its camera."""
-_EVERYWHERE = SearchBoxes(np.empty((0, 4), np.int32), np.empty(0, np.int64))
 
 
 def detect(
@@ -126,7 +124,7 @@ def detect(
         Statistics of earlier frames, see ``detect_with_statistics``.
     """
     backgrounds = None if background is None else [background]
-    return detect_set([image], [camera], settings, bit_depth, backgrounds, None, statistics)[0]
+    return detect_set([image], [camera], settings, bit_depth, backgrounds, statistics)[0]
 
 
 def detect_set(
@@ -135,18 +133,14 @@ def detect_set(
     settings: DetectionSettings = DEFAULTS,
     bit_depth: int = 8,
     backgrounds: Sequence[Array | None] | None = None,
-    windows: Sequence[Array | None] | None = None,
     statistics: CameraStatistics = NO_STATISTICS,
 ) -> list[Detections]:
     """Return the targets of each image of a frame set; ``detect`` for several cameras at once.
 
     Images of one size and type are processed in one call without the GIL, so that several threads can each take a
-    frame set; other images are processed one by one. ``windows``: for each image the boxes (k, 4) x0, y0, x1, y1 [px,
-    ends included] in which targets are searched for, or None for all of it. A target is reported once, if it lies
-    inside a window and off its outermost pixels. Small windows make large images fast; where there are many, the
-    whole image is scanned.
+    frame set; other images are processed one by one.
     """
-    return detect_with_statistics(images, cameras, settings, bit_depth, backgrounds, windows, statistics)[0]
+    return detect_with_statistics(images, cameras, settings, bit_depth, backgrounds, statistics)[0]
 
 
 def detect_with_statistics(
@@ -155,7 +149,6 @@ def detect_with_statistics(
     settings: DetectionSettings = DEFAULTS,
     bit_depth: int = 8,
     backgrounds: Sequence[Array | None] | None = None,
-    windows: Sequence[Array | None] | None = None,
     statistics: CameraStatistics = NO_STATISTICS,
     refresh: Collection[str] = (),
 ) -> tuple[list[Detections], CameraStatistics]:
@@ -167,11 +160,10 @@ def detect_with_statistics(
     """
     n = len(images)
     n_backgrounds = n if backgrounds is None else len(backgrounds)
-    n_windows = n if windows is None else len(windows)
-    if not n == len(cameras) == n_backgrounds == n_windows:
+    if not n == len(cameras) == n_backgrounds:
         raise InputError(
-            f"detection: {n} images, {len(cameras)} cameras, {n_backgrounds} backgrounds and {n_windows} lists of "
-            "windows given; give one of each for every camera"
+            f"detection: {n} images, {len(cameras)} cameras and {n_backgrounds} backgrounds given; give one of each "
+            "for every camera"
         )
     if not images:
         return [], NO_STATISTICS
@@ -179,10 +171,8 @@ def detect_with_statistics(
     if any(image.shape != first.shape or image.dtype != first.dtype for image in images):
         found, added = [], NO_STATISTICS
         for i, (image, name) in enumerate(zip(images, cameras, strict=True)):
-            background, boxes = (None if all_of is None else [all_of[i]] for all_of in (backgrounds, windows))
-            part, new = detect_with_statistics(
-                [image], [name], settings, bit_depth, background, boxes, statistics, refresh
-            )
+            background = None if backgrounds is None else [backgrounds[i]]
+            part, new = detect_with_statistics([image], [name], settings, bit_depth, background, statistics, refresh)
             found += part
             added = added.plus(new)
         return found, added
@@ -201,7 +191,7 @@ def detect_with_statistics(
         if static is not None and static.behind.shape == first.shape:
             shown = behind[k] = known.backgrounds[name].shown_behind(pixels[k])
             pixels[k] = subtracted(pixels[k], shown[0], int(task.full_dn))
-    found, sums = _detect_alike(pixels, behind, names, settings, task, windows, known)
+    found, sums = _detect_alike(pixels, behind, names, settings, task, known)
     for k, name in enumerate(names):
         if name in measured and learns[k] and known.backgrounds[name].textured:
             bright = _bright(pixels[k], found[k], known.blur_px(name), known.backgrounds[name])
@@ -212,9 +202,8 @@ def detect_with_statistics(
         # a guessed gain splits bright targets, or joins faint ones: detect again with the learned one
         learned, sums = statistics.plus(added), StatisticsSums(*(part.copy() for part in sums))
         for k in again:
-            boxes = None if windows is None else [windows[k]]
             (found[k],), own_sums = _detect_alike(
-                pixels[k : k + 1], behind[k : k + 1], names[k : k + 1], settings, task, boxes, learned
+                pixels[k : k + 1], behind[k : k + 1], names[k : k + 1], settings, task, learned
             )
             for total, one in zip(sums, own_sums, strict=True):
                 total[k] = one[0]
@@ -240,14 +229,13 @@ def _detect_alike(
     names: tuple[str, ...],
     settings: DetectionSettings,
     task: Task,
-    windows: Sequence[Array | None] | None,
     statistics: CameraStatistics,
 ) -> tuple[list[Detections], StatisticsSums]:
     """Return the detections of images of one size and type, and their sums for the cameras' statistics."""
     noise, limits = noise_of_set(statistics, names, settings, pixels[0], task.full_dn)
     images = image_set(pixels, limits, behind)
     priors = statistics.priors(names)
-    found, measured, sums = detect_frame_set(images, _boxes(windows, images), task, noise, priors)
+    found, measured, sums = detect_frame_set(images, task, noise, priors)
     if settings.centroid == "refined" and settings.split_pairs:
         measured = split_pairs(measured, images, found, priors, task.full_dn)
     return _detections(names, measured), sums
@@ -280,7 +268,7 @@ def target_regions(image: Array, settings: DetectionSettings = DEFAULTS, bit_dep
     )
     noise, limits = noise_of_set(statistics, names, settings, pixels, task.full_dn)
     (runs, regions, _), _, _ = detect_frame_set(
-        image_set([pixels], limits, [None]), _EVERYWHERE, task, noise, statistics.priors(names)
+        image_set([pixels], limits, [None]), task, noise, statistics.priors(names)
     )
     labels = np.zeros(image.shape, np.int32)
     for number, (_, first_run, end_run, _, _) in enumerate(regions, start=1):
@@ -317,15 +305,6 @@ def _foreground(image: Array, off: Array | None, task: Task) -> Array:
     if not task.by_noise:
         return np.ascontiguousarray(cv2.subtract(image, off.astype(image.dtype)))
     return subtracted(image, off, int(task.full_dn))
-
-
-def _boxes(windows: Sequence[Array | None] | None, images: ImageSet) -> SearchBoxes:
-    """Return the windows of all images in one table."""
-    if windows is None:
-        return _EVERYWHERE
-    everything = np.array([[0, 0, images.width - 1, images.height - 1]], np.int32)
-    parts = [everything if own is None else np.asarray(own, np.int32).reshape(-1, 4) for own in windows]
-    return SearchBoxes(np.concatenate(parts), np.cumsum([0] + [len(part) for part in parts]))
 
 
 @lru_cache

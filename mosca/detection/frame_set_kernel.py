@@ -11,7 +11,7 @@ import numpy as np
 
 from mosca.data.arrays import Array
 from mosca.data.detections import MERGED, UNREFINED
-from mosca.detection.bright_runs import SearchBoxes, regions_within, scan_set
+from mosca.detection.bright_runs import scan_set
 from mosca.detection.centroid import (
     DIAMETER,
     DIAMETER_SIGMA,
@@ -71,21 +71,19 @@ class Task(NamedTuple):
 
 @kernel
 def detect_frame_set(
-    images: ImageSet, boxes: SearchBoxes, task: Task, noise: PixelNoise, priors: Priors
+    images: ImageSet, task: Task, noise: PixelNoise, priors: Priors
 ) -> tuple[FoundRegions, Measured, StatisticsSums]:
     """Find the targets of all images of a frame set and measure them.
 
     Also returns the sums for the cameras' statistics, zeros where nothing was refined.
     """
-    bright = scan_set(images, boxes)
+    bright = scan_set(images)
     left_out = np.zeros((len(images.addresses), 6))
     if task.by_noise:
         found = decide_in_set(images, bright, task.search, noise, left_out)
     else:
         found = find_regions_in_set(bright, task.search)
         set_noise(found, noise)
-    if len(boxes.start) > 0:
-        found = regions_within(found, boxes)
     if task.method == REFINED:
         table, region_of, sums = refine_regions(images, found, priors, task.full_dn)
         measure_unrefined(images, found, CentroidRule(True, task.dilation_px), table, region_of)

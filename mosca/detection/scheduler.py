@@ -116,7 +116,7 @@ class FrameSetDetector:
             names = [name for name in images if self.bit_depth[name] == depth]
             backgrounds = [self.backgrounds.get(name) for name in names] if self.backgrounds else None
             found, new = detect_with_statistics(
-                [images[name] for name in names], names, self.settings, depth, backgrounds, None, statistics, refresh
+                [images[name] for name in names], names, self.settings, depth, backgrounds, statistics, refresh
             )
             detections.update(zip(names, found, strict=True))
             added = added.plus(new)

@@ -28,11 +28,14 @@ from mosca.data.rig import Rig
 from mosca.data.settings import MatchSettings
 from mosca.data.tracks import Points
 from mosca.diagnostics.long_run_covariance import long_run_covariance
-from mosca.diagnostics.noise_model import OWN_SHARES, ImageNoise, NoiseModel
+from mosca.diagnostics.noise_model import FIELD_SHARES, OWN_SHARES, ImageNoise, NoiseModel
 from mosca.diagnostics.residual_sums import MOST_DOUBT, ImageErrors, PointColumns, RayColumns, Sampling, residual_sums
 
 START_SETS = 200
 """Frame sets at the start after each ``every`` of which residuals are summed."""
+MOST_TOGETHER, SHARES_EVERY = 4, 5
+"""Most cameras whose images together show how much they have in common, and after WHOLE_SETS every so many-th update
+does: it takes ten times as long as the others."""
 WHOLE_SETS = 20
 """Frame sets at the start of which all points count. With ``most_points`` a set, ten sets have too few where images
 err unequally (a target field's rings): its nees was 2.1 to 8.6, depending on which points were drawn and on a
@@ -107,7 +110,7 @@ class Health:
         c = len(rig.cameras)
         one = self.settings
         self._model = NoiseModel(rig, one.start_px, one.memory)
-        self._sets = 0
+        self._sets = self._updates = 0
         self._missing, self._detected, self._connected = np.zeros(c), np.zeros(c), np.zeros(c)
         self._before: tuple[float, Array] | None = None
         self._clocks: deque[tuple[Array, Array, Array]] = deque(maxlen=CLOCK_UPDATES)
@@ -234,16 +237,23 @@ class Health:
             self._square, self._images = keep * self._square + sums.square, keep * self._images + sums.images
             block = self._blocks.setdefault(int(time_s // s.block_s), np.zeros((2, len(self._names))))
             block += [sums.square, sums.images]
-            self._model.update(sums, self._own_likelihoods(bundle, points, every))
+            self._updates += 1
+            told = self._sets <= WHOLE_SETS or self._updates % SHARES_EVERY == 0
+            self._model.update(sums, self._share_likelihoods(bundle, points) if told else None)
         self._clocks.append((sums.pull, sums.clock, sums.timed))
 
-    def _own_likelihoods(self, bundle: RayTable, points: Points, every: int) -> Array:
-        """Return the log-likelihoods of the OWN_SHARES by every so many-th point whose images count in full."""
+    def _share_likelihoods(self, bundle: RayTable, points: Points) -> Array:
+        """Return the log-likelihoods of the shares by some of the points whose images count in full.
+
+        Equations grow with the square of the number of cameras: MOST_TOGETHER of them are taken, in turn.
+        """
+        n, every = len(self._names), -(-len(points) // self.settings.most_points)
+        chosen = np.sort((self._sets + np.arange(min(n, MOST_TOGETHER))) % n)
         whole = (points.n_cameras >= 2) & (points.trusted >= points.n_cameras - MOST_DOUBT)
         found: Array = share_likelihoods(
             bundle.rays, bundle.views, bundle.start, points.rays, points.xyz, whole,
-            np.minimum(self._model.lens_px**2, bundle.extra_px2), bundle.extra_px2, OWN_SHARES,
-            (-self._sets % every, every),
+            np.maximum(bundle.extra_px2 - self._model.lens_px**2, 0.0),
+            (OWN_SHARES, FIELD_SHARES), chosen, (-self._sets % every, every),
         )  # fmt: skip
         return found
 

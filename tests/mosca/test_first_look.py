@@ -91,3 +91,19 @@ def test_errors_far_beyond_the_guess_are_learned_too(monkeypatch):
     # the control: with the guess alone
     monkeypatch.setattr(pipeline, "COARSER_STARTS", (1.0,))
     assert sum((step.points.n_cameras > 2).sum() for step in run_seen(sets, rig, PipelineSettings())) <= 2
+
+
+def test_chance_meetings_are_no_errors_far_beyond_the_guess(monkeypatch):
+    """Of two cameras the calibrations stand swapped: the larger the errors supposed, the more rays meet by chance."""
+    given = [camera.world_from_camera for camera in RIG.cameras]
+    places = [given[1], given[0], *given[2:]]
+    rig = Rig(tuple(replace(c, world_from_camera=one) for c, one in zip(RIG.cameras, places, strict=True)))
+
+    def pairs(sets):
+        steps = list(run_seen(sets, rig, PipelineSettings()))
+        return sum(int((step.points.rays[:, 2:] >= 0).all(axis=1).sum()) for step in steps) / len(steps)
+
+    kept = pairs(seen(20)[0])
+    # the control: with the guess alone
+    monkeypatch.setattr(pipeline, "COARSER_STARTS", (1.0,))
+    assert kept >= 0.8 * pairs(seen(20)[0]) > 8.0

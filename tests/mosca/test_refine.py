@@ -7,7 +7,6 @@ from disc_images import READ, bound_px, errors, frame
 from mosca.data.detections import SATURATED, UNREFINED
 from mosca.detection.detect import NO_STATISTICS, DetectionSettings, detect, detect_set, detect_with_statistics
 from mosca.detection.pixel_noise import gain_of
-from mosca.errors import InputError
 
 
 def settings_for(contrast, snr, gain, **change):
@@ -146,26 +145,6 @@ def test_same_images_give_the_same_bytes_alone_or_in_a_set():
         assert detect_set([images[i]], [name], statistics=new)[0].xy_px.tobytes() == again[i].xy_px.tobytes()
     split = detect_with_statistics(images[:1], ["a"])[1].plus(detect_with_statistics(images[1:], ["b", "c"])[1])
     np.testing.assert_array_equal(split.priors(("a", "b", "c")).blurs, new.priors(("a", "b", "c")).blurs)
-
-
-@pytest.mark.parametrize("width", [96, 101])
-def test_windows_find_what_lies_in_them_once(width):
-    rng = np.random.default_rng(8)
-    image = np.full((80, width), 4, np.uint8)
-    for x, y in [(20, 20), (50, 30), (80, 60)]:
-        image[y - 3 : y + 4, x - 3 : x + 4] = 150 + rng.integers(0, 20, (7, 7))
-        image[y, x] = 200
-    everywhere = detect(image, "a")
-    assert len(everywhere) == 3
-    boxes = np.array([[12, 12, 28, 28], [14, 10, 30, 30], [40, 20, 60, 40], [60, 60, 95, 79]])
-    (found,) = detect_set([image], ["a"], windows=[boxes])
-    assert found.xy_px.tobytes() == everywhere.xy_px[:2].tobytes(), "the third reaches the rim of its window"
-    assert len(detect_set([image], ["a"], windows=[np.empty((0, 4))])[0]) == 0
-    assert len(detect_set([image], ["a"], windows=[None])[0]) == 3
-    outside = np.array([[-50, -50, -10, -10], [500, 500, 600, 600], [0, 0, 1000, 1000]])
-    assert len(detect_set([image], ["a"], windows=[outside])[0]) == 3
-    with pytest.raises(InputError, match="windows"):
-        detect_set([image], ["a"], windows=[])
 
 
 def test_any_image_gives_finite_places_inside_it():

@@ -1,0 +1,162 @@
+"""The smooth field of image errors that a lens model leaves, as a source of error of the cameras' turns.
+
+The misfit of a lens model does not change from set to set, and is alike in neighbouring images: hundreds of images
+show a turn no better than a few do. On each axis of each camera it is modelled as a polynomial of degree 2 over the
+field of view. Its constant part is a turn; the other MODES have one variance each. Amplitudes b of the modes of all
+cameras add G b to the right side g of the turns' equations A d = g (``mosca.correspondence.shared_turns``). The best
+linear prediction of turns with the variance D from g, whose covariance given d is A + G Cov(b) G', is
+
+    d = (D^-1 + A M^-1 A)^-1 A M^-1 g,   M = A + G Cov(b) G',
+
+with the covariance (D^-1 + A M^-1 A)^-1 (Henderson, Biometrics 31, 1975). Compiled steps of ``shared_turns``.
+"""
+
+import math
+
+import numpy as np
+
+from mosca.data.rays import DIRECTION, EDGES, ROTATION
+from mosca.numba_support.cholesky import solve
+from mosca.numba_support.decorators import bare_step, step
+
+MODES = 5
+"""Modes of the field on an axis: x, y, x y, x^2, y^2. Of degree 3 as well (9), fields of the library's calibrated
+lenses are no likelier; of degree 1 (2), they are clearly less likely, and points' errors are stated half as large."""
+RIDGE = 1e-6
+"""Least information about a turn, over that of its prior: keeps equations of unseen cameras solvable. Half or twice
+of it gives the same."""
+
+
+@bare_step
+def fill_modes(k, c, rays, views, out):
+    """Fill ``out`` (MODES,) with the modes at ray k of camera c; their squares add to 1 on average over the image."""
+    x = y = z = 0.0
+    for p in range(3):
+        x += rays[k, DIRECTION + p] * views[c, ROTATION + 3 * p]
+        y += rays[k, DIRECTION + p] * views[c, ROTATION + 3 * p + 1]
+        z += rays[k, DIRECTION + p] * views[c, ROTATION + 3 * p + 2]
+    # stereographic, as the edges of the field of view are, which become -1 and 1
+    left, top, right, bottom = views[c, EDGES], views[c, EDGES + 1], views[c, EDGES + 2], views[c, EDGES + 3]
+    u = (2.0 * x / (1.0 + z) - left - right) / (right - left)
+    v = (2.0 * y / (1.0 + z) - top - bottom) / (bottom - top)
+    # each has the mean square 1 / MODES over the field of view
+    slope, square = math.sqrt(3.0 / MODES), math.sqrt(11.25 / MODES)
+    out[0], out[1], out[2] = slope * u, slope * v, 3.0 / math.sqrt(MODES) * u * v
+    out[3], out[4] = square * (u * u - 1.0 / 3.0), square * (v * v - 1.0 / 3.0)
+
+
+@bare_step
+def _fill_answers(members, point):
+    """Fill ``point.answer``: how the point goes with an error of each image."""
+    for c in range(members.shape[0]):
+        if members[c] < 0:
+            continue
+        slope, weight = point.slope[c], point.weight[c]
+        for i in range(2):
+            for p in range(3):
+                total = 0.0
+                for q in range(3):
+                    pushed = slope[0, q] * weight[0, i] + slope[1, q] * weight[1, i]
+                    total += point.inverse[p, q] * pushed
+                point.answer[c, i, p] = total
+
+
+@bare_step
+def add_field(members, point, by_field):
+    """Add a point's part to G: ``by_field`` (2 c, c, 2, MODES), of each camera, on each axis, of each mode.
+
+    ``point``: filled by ``mosca.correspondence.shared_turns.fill_equations``; ``members`` (c,): its rays, -1: none.
+    """
+    cameras = members.shape[0]
+    _fill_answers(members, point)
+    for c in range(cameras):
+        for i in range(2 if members[c] >= 0 else 0):
+            for d in range(cameras):
+                for j in range(2 if members[d] >= 0 else 0):
+                    change = 0.0
+                    for p in range(3):
+                        change -= point.toward[d, p, j] * point.answer[c, i, p]
+                    if d == c:
+                        change += point.turn[c, 0, j] * point.weight[c, 0, i]
+                        change += point.turn[c, 1, j] * point.weight[c, 1, i]
+                    for m in range(MODES):
+                        by_field[2 * d + j, c, i, m] += change * point.modes[c, m]
+
+
+@step
+def field_as_noise(normal, right, by_field, field_px2, variance):
+    """Replace A and g by A M^-1 A and A M^-1 g; return A M^-1 (2 c, 2 c).
+
+    ``normal`` (2 c, 2 c): A, lower triangle; ``right`` (2 c,): g; ``by_field``: of ``add_field``; ``field_px2`` (c,):
+    variance of the field, of all modes together; ``variance`` (c,): of the turns.
+    """
+    n = len(right)
+    given, whole, sides = np.empty((n, n)), np.empty((n, n)), np.empty((n, n + 1))
+    for i in range(n):
+        for j in range(i + 1):
+            given[i, j] = given[j, i] = whole[i, j] = normal[i, j]
+            for c in range(len(field_px2)):
+                total = 0.0
+                for k in range(2):
+                    for m in range(MODES):
+                        total += by_field[i, c, k, m] * by_field[j, c, k, m]
+                whole[i, j] += field_px2[c] * total
+        whole[i, i] += RIDGE / variance[i // 2]
+        sides[i, n] = right[i]
+    sides[:, :n] = given
+    solve(whole, sides, n)
+    normal[:] = product(given, sides[:, :n])
+    right[:] = product(given, sides[:, n:])[:, 0]
+    return sides[:, :n].T.copy()
+
+
+@step
+def product(one, other):
+    """Return the product of two matrices."""
+    out = np.zeros((one.shape[0], other.shape[1]))
+    for i in range(one.shape[0]):
+        for p in range(one.shape[1]):
+            for j in range(other.shape[1]):
+                out[i, j] += one[i, p] * other[p, j]
+    return out
+
+
+@bare_step
+def field_covariance(members, point, by_field, field_px2, gain):
+    """Fill ``point.by_field`` (3, 3): the covariance that the field adds beside that of the turns.
+
+    A field shifts the point's own images and, through all points, the turns. Where they go together, the turns undo
+    it. ``gain`` (2 c, 2 c): (D^-1 + A M^-1 A)^-1 A M^-1; others as for ``add_field``.
+    """
+    cameras, crossed = members.shape[0], point.crossed
+    _fill_answers(members, point)
+    point.by_field[:] = 0.0
+    crossed[:] = 0.0
+    for c in range(cameras):
+        if members[c] < 0:
+            continue
+        square = 0.0
+        for m in range(MODES):
+            square += point.modes[c, m] ** 2
+        for i in range(2):
+            answer = point.answer[c, i]
+            for p in range(3):
+                for q in range(3):
+                    point.by_field[p, q] += field_px2[c] * square * answer[p] * answer[q]
+            for k in range(2 * cameras):
+                total = 0.0
+                for m in range(MODES):
+                    total += point.modes[c, m] * by_field[k, c, i, m]
+                for p in range(3):
+                    crossed[0, p, k] += field_px2[c] * total * answer[p]
+    for k in range(2 * cameras):
+        for p in range(3):
+            for j in range(2 * cameras):
+                crossed[1, p, k] += crossed[0, p, j] * gain[k, j]
+    for d in range(cameras):
+        for j in range(2 if members[d] >= 0 else 0):
+            for p in range(3):
+                for q in range(3):
+                    both = crossed[1, p, 2 * d + j] * point.held[d, q, j]
+                    both += crossed[1, q, 2 * d + j] * point.held[d, p, j]
+                    point.by_field[p, q] -= both
