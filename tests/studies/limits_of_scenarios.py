@@ -27,8 +27,8 @@ The table compares the limits on errors of the quick scenarios with the errors o
 
 - A limit follows from the scenario's error budget, as the text in the scenario says (`spaces/*`, `subjects/actor`,
   `boxing`, `dance`, `jump`). Other limits were set to 1.4 times the largest error of five seeds, with two digits; the
-  last column shows where that error has changed since. No limit may be looser than 1.5 times the largest error, but for
-  the paper's 0.01 % of `subjects/actor`, which is a claim.
+  last column shows where that error has changed since. No limit may be looser than 1.5 times the largest error, but
+  for the paper's 0.01 % of `subjects/actor`, which is a claim.
 - *Stated* is the error that the covariances of the points state: detection noise, shake of the camera bodies and
   calibration (median of the seeds).
 - *Factor* is the largest error divided by the stated error.
