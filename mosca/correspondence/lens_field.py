@@ -122,11 +122,12 @@ def product(one, other):
 
 
 @bare_step
-def field_covariance(members, point, by_field, field_px2, gain):
+def field_covariance(members, point, by_field, field_px2, counted_px2, gain):
     """Fill ``point.by_field`` (3, 3): the covariance that the field adds beside that of the turns.
 
     A field shifts the point's own images and, through all points, the turns. Where they go together, the turns undo
-    it. ``gain`` (2 c, 2 c): (D^-1 + A M^-1 A)^-1 A M^-1; others as for ``add_field``.
+    it. ``counted_px2`` (c,): variance of turns and field that the weights of the point's images count as their own,
+    which is taken off; ``gain`` (2 c, 2 c): (D^-1 + A M^-1 A)^-1 A M^-1; others as for ``add_field``.
     """
     cameras, crossed = members.shape[0], point.crossed
     _fill_answers(members, point)
@@ -135,14 +136,14 @@ def field_covariance(members, point, by_field, field_px2, gain):
     for c in range(cameras):
         if members[c] < 0:
             continue
-        square = 0.0
+        own_px2 = -counted_px2[c]
         for m in range(MODES):
-            square += point.modes[c, m] ** 2
+            own_px2 += field_px2[c] * point.modes[c, m] ** 2
         for i in range(2):
             answer = point.answer[c, i]
             for p in range(3):
                 for q in range(3):
-                    point.by_field[p, q] += field_px2[c] * square * answer[p] * answer[q]
+                    point.by_field[p, q] += own_px2 * answer[p] * answer[q]
             for k in range(2 * cameras):
                 total = 0.0
                 for m in range(MODES):

@@ -289,21 +289,16 @@ def remove_turns(kept, state, data, start, shared):
                 add_field(certain, point, by_field)
     gain = field_as_noise(normal, right, by_field, field_px2, variance)
     turns, covariance = solved(normal, right, variance)
-    gain = product(covariance, gain)
-    change = covariance.copy()  # of the variance of the turns
-    for k in range(2 * cameras):
-        change[k, k] -= variance[k // 2]
-    nothing = np.zeros(cameras)
+    gain, nothing = product(covariance, gain), np.zeros(cameras)
     for g in range(len(state)):
         if state[g] == TAKEN:
             doubtful = False
             for c in range(cameras):
                 doubtful |= kept.members[g, c] >= 0 and kept.trusts[g, c] < 1.0
-            own, left = (nothing, change) if doubtful else (own_px2, covariance)
-            alike_px2 = nothing if doubtful else field_px2
+            own, counted = (nothing, own_px2) if doubtful else (own_px2, nothing)
             if fill_equations(kept.values[g], kept.members[g], kept.trusts[g], data.rays, data.views, own, point)[0]:
-                field_covariance(kept.members[g], point, by_field, alike_px2, gain)
-                _move(kept.values[g], point, turns, steady, left)
+                field_covariance(kept.members[g], point, by_field, field_px2, counted, gain)
+                _move(kept.values[g], point, turns, steady, covariance)
     return turns
 
 

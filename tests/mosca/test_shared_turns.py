@@ -8,9 +8,17 @@ from scipy.spatial.transform import Rotation
 
 from mosca.camera.projection import project
 from mosca.camera.ray_table import make_ray_table
+from mosca.correspondence.hypothesis import COVARIANCE, VALUES, Hypotheses, MatchData
 from mosca.correspondence.lens_field import MODES, add_field, field_as_noise
 from mosca.correspondence.match import MatchSettings, Shared, match_counted
-from mosca.correspondence.shared_turns import add_equations, fill_equations, point_equations, share_likelihoods
+from mosca.correspondence.selection import TAKEN
+from mosca.correspondence.shared_turns import (
+    add_equations,
+    fill_equations,
+    point_equations,
+    remove_turns,
+    share_likelihoods,
+)
 from mosca.correspondence.shared_turns import solved as solution
 from mosca.data.detections import Detections
 from mosca.data.rays import Predicted
@@ -40,6 +48,13 @@ def turn_sides(rays, views, members, xyz):
         add_equations(equations, normal, right)
         add_field(members[k], equations, by_field)
     return right, by_field
+
+
+@kernel
+def moved(values, members, trusts, rays, views, start, variances):
+    """Remove turns from points: their values are replaced."""
+    data = MatchData(rays, views, rays)
+    return remove_turns(Hypotheses(values, members, trusts), np.full(len(values), TAKEN), data, start, variances)
 
 
 def looking(name, place):
@@ -293,3 +308,39 @@ def test_errors_of_single_images_get_worse_where_they_are_taken_for_shake():
     together, wrong = errors(np.random.default_rng(6), 30, 40, 0.999 * SHAKE, SHAKE, 0.0)
     assert together > 0.98 * alone
     assert nees < 3.6 < 6.0 < wrong
+
+
+def test_points_with_doubtful_images_are_no_better_known_than_their_images_tell():
+    """Turns and field are in the weights of such images, and are taken off: no more than they are in them."""
+    rng, field, noise, n = np.random.default_rng(12), 0.05 * SHAKE, 0.2 * NOISE, 40
+    points = 1.6 * placed(rng, n)
+    found = {
+        name: replace(one, covariance_px2=0.04 * one.covariance_px2) for name, one in seen(points, rng)[0].items()
+    }
+    table = make_ray_table(RIG, found, np.hypot(SHAKE, field))
+    members, trusts = table.start[:4] + np.arange(n)[:, None], np.ones((n, 4))
+    trusts[::4, 0] = 0.1  # hardly count in camera a
+    slopes = np.stack(
+        [
+            np.stack([project(c, points + 1e-6 * axis) - project(c, points - 1e-6 * axis) for axis in np.eye(3)], -1)
+            for c in RIG.cameras
+        ],
+        axis=1,
+    ) / 2e-6  # fmt: skip
+    shared = SHAKE**2 + field**2
+
+    def covariances(whole_px2):
+        return np.linalg.inv(np.einsum("ncki,nckj,nc->nij", slopes, slopes, 1.0 / whole_px2))
+
+    images_px2 = (noise**2 + shared) / trusts**2
+    values = np.zeros((n, VALUES))
+    values[:, :3], values[:, COVARIANCE : COVARIANCE + 9] = points, covariances(images_px2).reshape(n, 9)
+    variances = np.full(4, SHAKE**2), np.full(4, field**2), np.zeros(8)
+    moved(values, members, trusts, table.rays, table.views, table.start, variances)
+    known = values[:, COVARIANCE : COVARIANCE + 9].reshape(n, 3, 3)
+    # without turns and field nothing is known better (Cramer and Rao)
+    spare = np.linalg.eigvalsh(known - covariances(images_px2 - shared))
+    assert (spare > -1e-3 * np.linalg.eigvalsh(known)[:, :1]).all()
+    # and the images' common error is mostly removed
+    before, after = np.trace(covariances(images_px2), axis1=1, axis2=2), np.trace(known, axis1=1, axis2=2)
+    assert np.median(after[::4] / before[::4]) < 0.5
