@@ -23,6 +23,8 @@ SEEN_SHARE, SEEN_CAMERAS = 0.5, 2
 BLOCKS = 40
 RESAMPLES = 2000
 ALPHAS = np.arange(0.05, 0.96, 0.05)
+NO_COVARIANCE = 1e9
+"""NEES of a sample whose covariance is not positive definite: beyond any limit."""
 
 
 def pair(
@@ -66,6 +68,7 @@ def pair(
     if calibration is not None:
         covariance = covariance + calibration(measured.xyz[rows])
     nees = np.einsum("ni,ni->n", error, np.linalg.solve(covariance, error[:, :, None])[:, :, 0])
+    nees = np.where(np.linalg.eigvalsh(covariance)[:, 0] > 0.0, nees, NO_COVARIANCE)
     return TruthPairs(
         of_measured[rows], frame, marker, measured.track[rows], error, nees, measured.residual_px[rows],
         measured.n_cameras[rows],

@@ -56,6 +56,18 @@ def test_coverage_is_of_the_ellipsoid_of_95_percent_in_space():
     assert m["coverage95"].value == pytest.approx(0.75)
 
 
+def test_a_covariance_that_is_none_breaks_every_limit():
+    """Not positive definite: its "error squared over variance" may be small, or negative, and lower the mean."""
+    rows = both(dx=0.001)
+    given = tracks(rows)
+    wrong = np.array(given.covariance)
+    wrong[0] = np.diag([-1e-6, 1e-6, 1e-6])
+    right, broken = (metrics(pair(one, truth(), SPACE), SPACE) for one in (given, replace(given, covariance=wrong)))
+    assert right["nees"].value == pytest.approx(1.0)
+    assert broken["nees"].value > 1e6
+    assert broken["coverage95"].value == pytest.approx(1.0 - 1.0 / len(rows))
+
+
 def falling(frames=6, hidden=()):
     """Truth at 100 Hz of a marker that falls: z = -g t^2 / 2; not known in the frames ``hidden``."""
     at = truth(frames, markers=((0, 0, 0),))
