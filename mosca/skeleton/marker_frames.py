@@ -8,7 +8,7 @@ import numpy as np
 from mosca.data.arrays import Array, set_read_only
 from mosca.data.rig import Rig
 from mosca.data.tracks import Tracks
-from mosca.triangulation.camera_shake import shake_covariance, without
+from mosca.triangulation.camera_shake import no_more_than, shake_covariance, without
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,8 +96,10 @@ def _told_apart(rig: Rig, xyz: Array, covariance: Array, n_cameras: Array) -> tu
     some = np.flatnonzero(seen.any(axis=1))
     shared, alike = np.zeros((len(xyz), 3, 3)), np.zeros((len(xyz), 3, 3))
     each = n_cameras[some].sum(axis=1) / seen[some].sum(axis=1)
-    trace = np.where(seen[some], np.trace(covariance[some], axis1=2, axis2=3), np.nan)
-    shared[some], alike[some] = common_shift(rig, np.nanmean(xyz[some], axis=1), each, np.nanmedian(trace, axis=1))
+    trace = np.where(seen[some], np.trace(covariance[some], axis1=2, axis2=3), np.inf)
+    usual = np.argsort(trace, axis=1)[np.arange(len(some)), (seen[some].sum(axis=1) - 1) // 2]
+    stated = covariance[some, usual]
+    shared[some], alike[some] = common_shift(rig, np.nanmean(xyz[some], axis=1), each, stated)
     return shared, np.where(seen[..., None, None], without(covariance, alike[:, None]), covariance)
 
 
@@ -105,12 +107,14 @@ def common_shift(rig: Rig, middle: Array, images: Array, stated_m2: Array) -> tu
     """Return the covariance (n, 3, 3) [m^2] of a body's shift by camera shake, and the part that turns no segment.
 
     ``middle`` (n, 3): mean place of its markers [m]; ``images`` (n,): mean number of images of a marker;
-    ``stated_m2`` (n,): usual trace of a marker's covariance [m^2]. The shift has at most this: where many targets
-    have shown the cameras' turns (``mosca.correspondence.shared_turns``), less than the whole shake is left.
+    ``stated_m2`` (n, 3, 3): covariance of a usual marker [m^2]. The shift has at most this, on the whole and in each
+    direction: where many targets have shown the cameras' turns (``mosca.correspondence.shared_turns``), less than the
+    whole shake is left.
     """
     shared, most = shake_covariance(rig, middle)
-    whole = np.trace(shared, axis1=1, axis2=2)
-    shared *= np.minimum(stated_m2 / np.maximum(whole, 1e-300), 1.0)[:, None, None]
+    whole, usual = (np.trace(one, axis1=1, axis2=2) for one in (shared, stated_m2))
+    shared *= np.minimum(usual / np.maximum(whole, 1e-300), 1.0)[:, None, None]
+    shared = no_more_than(shared, stated_m2)
     return shared, turned_alike(images / np.maximum(most, 1))[:, None, None] * shared
 
 

@@ -6,6 +6,8 @@ many points has the whole shift, as has a joint's centre found from all of a per
 it.
 """
 
+from collections.abc import Callable
+
 import numpy as np
 
 from mosca.camera.projection import inside_image, project_with_jacobians
@@ -56,11 +58,25 @@ def without(covariance: Array, shared: Array) -> Array:
 
     Covariances that are not positive definite, 0 where unknown, are returned as they are.
     """
-    own, known = np.array(covariance), np.linalg.eigvalsh(covariance)[..., 0] > 0
-    root = np.linalg.cholesky(own[known])
+    return _by_shares(covariance, shared, lambda share: np.maximum(1.0 - share, LEAST_OWN))
+
+
+def no_more_than(shared: Array, covariance: Array) -> Array:
+    """Return a ``shared`` part (..., 3, 3) of errors cut to ``covariance`` (..., 3, 3) in each direction.
+
+    Where the covariance is not positive definite, or 0, it is returned in place of the part.
+    """
+    return _by_shares(covariance, shared, lambda share: np.minimum(share, 1.0))
+
+
+def _by_shares(covariance: Array, part: Array, left: Callable[[Array], Array]) -> Array:
+    """Return covariances (..., 3, 3) scaled along the directions in which ``part`` is a share of them.
+
+    ``left``: by how much, given the shares; those that are not positive definite are returned as they are.
+    """
+    found, known = np.array(covariance), np.linalg.eigvalsh(covariance)[..., 0] > 0
+    root = np.linalg.cholesky(found[known])
     inverse = np.linalg.inv(root)
-    part = np.broadcast_to(shared, own.shape)[known]
-    share, axes = np.linalg.eigh(inverse @ part @ inverse.transpose(0, 2, 1))
-    left = (axes * np.maximum(1.0 - share, LEAST_OWN)[:, None, :]) @ axes.transpose(0, 2, 1)
-    own[known] = root @ left @ root.transpose(0, 2, 1)
-    return own
+    share, axes = np.linalg.eigh(inverse @ np.broadcast_to(part, found.shape)[known] @ inverse.swapaxes(1, 2))
+    found[known] = root @ (axes * left(share)[:, None, :]) @ axes.swapaxes(1, 2) @ root.swapaxes(1, 2)
+    return found

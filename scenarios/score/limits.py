@@ -17,7 +17,7 @@ def times_looser(metric: Metric) -> float:
     if metric.limit is None or not metric.passed:
         return 0.0
     if metric.sense == "at_least":
-        return value / metric.limit
+        return value / metric.limit if metric.limit > 0 else 0.0
     if value == 0 and METRICS[metric.name].quantity == "count":
         value = UNSEEN_COUNT / metric.n if metric.name == "ghosts_per_frame" and metric.n else UNSEEN_COUNT
     return metric.limit / value if value > 0 else 0.0

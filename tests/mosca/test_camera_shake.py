@@ -8,7 +8,7 @@ from rigs import ring
 
 from mosca.camera.projection import project
 from mosca.data.rig import MoscaLens, Rig
-from mosca.skeleton.marker_frames import turned_alike
+from mosca.skeleton.marker_frames import common_shift, turned_alike
 from mosca.triangulation.camera_shake import LEAST_OWN, shake_covariance, without
 
 LENS = MoscaLens(8.0, 330.0, 240.0, 0.01, 0.01, -0.006, 1e-3, -1.5e-5, 0, 1e-4, 5e-5)
@@ -67,6 +67,19 @@ def test_what_is_taken_off_leaves_a_covariance():
     # more than there is, along one axis
     left = without(own[None], np.diag([5.0, 0.5, 0.0])[None])[0]
     np.testing.assert_allclose(left, np.diag([LEAST_OWN, 1.5, 3.0]), rtol=1e-12)
+
+
+@pytest.mark.parametrize("share", [0.01, 0.3, 0.6, 4.0])
+def test_a_body_shifts_by_no_more_than_its_markers_errors(share):
+    """Neither on the whole nor in any direction; a covariance that is large enough leaves it as it is."""
+    rig, middle = shaking(), np.zeros((1, 3))
+    (whole,), _ = shake_covariance(rig, middle)
+    root, each = np.linalg.cholesky(whole), share * np.array([0.5, 1.0, 1.5])
+    stated = root @ np.diag(each) @ root.T
+    (shared,), (alike,) = common_shift(rig, middle, np.array([4.0]), stated[None])
+    left = min(np.trace(stated) / np.trace(whole), 1.0)
+    np.testing.assert_allclose(shared, root @ np.diag(np.minimum(left, each)) @ root.T, rtol=1e-6, atol=1e-20)
+    np.testing.assert_allclose(alike, shared)  # all cameras see all markers
 
 
 @pytest.mark.parametrize(("seen_by", "expected"), [(1.0, 1.0), (0.5, (np.pi / 4 - 1 / np.pi) * 4 / np.pi)])
