@@ -123,7 +123,7 @@ def product(one, other):
 
 @bare_step
 def field_covariance(members, point, by_field, field_px2, counted_px2, gain):
-    """Fill ``point.by_field`` (3, 3): the covariance that the field adds beside that of the turns.
+    """Fill ``point.added`` (3, 3): the covariance that the field adds beside that of the turns.
 
     A field shifts the point's own images and, through all points, the turns. Where they go together, the turns undo
     it. ``counted_px2`` (c,): variance of turns and field that the weights of the point's images count as their own,
@@ -131,7 +131,7 @@ def field_covariance(members, point, by_field, field_px2, counted_px2, gain):
     """
     cameras, crossed = members.shape[0], point.crossed
     _fill_answers(members, point)
-    point.by_field[:] = 0.0
+    point.added[:] = 0.0
     crossed[:] = 0.0
     for c in range(cameras):
         if members[c] < 0:
@@ -143,7 +143,7 @@ def field_covariance(members, point, by_field, field_px2, counted_px2, gain):
             answer = point.answer[c, i]
             for p in range(3):
                 for q in range(3):
-                    point.by_field[p, q] += own_px2 * answer[p] * answer[q]
+                    point.added[p, q] += own_px2 * answer[p] * answer[q]
             for k in range(2 * cameras):
                 total = 0.0
                 for m in range(MODES):
@@ -160,4 +160,4 @@ def field_covariance(members, point, by_field, field_px2, counted_px2, gain):
                 for q in range(3):
                     both = crossed[1, p, 2 * d + j] * point.held[d, q, j]
                     both += crossed[1, q, 2 * d + j] * point.held[d, p, j]
-                    point.by_field[p, q] -= both
+                    point.added[p, q] -= both

@@ -57,7 +57,7 @@ class PointEquations(NamedTuple):
     (``mosca.correspondence.lens_field``)."""
     crossed: Any
     """(2, 3, 2 c) of ``mosca.correspondence.lens_field.field_covariance``."""
-    by_field: Any
+    added: Any
     """(3, 3) covariance that the field adds [m^2]."""
     normal: Any
     """(3, 3) N [m^-2]."""
@@ -313,7 +313,7 @@ def _move(values, point, turns, steady, covariance):
                 step_m -= point.held[c, p, i] * (turns[2 * c + i] - steady[2 * c + i])
         values[XYZ + p] += step_m
         for q in range(3):
-            change = point.inverse[p, q] - point.whole[p, q] + point.by_field[p, q]
+            change = point.inverse[p, q] - point.whole[p, q] + point.added[p, q]
             for c in range(cameras):
                 for i in range(2 if point.square[c, 0, 0] > 0.0 else 0):
                     for d in range(cameras):

@@ -20,7 +20,7 @@ from mosca.data.rig import Rig
 from mosca.data.tracks import STATUSES, Samples
 from mosca.labelling.marker_model import MarkerModel
 from mosca.skeleton.fit import FittedSubject
-from mosca.skeleton.marker_frames import common_shift
+from mosca.skeleton.marker_frames import common_shift, usual_covariance
 from mosca.skeleton.model import Kinematics
 from mosca.skeleton.naming import (
     NAMED,
@@ -159,9 +159,8 @@ class LiveSkeleton:
             here = np.isin(mine.track, self._track_of)
             here |= not here.any()
             middle, images = mine.xyz[here].mean(axis=0), mine.n_cameras[here].mean()
-            usual = np.argsort(np.trace(mine.covariance[here], axis1=1, axis2=2))[(here.sum() - 1) // 2]
-            stated = mine.covariance[here][usual]
-            self._shift_ns, self._shift = time_ns, common_shift(self.rig, middle[None], images[None], stated[None])
+            stated = usual_covariance(mine.covariance[None], here[None])
+            self._shift_ns, self._shift = time_ns, common_shift(self.rig, middle[None], images[None], stated)
         shared, alike = self._shift
         if not shared.any():
             return mine, NO_SHIFT

@@ -96,11 +96,16 @@ def _told_apart(rig: Rig, xyz: Array, covariance: Array, n_cameras: Array) -> tu
     some = np.flatnonzero(seen.any(axis=1))
     shared, alike = np.zeros((len(xyz), 3, 3)), np.zeros((len(xyz), 3, 3))
     each = n_cameras[some].sum(axis=1) / seen[some].sum(axis=1)
-    trace = np.where(seen[some], np.trace(covariance[some], axis1=2, axis2=3), np.inf)
-    usual = np.argsort(trace, axis=1)[np.arange(len(some)), (seen[some].sum(axis=1) - 1) // 2]
-    stated = covariance[some, usual]
+    stated = usual_covariance(covariance[some], seen[some])
     shared[some], alike[some] = common_shift(rig, np.nanmean(xyz[some], axis=1), each, stated)
     return shared, np.where(seen[..., None, None], without(covariance, alike[:, None]), covariance)
+
+
+def usual_covariance(covariance: Array, seen: Array) -> Array:
+    """Return the covariance (n, 3, 3), of those (n, m, 3, 3) of the ``seen`` (n, m), one or more, of median trace."""
+    trace = np.where(seen, np.trace(covariance, axis1=2, axis2=3), np.inf)
+    rows = np.arange(len(seen))
+    return np.asarray(covariance[rows, np.argsort(trace, axis=1)[rows, (seen.sum(axis=1) - 1) // 2]])
 
 
 def common_shift(rig: Rig, middle: Array, images: Array, stated_m2: Array) -> tuple[Array, Array]:
