@@ -17,7 +17,7 @@ from mosca.correspondence.typical_size import TypicalSize
 from mosca.data.arrays import Array
 from mosca.data.detections import Detections, Seen
 from mosca.data.frames import CameraInfo, FrameSet, FrameSource
-from mosca.data.rays import SHARE_SIGMA, Predicted, RayTable
+from mosca.data.rays import Predicted, RayTable
 from mosca.data.rig import Rig, focal_px
 from mosca.data.tracks import Points, Samples
 from mosca.detection.cut_targets.mend import CutTargets
@@ -303,19 +303,19 @@ class _Matcher:
         learn: bool = True,
     ) -> tuple[RayTable, Points]:
         """Return the rays of a frame set and the points that they make; sizes and turns are learned from them."""
-        table, sizes = make_ray_table(rig, detections, noise.sigma_px, self._settings.target), self._sizes
+        sizes = self._sizes
+        table = make_ray_table(rig, detections, noise.sigma_px, self._settings.target, sizes.area_noise)
         first, settings = not sizes.known, self._settings if sizes.alike else self._unjudged
         shared = None
         if settings.turns:
             shared = Shared(noise.shared_px, noise.field_px, self._steady.kept(rig, noise))
-        if not sizes.known:
-            # images are then judged by the largest one of their own target
-            np.maximum(table.rays[:, SHARE_SIGMA], sizes.image_noise, out=table.rays[:, SHARE_SIGMA])
-        found = match_counted(table, predicted, settings, self._volume, sizes.diameter_m, shared)
+        found = match_counted(table, predicted, settings, self._volume, sizes.diameter_m, sizes.hidden, shared)
         if learn:
             sizes.learn(found.points, table)
         if first and not sizes.alike:
-            found = match_counted(table, predicted, self._unjudged, self._volume, sizes.diameter_m, shared)
+            found = match_counted(
+                table, predicted, self._unjudged, self._volume, sizes.diameter_m, sizes.hidden, shared
+            )
         if learn:
             self._steady.learn(found.turns)
         return table, found.points

@@ -53,8 +53,11 @@ ROUNDED_PX = 1.5
 """Difference of a region's sides from which it is long: the sides of a disc's region differ by one at most."""
 
 IMAGE_NOISE = 0.035
-"""Relative standard deviation of an image's area and of its ellipticity, in addition to its noise: half of
-``mosca.correspondence.hypothesis.SIZE_DEADBAND``, for the effects of blur and brightness over the target."""
+"""Relative standard deviation of an image's area and of its ellipticity, in addition to its noise: for the effects of
+blur and brightness over the target."""
+FIRST_AREA_NOISE = 0.0175
+"""Relative standard deviation of an image's area besides its own until ``mosca.correspondence.typical_size`` has
+learned it. Half or twice of it gives the same."""
 ROUND_SIGMAS = 3.0
 """Standard deviations up to which an image's ellipticity is that of a ball."""
 
@@ -75,7 +78,11 @@ class RigTable:
 
 
 def make_ray_table(
-    rig: Rig, detections: Mapping[str, Detections], camera_sigma_px: float | Array, target: str = "point"
+    rig: Rig,
+    detections: Mapping[str, Detections],
+    camera_sigma_px: float | Array,
+    target: str = "point",
+    area_noise: float = FIRST_AREA_NOISE,
 ) -> RayTable:
     """Return the rays of all detections of a frame set.
 
@@ -92,6 +99,8 @@ def make_ray_table(
         "ball" corrects each image for a ball's eccentricity, by its own size (``mosca.camera.eccentricity``). "point"
         takes the image as it is. "auto" corrects round images: a disc that faces the camera has the eccentricity of a
         ball; that of an oblique disc depends on its normal, which matching finds.
+    area_noise
+        Least relative standard deviation of an image's area: what lens and focus do to sizes.
     """
     table = rig_table(rig)
     found = [detections.get(c.name) for c in rig.cameras]
@@ -105,7 +114,10 @@ def make_ray_table(
     rays, views, odd = fill_rays(
         table.cameras, table.views, start, (NO_FIELDS if target == "point" else ball_fields(rig), target == "ball"),
         xy, covariance, extra,
-        (np.concatenate([f.diameter_px for f in there]), np.concatenate([f.diameter_sigma_px for f in there])),
+        (
+            np.concatenate([f.diameter_px for f in there]),
+            np.concatenate([f.diameter_sigma_px for f in there]), float(area_noise),
+        ),
         (
             np.concatenate([f.elongation for f in there]), ellipticity,
             np.concatenate([f.ellipticity_sigma for f in there]),
@@ -189,10 +201,14 @@ def fill_rays(cameras, seen, start, balls, xy, covariance, extra, size, shape, f
 
     ``cameras``, ``seen``: ``RigTable.cameras`` and ``.views``. ``balls``: the eccentricity of balls (c, rows,
     columns, 2), or no rows (a ball's image of the angular diameter A is shifted by (A/2)^2 times this field); and
-    whether long images are of balls, too. ``size``: diameter and its standard deviation; ``shape``: elongation,
-    ellipticity and its standard deviation.
+    whether long images are of balls, too. ``size``: diameter, its standard deviation, and the least relative one of
+    areas; ``shape``: elongation, ellipticity and its standard deviation.
     """
-    (fields, all_balls), (diameter, diameter_sigma), (elongation, ellipticity, ellipticity_sigma) = balls, size, shape
+    (fields, all_balls), (diameter, diameter_sigma, area_noise), (elongation, ellipticity, ellipticity_sigma) = (
+        balls,
+        size,
+        shape,
+    )
     rays, views = np.empty((xy.shape[0], COLUMNS)), np.empty((cameras.shape[0], VIEW))
     d, local, g = np.empty(3), np.empty((2, 3)), np.empty((2, 3))
     odd = 0
@@ -236,7 +252,7 @@ def fill_rays(cameras, seen, start, balls, xy, covariance, extra, size, shape, f
             # px per radian across the ray: the geometric mean of both axes
             angle = across / np.sqrt(np.sqrt(gram[0] * gram[2] - gram[1] * gram[1]))
             rays[n, RADIUS], rays[n, ANGLE] = 0.5 * across, angle
-            rays[n, SHARE_SIGMA] = 2.0 * diameter_sigma[n] / across
+            rays[n, SHARE_SIGMA] = max(2.0 * diameter_sigma[n] / across, area_noise)
             shift_x = shift_y = 0.0
             freed = fields.shape[0] > 0 and (all_balls or not long)
             if fields.shape[0] > 0 and not freed and ellipticity_sigma[n] > 0.0:

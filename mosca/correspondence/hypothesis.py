@@ -22,18 +22,18 @@ MOST_ODD, MOST_LARGE = 0.7, 0.9
 ODD_SHIFT = 1.05
 """Shift of an image's centroid over (missing share of its area x radius). If a share h of a disc is hidden, its
 centroid shifts by 0.85 h R to h R; in small blurred images a little less than h appears to be missing."""
-SIZE_DEADBAND, SIZE_NOISE = 0.07, 0.1
-"""Differences of area, as shares, below which they are noise of the measured sizes: of images that are too small, and
-of those that are too large or whose brightest pixels are saturated."""
-SIZE_SIGMAS = 4.0
-"""Standard deviations of the image's own area below which a difference of area is noise, too: sizes of small images
-are uncertain. The benchmark's actor: nees 2.7 with 2 and 2.8, 3.7 with 4, 4.8 with 5.2, 4.2 with 8, where 0.7 % fewer
-are complete."""
-HALF_HIDDEN = 0.55
+FIRST_HIDDEN = 0.01
+"""Share of the images that are hidden in part until ``mosca.correspondence.typical_size`` has learned it. Half or
+twice of it gives the same."""
+LEAST_AREA_SIGMA = 1e-6
+"""Least relative standard deviation of an area: none that any image shows. Half or twice of it gives the same."""
+LARGE_NOISE = 0.1
+"""Differences of area, as shares, below which they are noise of images that are too large or whose brightest pixels
+are saturated. The benchmark's actor, three seeds: with half 0.155 mm, with 0.1 and twice 0.156."""
+HALF_HIDDEN = 0.7
 """Missing share from which more than half of a disc must be hidden, though sizes are noisy; two cameras do not make a
-point with such an image. The benchmark's actor: completeness 0.991, 0.995, 0.997, 0.998 and 0.999, rms 0.55, 0.56,
-0.59, 0.66 and 0.69 mm with 0.28, 0.39, 0.55, 0.72 and 1.1."""
-PARTIAL_ODD, LONG_ODD, UNFITTED_ODD = 0.2, 0.3, 0.6
+point with such an image. The benchmark's actor: completeness 0.9945 and 0.9957, rms 0.154 mm with 0.55 and 0.75."""
+PARTIAL_ODD, LONG_ODD, UNFITTED_ODD = 0.2, 0.3, 0.7
 """Least missing share that is assumed for an image that detection takes for partly hidden; for one that is long where
 the others are round (cut on one side; its size is little evidence); for one that is isolated and that no disc fits,
 where discs fit the others (more than half of such targets is hidden, whatever their size)."""
@@ -70,6 +70,8 @@ class Rules(NamedTuple):
     """Images that must fit a circle for a target to be taken for a flat disc; 0: there are none."""
     typical_m: float
     """Diameter of the targets; 0 where it is unknown."""
+    hidden: float
+    """Share of the images that are hidden in part."""
     low: tuple[float, float, float]
     high: tuple[float, float, float]
     """Corners of the volume [m]."""
@@ -79,7 +81,10 @@ RULES = np.dtype(
     [
         *((name, np.float64) for name in ("gate_sigma", "outlier_sigma", "support_sigma", "worst_m2", "judge")),
         ("discs", np.int64),
-        *((name, np.float64) for name in ("typical_m", "low_x", "low_y", "low_z", "high_x", "high_y", "high_z")),
+        *(
+            (name, np.float64)
+            for name in ("typical_m", "hidden", "low_x", "low_y", "low_z", "high_x", "high_y", "high_z")
+        ),
         ("minimum_cameras", np.int64),
     ]
 )
@@ -94,7 +99,7 @@ def record_of(rules):
     row.gate_sigma, row.outlier_sigma = rules.gate_sigma, rules.outlier_sigma
     row.support_sigma, row.minimum_cameras = rules.support_sigma, rules.minimum_cameras
     row.worst_m2, row.judge, row.typical_m = rules.worst_m2, rules.judge, rules.typical_m
-    row.discs = rules.discs
+    row.discs, row.hidden = rules.discs, rules.hidden
     row.low_x, row.low_y, row.low_z = rules.low
     row.high_x, row.high_y, row.high_z = rules.high
     return table
@@ -196,7 +201,9 @@ def judge_sizes(hypothesis, data):
                 cosine = data.rays[k, 0] * circle[0] + data.rays[k, 1] * circle[1] + data.rays[k, 2] * circle[2]
                 ranks[c, WHOLE] = diameter * np.sqrt(max(abs(cosine), LEAST_SEEN))
                 size = image_size(k, c, values, data) * data.rays[k, AREA_RADIUS] / data.rays[k, RADIUS]
-                ranks[c, TRUST] = np.sqrt(trust2_of(k, size, ranks[c, WHOLE], data.rays, min(rules.judge, SIZES)))
+                ranks[c, TRUST] = np.sqrt(
+                    trust2_of(k, size, ranks[c, WHOLE], data.rays, min(rules.judge, SIZES), rules.hidden)
+                )
         return diameter, True
     largest, second, images = largest_image(members, values, data)
     if rules.typical_m > 0.0:
@@ -207,7 +214,7 @@ def judge_sizes(hypothesis, data):
         k = members[c]
         if k >= 0:
             size = image_size(k, c, values, data)
-            ranks[c, TRUST] = np.sqrt(trust2_of(k, size, whole, data.rays, rules.judge))
+            ranks[c, TRUST] = np.sqrt(trust2_of(k, size, whole, data.rays, rules.judge, rules.hidden))
             ranks[c, WHOLE] = rules.typical_m if rules.typical_m > 0.0 else largest
     return largest, False
 
@@ -252,21 +259,38 @@ def larger(i, size_i, j, size_j, rays):
     return max(size_i, size_j)
 
 
+def rather_hidden(missing: Any, sigma: Any, added: Any, hidden: Any) -> Any:
+    """Return whether an image that misses a share of its area is to count as hidden in part.
+
+    Whole images miss a share that is normally distributed with ``sigma``; ``hidden`` of all images miss any share,
+    and err by ``added`` times the variance of a whole image if they count in full. A whole image that does not count
+    in full loses once this variance.
+    """
+    sigma = np.maximum(sigma, LEAST_AREA_SIGMA)
+    whole = np.exp(-0.5 * (missing / sigma) ** 2) / (np.sqrt(2.0 * np.pi) * sigma)
+    return hidden * added > (1.0 - hidden) * whole
+
+
+_rather_hidden = inlined_step(rather_hidden)
+
+
 @inlined_step
-def trust2_of(ray, size, whole, rays, judge):
+def trust2_of(ray, size, whole, rays, judge, hidden):
     """Return the factor on a ray's squared error if its image has ``size`` and ``whole`` is expected.
 
     A target whose image is too small is partly hidden. One whose image is too large is merged with a neighbour, whose
     share of the light moves the centroid. Whatever its size, an image also counts for less if detection takes it for
     partly hidden, if it is long, or if no disc fits it though nothing touches it. ``judge``: 0, AREAS, SIZES or
-    SHAPES.
+    SHAPES. ``hidden``: share of the images that are hidden in part.
     """
     odd, flags = 0.0, int(rays[ray, FLAGS])
+    # the centroid's shift for the whole disc's radius, over the error, for all of the area
+    shift = ODD_SHIFT * rays[ray, RADIUS] / rays[ray, SIGMA] * (whole / size if judge > 0.0 else 1.0)
     if judge > 0.0:
         share = (size / whole) ** 2
         odd = min(MOST_ODD, 1.0 - share) if share < 1.0 else min(MOST_LARGE, share - 1.0)
-        usual = SIZE_DEADBAND if share < 1.0 and not flags & SATURATED else SIZE_NOISE
-        if odd <= max(usual, SIZE_SIGMAS * rays[ray, SHARE_SIGMA] * min(share, 1.0)):
+        noise = LARGE_NOISE if share >= 1.0 or flags & SATURATED else 0.0
+        if odd <= noise or not _rather_hidden(odd, rays[ray, SHARE_SIGMA], 0.5 * (odd * shift) ** 2, hidden):
             odd = 0.0
     if judge != AREAS and flags & PARTIAL:
         odd = max(odd, PARTIAL_ODD)
@@ -274,11 +298,8 @@ def trust2_of(ray, size, whole, rays, judge):
         odd = max(odd, LONG_ODD)
     if judge == SHAPES and flags & (UNREFINED | MERGED) == UNREFINED:
         odd = max(odd, UNFITTED_ODD)
-    if odd == 0.0:
-        return 1.0
-    # the centroid's shift for the whole disc's radius, spread over both axes
-    shift = ODD_SHIFT * odd * rays[ray, RADIUS] * (whole / size if judge > 0.0 else 1.0)
-    return 1.0 / (1.0 + 0.5 * (shift / rays[ray, SIGMA]) ** 2)
+    # spread over both axes
+    return 1.0 / (1.0 + 0.5 * (odd * shift) ** 2) if odd > 0.0 else 1.0
 
 
 @inlined_step

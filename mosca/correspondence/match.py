@@ -17,7 +17,7 @@ import numpy as np
 from mosca.correspondence.agreement import weigh_by_agreement
 from mosca.correspondence.candidates import search
 from mosca.correspondence.disc_centres import Images, aim_at_centres
-from mosca.correspondence.hypothesis import PAIR, SHAPES, SIZES, Hypotheses, MatchData, Rules, record_of
+from mosca.correspondence.hypothesis import FIRST_HIDDEN, PAIR, SHAPES, SIZES, Hypotheses, MatchData, Rules, record_of
 from mosca.correspondence.selection import OPEN, choose, columns
 from mosca.correspondence.shared_turns import remove_turns
 from mosca.data.arrays import Array
@@ -67,6 +67,7 @@ def match(
     settings: MatchSettings,
     volume: tuple[Array, Array] = EVERYWHERE,
     typical_diameter_m: float = 0.0,
+    hidden: float = FIRST_HIDDEN,
     shared: Shared | None = None,
 ) -> Points:
     """Return the points whose rays meet, from a consistent set of hypotheses.
@@ -90,10 +91,12 @@ def match(
         for it is of a partly hidden target, one too large is merged with another. The centroid is then shifted by
         about ``share of the area x radius``, so the ray counts for less and its gate is wider. A merged image is used
         a second time if a track predicts that hypothesis.
+    hidden
+        Share of the images that are of partly hidden targets. The larger it is, the sooner a small image is one.
     shared
         What the images of a camera in this set have in common, which all points together show. None: nothing.
     """
-    return match_counted(table, predicted, settings, volume, typical_diameter_m, shared).points
+    return match_counted(table, predicted, settings, volume, typical_diameter_m, hidden, shared).points
 
 
 def match_counted(
@@ -102,6 +105,7 @@ def match_counted(
     settings: MatchSettings,
     volume: tuple[Array, Array] = EVERYWHERE,
     typical_diameter_m: float = 0.0,
+    hidden: float = FIRST_HIDDEN,
     shared: Shared | None = None,
 ) -> Matched:
     """Return what ``match`` does, with the counts of hypotheses considered and of pairs left open."""
@@ -109,8 +113,8 @@ def match_counted(
     rules = Rules(
         float(settings.gate_sigma), float(settings.outlier_sigma), float(settings.support_sigma),
         settings.minimum_cameras, float(settings.worst_sigma_m) ** 2, _judged_by(table, settings),
-        _fewest_images(table, settings),
-        float(typical_diameter_m), (float(x0), float(y0), float(z0)), (float(x1), float(y1), float(z1)),
+        _fewest_images(table, settings), float(typical_diameter_m), float(hidden),
+        (float(x0), float(y0), float(z0)), (float(x1), float(y1), float(z1)),
     )  # fmt: skip
     images = Images(
         settings.target == "auto",

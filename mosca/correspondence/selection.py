@@ -93,6 +93,8 @@ def choose(kept, data, xyz, covariance):
             # clutter explains it better, and no track predicts it
             if worth[g] < 0.0 and track[g] < 0:
                 state[g] = GONE
+            elif _rivalled(g, order, state, members, track, worth):
+                pass  # two images for one: the next frame set tells which
             elif _take(g, kept, track, used, assigned, data):
                 state[g] = TAKEN
             elif _has_used(g, members, used):
@@ -144,6 +146,28 @@ def _has_used(g, members, used):
     for c in range(members.shape[1]):
         count += members[g, c] >= 0 and used[members[g, c]] > 0
     return count > 0
+
+
+@bare_step
+def _rivalled(g, order, state, members, track, worth):
+    """Whether another pair that shares a ray and a track with this one is about as likely."""
+    pair = 0
+    for c in range(members.shape[1]):
+        pair += members[g, c] >= 0
+    if pair != 2 or track[g] < 0:
+        return False
+    for other in order:
+        if other == g or state[other] != OPEN or track[other] != track[g]:
+            continue
+        if abs(worth[other] - worth[g]) > 0.5 * CLEARLY_WORSE:
+            continue
+        rays = shared = 0
+        for c in range(members.shape[1]):
+            rays += members[other, c] >= 0
+            shared += members[other, c] >= 0 and members[other, c] == members[g, c]
+        if rays == 2 and shared == 1:
+            return True
+    return False
 
 
 @step

@@ -20,7 +20,7 @@ from mosca.correspondence.hypothesis import COVARIANCE, XYZ
 from mosca.correspondence.lens_field import MODES, add_field, field_as_noise, field_covariance, fill_modes, product
 from mosca.correspondence.selection import TAKEN
 from mosca.data.rays import ROOT, ROTATION, SIGMA
-from mosca.numba_support.cholesky import solve
+from mosca.numba_support.cholesky import solve, solve_square
 from mosca.numba_support.decorators import bare_step, kernel, step
 from mosca.numba_support.linalg3 import cofactors3, determinant3, divided3, store3, symmetric3
 
@@ -56,7 +56,7 @@ class PointEquations(NamedTuple):
     """(c, 2, 3) N^-1 J' R^-1: how the point goes with an error of each image on each axis [m/px]
     (``mosca.correspondence.lens_field``)."""
     crossed: Any
-    """(2, 3, 2 c) of ``mosca.correspondence.lens_field.field_covariance``."""
+    """(2, 3, 2 c) products of turns and places."""
     added: Any
     """(3, 3) covariance that the field adds [m^2]."""
     normal: Any
@@ -162,7 +162,7 @@ def _add_image(c, out):
             out.push[c, j] += turn[i, j] * pushed
             heavy = weight[i, 0] * turn[0, j] + weight[i, 1] * turn[1, j]
             for k in range(unknowns):
-                out.square[c, k, j] += turn[i, k] * heavy
+                out.square[c, j, k] += turn[i, k] * heavy
     return total
 
 
@@ -217,10 +217,11 @@ def add_equations(point, normal, right):
                 normal[row, unknowns * c + j] += point.square[c, i, j]
             for p in range(3):
                 right[row] -= point.toward[c, p, i] * point.pull[p]
+            a, b, e = point.toward[c, 0, i], point.toward[c, 1, i], point.toward[c, 2, i]
             for d in range(c + 1):
+                held, first = point.held[d], unknowns * d
                 for j in range(unknowns if point.square[d, 0, 0] > 0.0 else 0):
-                    for p in range(3):
-                        normal[row, unknowns * d + j] -= point.toward[c, p, i] * point.held[d, p, j]
+                    normal[row, first + j] -= a * held[0, j] + b * held[1, j] + e * held[2, j]
 
 
 @step
@@ -305,7 +306,13 @@ def remove_turns(kept, state, data, start, shared):
 @bare_step
 def _move(values, point, turns, steady, covariance):
     """Give a point's values its place and covariance from images without the turns."""
-    cameras = len(point.push)
+    cameras, by_turns = len(point.push), point.crossed[0]
+    for q in range(3):
+        for k in range(2 * cameras):
+            by_turns[q, k] = 0.0
+            for d in range(cameras):
+                for j in range(2):
+                    by_turns[q, k] += covariance[k, 2 * d + j] * point.held[d, q, j]
     for p in range(3):
         step_m = -point.pull[p]
         for c in range(cameras):
@@ -315,10 +322,8 @@ def _move(values, point, turns, steady, covariance):
         for q in range(3):
             change = point.inverse[p, q] - point.whole[p, q] + point.added[p, q]
             for c in range(cameras):
-                for i in range(2 if point.square[c, 0, 0] > 0.0 else 0):
-                    for d in range(cameras):
-                        for j in range(2 if point.square[d, 0, 0] > 0.0 else 0):
-                            change += point.held[c, p, i] * covariance[2 * c + i, 2 * d + j] * point.held[d, q, j]
+                for i in range(2):
+                    change += point.held[c, p, i] * by_turns[q, 2 * c + i]
             values[COVARIANCE + 3 * p + q] += change
 
 
@@ -351,7 +356,7 @@ def share_likelihoods(rays, views, start, members, xyz, whole, extra_px2, shares
     split_px2, squares = extra_px2[chosen], turn_squares(rays, views, start)[chosen]
     seen, first, n = views[chosen], start[chosen], unknowns * cameras
     point, found = point_equations(cameras, unknowns), np.zeros((len(own_shares), len(field_shares)))
-    trusts, which, side, factor = np.ones(cameras), np.empty(cameras, np.int64), np.empty((n, 1)), np.empty((n, n))
+    trusts, which, side, factor = np.ones(cameras), np.empty(cameras, np.int64), np.empty(n), np.empty((n, n))
     for m in range(len(own_shares)):
         normal, right, total = np.zeros((n, n)), np.zeros(n), 0.0
         for k in range(sampling[0], len(xyz), sampling[1]):
@@ -371,13 +376,11 @@ def share_likelihoods(rays, views, start, members, xyz, whole, extra_px2, shares
                 c = i // unknowns
                 field_px2 = max(field_shares[f] * split_px2[c], LEAST_PX2)
                 variance = turn_rad2[c] if i - unknowns * c < 2 else field_px2
-                side[i, 0] = right[i]
-                for j in range(i):
-                    factor[i, j] = normal[i, j]
-                factor[i, i] = normal[i, i] + 1.0 / variance
+                side[i] = right[i]
+                for j in range(i, n):
+                    factor[i, j] = normal[j, i]
+                factor[i, i] += 1.0 / variance
                 error += np.log(variance)
-            solve(factor, side, n)  # positive definite, by the prior
-            for i in range(n):
-                error += 2.0 * np.log(factor[i, i]) - side[i, 0] * right[i]
+            error += solve_square(factor, side, n)  # positive definite, by the prior
             found[m, f] = -0.5 * error
     return found

@@ -5,11 +5,13 @@ image may show a small target, so sizes are no longer judged.
 """
 
 import math
+from collections import deque
 
 import numpy as np
 
-from mosca.correspondence.hypothesis import HALF_HIDDEN, SIZE_SIGMAS
-from mosca.data.arrays import middle
+from mosca.camera.ray_table import FIRST_AREA_NOISE, LONG
+from mosca.correspondence.hypothesis import FIRST_HIDDEN, HALF_HIDDEN, rather_hidden
+from mosca.data.arrays import Array, middle
 from mosca.data.detections import MERGED, PARTIAL, SATURATED, UNREFINED
 from mosca.data.rays import ANGLE, FLAGS, ORIGIN, RayTable
 from mosca.data.tracks import Points
@@ -17,26 +19,41 @@ from mosca.data.tracks import Points
 LEAST_GAIN = 0.05
 """Weight of a frame set in the exponential averages. At first it is larger, 2 / (n + 1) for the n-th set: in the
 first sets small targets are measured without the knowledge of others."""
+ALIKE_SIGMAS = 4.0
+"""Standard deviations of sizes that must be less than what half-hidden targets lack, or sizes are no evidence."""
 QUARTILES = 1.349
 """Distance of a normal distribution's quartiles, in standard deviations."""
-ODD = MERGED | PARTIAL | SATURATED | UNREFINED
+ODD = LONG | MERGED | PARTIAL | SATURATED | UNREFINED
 """Flags of images that are no measure of the sizes' noise."""
+COMPARED, SELDOM, MOST_TARGETS = 20, 10, 20
+"""Images of one target are compared in as many frame sets at the start, and later in every so many-th, of at most so
+many targets. The latest COMPARED of them count."""
 GAPS = (0.954, 0.689, 0.585, 0.528, 0.492, 0.465, 0.443)
 """Medians of the differences of the two largest of 2, 3 ... 8 and more normal values, in standard deviations. A wand
 of two balls out of focus with half of them gives 74, 47 and 33 um in three takes of another renderer, with these 74,
 52 and 33, with twice 94, 52 and 45."""
+LARGEST = (0.564, 0.846, 1.029, 1.163, 1.267, 1.352, 1.424)
+"""Means of the largest of as many normal values, in standard deviations."""
 
 
 class TypicalSize:
     """Typical size of points on which three or more cameras agree; frame sets with fewer than three are not used."""
 
     def __init__(self) -> None:
-        self.diameter_m = 0.0
-        """Typical diameter; 0 until it is known."""
+        self._largest_m = 0.0
         self.scatter = 0.0
         """Standard deviation of the targets' areas, relative."""
-        self._image_noise = 0.0
-        self._sets = self._compared = 0
+        self._area_noise, self._excess = FIRST_AREA_NOISE, 0.0
+        self.hidden = FIRST_HIDDEN
+        """Share of the images that are of partly hidden targets."""
+        self._compared: deque[Array] = deque(maxlen=COMPARED)
+        """Logarithms of images' sizes (n, c) of targets with three or more; NaN for no image."""
+        self._sets = self._seen = 0
+
+    @property
+    def diameter_m(self) -> float:
+        """Typical diameter; 0 until it is known. Points have that of their largest image, which noise makes so."""
+        return self._largest_m * math.exp(-0.5 * self._excess)
 
     @property
     def known(self) -> bool:
@@ -46,20 +63,21 @@ class TypicalSize:
     @property
     def alike(self) -> bool:
         """Whether a half-hidden target can be distinguished from a small one."""
-        return SIZE_SIGMAS * self.scatter <= HALF_HIDDEN
+        return ALIKE_SIGMAS * self.scatter <= HALF_HIDDEN
 
     @property
-    def image_noise(self) -> float:
+    def area_noise(self) -> float:
         """Standard deviation of the areas of one target's images, relative: what lens and focus do to sizes, too.
 
-        Learned until a typical size is. 0 where it is so large that half-hidden targets would pass: such images are
+        0 where it is so large that half-hidden targets would pass: such images are
         not of one target.
         """
-        return self._image_noise if SIZE_SIGMAS * self._image_noise <= HALF_HIDDEN else 0.0
+        return self._area_noise if ALIKE_SIGMAS * self._area_noise <= HALF_HIDDEN else 0.0
 
     def learn(self, points: Points, table: RayTable) -> None:
         """Take a frame set's points and the rays that they were made from."""
-        if not self.known:
+        self._seen += 1
+        if not self.known or self._seen <= COMPARED or self._seen % SELDOM == 0:
             self._compare(points, table)
         sure = np.sort(points.diameter_m[points.n_cameras >= 3])
         n = len(sure)
@@ -73,24 +91,36 @@ class TypicalSize:
         low, high = float(sure[n // 4]), float(sure[3 * n // 4])
         side = min(high / median, median / low) if low > 0.0 else 1.0
         scatter = 4 * math.log(side) / QUARTILES
-        self.diameter_m += gain * (median - self.diameter_m)
+        self._largest_m += gain * (median - self._largest_m)
         self.scatter += gain * (scatter - self.scatter)
 
     def _compare(self, points: Points, table: RayTable) -> None:
-        """Learn the noise of sizes from the two largest images of each target: the smaller ones may be hidden."""
-        seen = points.n_cameras >= 3
-        if not seen.any():
-            return
+        """Learn the noise of sizes from images of targets that three cameras see."""
+        seen = np.flatnonzero(points.n_cameras >= 3)
+        seen = seen[:: max(len(seen) // MOST_TARGETS, 1)]
         rays, xyz = points.rays[seen], points.xyz[seen]
         at = np.where(rays >= 0, rays + table.start[:-1], 0)
         away = np.linalg.norm(xyz[:, None] - table.views[:, ORIGIN : ORIGIN + 3], axis=2)
-        clean = (rays >= 0) & (table.rays[at, FLAGS].astype(int) & ODD == 0)
-        sizes = np.where(clean, table.rays[at, ANGLE] * away, 0.0)
-        many = clean.sum(axis=1)
-        if not (many >= 3).any():
-            return
-        second, largest = np.partition(sizes[many >= 3], -2, axis=1)[:, -2:].T
-        gaps = 2.0 * np.log(largest / second) / np.array(GAPS)[np.minimum(many[many >= 3], len(GAPS) + 1) - 2]
-        self._compared += 1
-        gain = max(2 / (self._compared + 1), LEAST_GAIN)
-        self._image_noise += gain * (middle(np.sort(gaps)) - self._image_noise)
+        clean = (rays >= 0) & np.isfinite(table.rays[at, ANGLE]) & (table.rays[at, FLAGS].astype(int) & ODD == 0)
+        sizes = np.log(np.where(clean, table.rays[at, ANGLE] * away, math.nan))
+        sizes = sizes[clean.sum(axis=1) >= 3]
+        if len(sizes):
+            self._compared.append(sizes)
+            self._estimate(np.concatenate(self._compared))
+
+    def _estimate(self, sizes: Array) -> None:
+        """Estimate the noise and how many are hidden from logarithms of sizes (n, c), NaN for no image.
+
+        The two largest images of each target tell the noise: smaller ones may be hidden.
+        """
+        sizes = np.nan_to_num(sizes, nan=-math.inf)
+        second, largest = np.partition(sizes, -2, axis=1)[:, -2:].T
+        images = np.isfinite(sizes)
+        n = np.minimum(images.sum(axis=1), len(GAPS) + 1) - 2
+        noise = 2.0 * (largest - second) / np.array(GAPS)[n]
+        self._area_noise = middle(np.sort(noise))
+        self._excess = middle(np.sort(noise * np.array(LARGEST)[n]))
+        whole = largest - 0.5 * self._area_noise * np.array(LARGEST)[n]
+        missing = 1.0 - np.exp(2.0 * (sizes - whole[:, None])[images])
+        many = np.count_nonzero(rather_hidden(np.maximum(missing, 0.0), self._area_noise, 1.0, self.hidden))
+        self.hidden = (many + 0.5) / (len(missing) + 1.0)

@@ -10,6 +10,7 @@ from scipy.stats import chi2
 
 from mosca.camera.projection import project
 from mosca.camera.ray_table import make_ray_table
+from mosca.correspondence.hypothesis import rather_hidden
 from mosca.correspondence.match import EVERYWHERE, MatchSettings, match, match_counted
 from mosca.data.detections import MERGED, PARTIAL, UNREFINED, Detections
 from mosca.data.rays import Predicted
@@ -86,6 +87,22 @@ def test_clutter_and_missed_images_make_no_wrong_groups_of_three():
     assert sum(len(g) > 1 or -1 in g for g in groups) == 0
     seen = np.sum([np.bincount(b[b >= 0], minlength=60) for b in behind.values()], axis=0)
     assert len(groups) >= 0.97 * (seen >= 3).sum()
+
+
+@pytest.mark.parametrize(("sigma_m", "told"), [(0.002, True), (0.03, False)])
+def test_a_track_long_unseen_does_not_choose_between_two_images(sigma_m, told):
+    """Two targets in one epipolar plane, one of them unseen by the second camera: both its images fit the track."""
+    rig, rng = replace(rig_of(3), cameras=rig_of(3).cameras[:2]), np.random.default_rng(3)
+    first, others = np.array([0.05, 0.02, 0.1]), rng.uniform(-0.5, 0.5, (20, 3))
+    toward = first - rig.cameras[0].world_from_camera.translation
+    places = np.array([first, first + 0.02 * toward / np.linalg.norm(toward), *others])
+    found, behind = detected(rig, places, rng, sigma=0.02)
+    found["c0"] = chosen(found["c0"], np.flatnonzero(behind["c0"] != 1))
+    about = np.concatenate([[sigma_m**2 * np.eye(3)], np.tile(1e-6 * np.eye(3), (20, 1, 1))])
+    expected = Predicted(np.array([first + 0.3 * sigma_m, *others]), about)
+    points = match(make_ray_table(rig, found, 0.0), expected, MatchSettings(camera_sigma_px=0.0))
+    assert len(points) == 20 + told
+    assert (np.linalg.norm(points.xyz - first, axis=1) < 1e-3).sum() == told
 
 
 def test_two_cameras_leave_open_and_count_what_they_cannot_tell():
@@ -255,15 +272,31 @@ def test_a_long_image_counts_for_less_where_the_others_are_round():
 
 def test_an_image_of_odd_size_is_trusted_less_where_its_size_is_certain():
     rig, rng = rig_of(4), np.random.default_rng(5)
-    found, _ = detected(rig, rng.uniform(-0.04, 0.04, (6, 3)), rng, sigma=0.02)
+    found, _ = detected(rig, rng.uniform(-0.04, 0.04, (6, 3)), rng, sigma=0.2)
     assert grouped(rig, found).trusted == pytest.approx(np.full(6, 4.0))
     # a fifth of an image's area is missing: of small images that is no more than the noise of their sizes
     smaller = replace(found["c0"], diameter_px=found["c0"].diameter_px * np.sqrt(0.8))
     certain = grouped(rig, {**found, "c0": smaller})
     assert certain.n_cameras.tolist() == [4] * 6
     assert (certain.trusted < 3.9).all()
-    unsure = replace(smaller, diameter_sigma_px=0.035 * smaller.diameter_px)  # 5.6 % of a whole one's area
+    unsure = replace(smaller, diameter_sigma_px=0.045 * smaller.diameter_px)  # 9 % of its area
     assert grouped(rig, {**found, "c0": unsure}).trusted == pytest.approx(np.full(6, 4.0))
+
+
+@pytest.mark.parametrize("added", [1.0, 40.0])
+@pytest.mark.parametrize("hidden", [0.003, 0.2])
+def test_an_image_counts_as_hidden_where_that_costs_less(hidden, added):
+    """The loss over 400,000 images of both kinds is least at the limit; the rules' loss is that of both errors."""
+    sigma, rng = 0.03, np.random.default_rng(7)
+    cut = rng.random(400_000) < hidden
+    missing = np.where(cut, rng.random(len(cut)), np.abs(rng.normal(0.0, sigma, len(cut))))
+    limits = np.linspace(0.0, 6.0, 121) * sigma
+    # half of the whole images miss less than nothing
+    loss = [np.sum(added * cut * (missing < at)) + 0.5 * np.sum(~cut & (missing >= at)) for at in limits]
+    least = limits[int(np.argmin(loss))]
+    judged = np.flatnonzero(rather_hidden(limits, sigma, added, hidden))
+    assert limits[judged[0]] == pytest.approx(least, abs=0.35 * sigma)
+    assert np.diff(judged).max() == 1
 
 
 def test_a_merged_image_serves_two_targets_that_tracks_expect():

@@ -27,7 +27,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from mosca.accuracy.planning.obstacles import CYLINDER, clearance
-from mosca.correspondence.hypothesis import HALF_HIDDEN, MOST_ODD, ODD_SHIFT, SIZE_DEADBAND, SIZE_SIGMAS
+from mosca.camera.ray_table import FIRST_AREA_NOISE
+from mosca.correspondence.hypothesis import FIRST_HIDDEN, HALF_HIDDEN, MOST_ODD, ODD_SHIFT, rather_hidden
 from mosca.data.arrays import Array
 from mosca.numba_support.decorators import kernel
 
@@ -90,9 +91,10 @@ def taken_variance(hidden: Array, radius_px: Array, variance: Array) -> Array:
     (Fisher information of a sharp edge: pi and 2 pi times the same); relative to it, that of its area is twice as
     large.
     """
-    usual = np.maximum(SIZE_DEADBAND, SIZE_SIGMAS * np.sqrt(2.0 * variance) / radius_px)
-    shift = ODD_SHIFT * np.minimum(hidden, MOST_ODD) * radius_px
-    return np.asarray(variance + np.where(hidden > usual, 0.5 * shift**2, 0.0))
+    sigma = np.maximum(FIRST_AREA_NOISE, np.sqrt(2.0 * variance) / radius_px)
+    added = 0.5 * (ODD_SHIFT * np.minimum(hidden, MOST_ODD) * radius_px) ** 2
+    judged = rather_hidden(hidden, sigma, added / variance, FIRST_HIDDEN)
+    return np.asarray(variance + np.where(judged, added, 0.0))
 
 
 def measured(seen: Array, hidden: Array) -> Array:

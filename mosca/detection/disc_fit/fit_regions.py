@@ -102,7 +102,7 @@ def write_even(
         start = (fit.x, fit.y, fit.amplitude, fit.background, fit.radius)
         other = fit_disc(n, pixels, start, prior, model, True, light.shape, work)
         even = other if other.converged else fit
-    write_diameter(even, out)
+    write_diameter(even, model, out)
     return even
 
 
