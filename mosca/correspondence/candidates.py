@@ -279,8 +279,8 @@ def _meet(i, j, a, b, away2, variance_i, variance_j, hypothesis, data):
         return False
     size_i, size_j = rays[i, ANGLE] * s, rays[j, ANGLE] * t
     whole = rules.typical_m if rules.typical_m > 0.0 else larger(i, size_i, j, size_j, rays)
-    trust_i = trust2_of(i, size_i, whole, rays, rules.judge, rules.hidden)
-    trust_j = trust2_of(j, size_j, whole, rays, rules.judge, rules.hidden)
+    trust_i = trust2_of(i, size_i, whole, rays, rules.judge, rules)
+    trust_j = trust2_of(j, size_j, whole, rays, rules.judge, rules)
     if away2 > variance_i / trust_i + variance_j / trust_j:
         return False
     for c in range(members.shape[0]):

@@ -202,7 +202,7 @@ def judge_sizes(hypothesis, data):
                 ranks[c, WHOLE] = diameter * np.sqrt(max(abs(cosine), LEAST_SEEN))
                 size = image_size(k, c, values, data) * data.rays[k, AREA_RADIUS] / data.rays[k, RADIUS]
                 ranks[c, TRUST] = np.sqrt(
-                    trust2_of(k, size, ranks[c, WHOLE], data.rays, min(rules.judge, SIZES), rules.hidden)
+                    trust2_of(k, size, ranks[c, WHOLE], data.rays, min(rules.judge, SIZES), rules)
                 )
         return diameter, True
     largest, second, images = largest_image(members, values, data)
@@ -214,7 +214,7 @@ def judge_sizes(hypothesis, data):
         k = members[c]
         if k >= 0:
             size = image_size(k, c, values, data)
-            ranks[c, TRUST] = np.sqrt(trust2_of(k, size, whole, data.rays, rules.judge, rules.hidden))
+            ranks[c, TRUST] = np.sqrt(trust2_of(k, size, whole, data.rays, rules.judge, rules))
             ranks[c, WHOLE] = rules.typical_m if rules.typical_m > 0.0 else largest
     return largest, False
 
@@ -275,13 +275,13 @@ _rather_hidden = inlined_step(rather_hidden)
 
 
 @inlined_step
-def trust2_of(ray, size, whole, rays, judge, hidden):
+def trust2_of(ray, size, whole, rays, judge, rules):
     """Return the factor on a ray's squared error if its image has ``size`` and ``whole`` is expected.
 
     A target whose image is too small is partly hidden. One whose image is too large is merged with a neighbour, whose
     share of the light moves the centroid. Whatever its size, an image also counts for less if detection takes it for
     partly hidden, if it is long, or if no disc fits it though nothing touches it. ``judge``: 0, AREAS, SIZES or
-    SHAPES. ``hidden``: share of the images that are hidden in part.
+    SHAPES, in place of that of the ``rules``.
     """
     odd, flags = 0.0, int(rays[ray, FLAGS])
     # the centroid's shift for the whole disc's radius, over the error, for all of the area
@@ -290,7 +290,9 @@ def trust2_of(ray, size, whole, rays, judge, hidden):
         share = (size / whole) ** 2
         odd = min(MOST_ODD, 1.0 - share) if share < 1.0 else min(MOST_LARGE, share - 1.0)
         noise = LARGE_NOISE if share >= 1.0 or flags & SATURATED else 0.0
-        if odd <= noise or not _rather_hidden(odd, rays[ray, SHARE_SIGMA], 0.5 * (odd * shift) ** 2, hidden):
+        # an image that errs by more is an outlier, whatever its size
+        added = min(0.5 * (odd * shift) ** 2, rules.outlier_sigma**2)
+        if odd <= noise or not _rather_hidden(odd, rays[ray, SHARE_SIGMA], added, rules.hidden):
             odd = 0.0
     if judge != AREAS and flags & PARTIAL:
         odd = max(odd, PARTIAL_ODD)

@@ -75,7 +75,7 @@ def nearest_ray(c, whole, index, solved, data):
             m00, m01, m02 = (rays[k, WHITE + 0] * inverse, rays[k, WHITE + 1] * inverse, rays[k, WHITE + 2] * inverse)
             m10, m11, m12 = (rays[k, WHITE + 3] * inverse, rays[k, WHITE + 4] * inverse, rays[k, WHITE + 5] * inverse)
             e0, e1 = m00 * x + m01 * y + m02 * z, m10 * x + m11 * y + m12 * z
-            t2 = trust2_of(k, rays[k, ANGLE] * distance, whole, rays, rules.judge, rules.hidden)
+            t2 = trust2_of(k, rays[k, ANGLE] * distance, whole, rays, rules.judge, rules)
             # the point's covariance carried into the ray's whitened image
             g0, g1, g2 = (
                 v00 * m00 + v01 * m01 + v02 * m02,

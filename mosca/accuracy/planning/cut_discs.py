@@ -30,7 +30,11 @@ from mosca.accuracy.planning.obstacles import CYLINDER, clearance
 from mosca.camera.ray_table import FIRST_AREA_NOISE
 from mosca.correspondence.hypothesis import FIRST_HIDDEN, HALF_HIDDEN, MOST_ODD, ODD_SHIFT, rather_hidden
 from mosca.data.arrays import Array
+from mosca.data.settings import MatchSettings
 from mosca.numba_support.decorators import kernel
+
+OUTLIERS = MatchSettings().outlier_sigma ** 2
+"""Squared error, over the variance, of an image that matching leaves out whatever its size."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +97,7 @@ def taken_variance(hidden: Array, radius_px: Array, variance: Array) -> Array:
     """
     sigma = np.maximum(FIRST_AREA_NOISE, np.sqrt(2.0 * variance) / radius_px)
     added = 0.5 * (ODD_SHIFT * np.minimum(hidden, MOST_ODD) * radius_px) ** 2
-    judged = rather_hidden(hidden, sigma, added / variance, FIRST_HIDDEN)
+    judged = rather_hidden(hidden, sigma, np.minimum(added / variance, OUTLIERS), FIRST_HIDDEN)
     return np.asarray(variance + np.where(judged, added, 0.0))
 
 
