@@ -195,11 +195,22 @@ def measured(cameras: tuple[HiddenCamera, ...], light: Takes, folder: Path, seed
         once = once or found.record.metric("length_rms").value
     seen = np.isfinite(errors).any(axis=0)
     square = np.nanmean(errors[:, seen] ** 2, axis=0)
-    excess, expected = by_shake_and_jitter(cameras, seed)
-    square -= excess[seen]
-    value = float(np.sqrt(square.mean()))
-    sigma = 0.5 * float((square - expected[seen]).std() / np.sqrt(len(square))) / value
-    return Measured(once, float(np.sqrt(np.nanmean(errors**2))), value, sigma, len(square))
+    mean_square, sigma_2 = without_chance(square, *(one[seen] for one in by_shake_and_jitter(cameras, seed)))
+    value = float(np.sqrt(mean_square))
+    return Measured(once, float(np.sqrt(np.nanmean(errors**2))), value, 0.5 * sigma_2 / value, len(square))
+
+
+def without_chance(square: Array, excess: Array, expected: Array) -> tuple[float, float]:
+    """Return the mean of ``square`` (n,) without what ``excess`` explains of it, and its standard error.
+
+    Control variates: ``excess`` has the mean 0, and ``expected`` that of all frames. How much of them counts is
+    regressed: part of the shake is removed from the points (decision 186), more than ``excess`` supposes.
+    """
+    columns = np.stack([np.ones(len(square)), excess, expected - expected.mean()], axis=1)
+    found, *_ = np.linalg.lstsq(columns, square, rcond=None)
+    left = square - columns @ found
+    n = len(square)
+    return float(found[0]), float(np.sqrt(left @ left / (n - columns.shape[1]) / n))
 
 
 def by_shake_and_jitter(cameras: tuple[HiddenCamera, ...], seed: int) -> tuple[Array, Array]:
@@ -207,7 +218,7 @@ def by_shake_and_jitter(cameras: tuple[HiddenCamera, ...], seed: int) -> tuple[A
     variances do, and its mean square by these variances and the delays.
 
     To first order, for points by least squares from all cameras. The first has the mean 0, however good the
-    approximation: taken off the measured square, it removes what a take of this length scatters by chance.
+    approximation: ``without_chance`` takes off as much of it as the measured squares show.
     """
     motion, ends = wand(seed)[0].motion, np.array([[-0.5, 0.0, 0.0], [0.5, 0.0, 0.0]]) * LENGTH_M
     times = FIRST_MID_S + np.arange(WAND) / WAND_HZ

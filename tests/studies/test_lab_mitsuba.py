@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.studies.lab_mitsuba import LIGHT, by_shake_and_jitter, truth_of, wand
+from tests.studies.lab_mitsuba import LIGHT, by_shake_and_jitter, truth_of, wand, without_chance
 from tests.studies.mitsuba_lab import (
     LENGTH_M,
     SIZE,
@@ -61,6 +61,24 @@ def test_what_shake_and_jitter_make_of_a_length():
         error = np.linalg.norm(ends[1] - ends[0]) - LENGTH_M
         assert excess[frame] + expected[frame] == pytest.approx(error**2, abs=0.1 * expected[frame])
     assert abs(excess.mean()) < 4.0 * excess.std() / np.sqrt(WAND)
+
+
+@pytest.mark.parametrize("gain", [0.0, 0.5, 1.0])
+def test_what_chance_does_not_explain(gain):
+    """Points show ``gain`` times the drawn shake: means of 400 takes and their scatter are those that are stated."""
+    rng, takes = np.random.default_rng(8), []
+    for _ in range(400):
+        sigma = rng.uniform(0.5, 2.0, WAND)
+        drawn = sigma * rng.standard_normal(WAND)
+        square = (gain * drawn + rng.standard_normal(WAND)) ** 2
+        takes.append(
+            (*without_chance(square, drawn**2 - sigma**2, sigma**2), square.mean(), gain**2 * sigma @ sigma / WAND)
+        )
+    found, stated, plain, of_shake = np.array(takes).T
+    off = found - 1.0 - of_shake
+    assert abs(off.mean()) < 3.0 * off.std() / 20.0 + 0.01
+    assert np.sqrt(np.mean(stated**2)) == pytest.approx(off.std(), rel=0.15)
+    assert off.std() <= 1.02 * (plain - 1.0 - of_shake).std()
 
 
 @pytest.mark.parametrize("seed", [205, 206])
