@@ -10,7 +10,7 @@ from collections import deque
 import numpy as np
 
 from mosca.camera.ray_table import FIRST_AREA_NOISE, LONG
-from mosca.correspondence.hypothesis import FIRST_HIDDEN, HALF_HIDDEN, rather_hidden
+from mosca.correspondence.hypothesis import FIRST_HIDDEN, HALF_HIDDEN
 from mosca.data.arrays import Array, middle
 from mosca.data.detections import MERGED, PARTIAL, SATURATED, UNREFINED
 from mosca.data.rays import ANGLE, FLAGS, ORIGIN, RayTable
@@ -20,7 +20,8 @@ LEAST_GAIN = 0.05
 """Weight of a frame set in the exponential averages. At first it is larger, 2 / (n + 1) for the n-th set: in the
 first sets small targets are measured without the knowledge of others."""
 ALIKE_SIGMAS = 4.0
-"""Standard deviations of sizes that must be less than what half-hidden targets lack, or sizes are no evidence."""
+"""Standard deviations of sizes that must be less than what half-hidden targets lack, or sizes are no evidence, and
+from which an image surely lacks a part."""
 QUARTILES = 1.349
 """Distance of a normal distribution's quartiles, in standard deviations."""
 ODD = LONG | MERGED | PARTIAL | SATURATED | UNREFINED
@@ -69,8 +70,7 @@ class TypicalSize:
     def area_noise(self) -> float:
         """Standard deviation of the areas of one target's images, relative: what lens and focus do to sizes, too.
 
-        0 where it is so large that half-hidden targets would pass: such images are
-        not of one target.
+        0 where it is so large that half-hidden targets would pass: such images are not of one target.
         """
         return self._area_noise if ALIKE_SIGMAS * self._area_noise <= HALF_HIDDEN else 0.0
 
@@ -122,5 +122,7 @@ class TypicalSize:
         self._excess = middle(np.sort(noise * np.array(LARGEST)[n]))
         whole = largest - 0.5 * self._area_noise * np.array(LARGEST)[n]
         missing = 1.0 - np.exp(2.0 * (sizes - whole[:, None])[images])
-        many = np.count_nonzero(rather_hidden(np.maximum(missing, 0.0), self._area_noise, 1.0, self.hidden))
-        self.hidden = (many + 0.5) / (len(missing) + 1.0)
+        surely = ALIKE_SIGMAS * self.area_noise
+        many = (np.count_nonzero(missing > surely) + 0.5) / (len(missing) + 1.0)
+        # any share is hidden as often as another; without a noise nothing is told
+        self.hidden = many / (1.0 - surely) if surely > 0.0 else FIRST_HIDDEN
