@@ -54,7 +54,7 @@ class TypicalSize:
     @property
     def diameter_m(self) -> float:
         """Typical diameter; 0 until it is known. Points have that of their largest image, which noise makes so."""
-        return self._largest_m * math.exp(-0.5 * self._excess)
+        return self._largest_m * (math.exp(-0.5 * self._excess) if self.area_noise > 0.0 else 1.0)
 
     @property
     def known(self) -> bool:
@@ -123,6 +123,6 @@ class TypicalSize:
         whole = largest - 0.5 * self._area_noise * np.array(LARGEST)[n]
         missing = 1.0 - np.exp(2.0 * (sizes - whole[:, None])[images])
         surely = ALIKE_SIGMAS * self.area_noise
-        many = (np.count_nonzero(missing > surely) + 0.5) / (len(missing) + 1.0)
+        many = (float(np.count_nonzero(missing > surely)) + 0.5) / (len(missing) + 1.0)
         # any share is hidden as often as another; without a noise nothing is told
         self.hidden = many / (1.0 - surely) if surely > 0.0 else FIRST_HIDDEN

@@ -34,32 +34,44 @@ def points(pulse, rate=RATE, count=5):
     )
 
 
-def image(camera, pulse, rate=RATE, count=5, radius_px=3.0):
-    """A dark image with soft-edged discs; noise from camera and pulse."""
+def image(camera, pulse, rate=RATE, count=5, radius_px=3.0, cut=None):
+    """A dark image with soft-edged discs; noise from camera and pulse.
+
+    ``cut``: discs are of one size, with this radius 2.5 m away; True: something hides the left of the first.
+    """
     rng = np.random.default_rng([pulse, sum(camera.name.encode())])
     grey = 4 + 1.0 * rng.standard_normal((camera.height, camera.width))
-    for x, y in project(camera, points(pulse, rate, count)):
+    places = points(pulse, rate, count)
+    away_m = np.linalg.norm(places - camera.world_from_camera.translation, axis=1)
+    for k, (x, y) in enumerate(project(camera, places)):
         if not (8 < x < camera.width - 9 and 8 < y < camera.height - 9):
             continue
         x0, y0 = int(x) - 7, int(y) - 7
         yy, xx = np.mgrid[y0 : y0 + 15, x0 : x0 + 15]
         away = np.hypot(xx - x, yy - y)
-        grey[y0 : y0 + 15, x0 : x0 + 15] += 190 / (1 + np.exp((away - radius_px) / 0.35))
+        radius = radius_px if cut is None else radius_px * 2.5 / away_m[k]
+        seen = 1 / (1 + np.exp((x - 1.0 - xx) / 0.35)) if cut and k == 0 else 1.0
+        grey[y0 : y0 + 15, x0 : x0 + 15] += 190 * seen / (1 + np.exp((away - radius) / 0.35))
     return np.clip(np.rint(grey), 0, 255).astype(np.uint8)
 
 
 class Scene:
-    """Frames of some cameras; ``faults`` maps (camera, pulse) -> "dropped" or "corrupt"."""
+    """Frames of some cameras; ``faults`` maps (camera, pulse) -> "dropped" or "corrupt".
 
-    def __init__(self, cameras, pulses, rate=RATE, faults=None):
+    ``cut``: names of cameras in whose images the left of a disc is hidden; all discs are of one size then.
+    """
+
+    def __init__(self, cameras, pulses, rate=RATE, faults=None, cut=None):
         self._cameras, self._pulses, self._rate, self._faults = cameras, pulses, rate, faults or {}
+        self._cut = cut
         self.cameras = tuple(CameraInfo(c.name, c.width, c.height, 8, rate) for c in cameras)
 
     def __iter__(self):
         for pulse in range(self._pulses):
             for camera in self._cameras:
                 status = self._faults.get((camera.name, pulse), "ok")
-                picture = image(camera, pulse, self._rate) if status == "ok" else None
+                cut = None if self._cut is None else camera.name in self._cut
+                picture = image(camera, pulse, self._rate, cut=cut) if status == "ok" else None
                 yield Frame(camera.name, pulse, round(pulse * 1e9 / self._rate), 500_000, picture, status)
 
     def close(self):
