@@ -204,11 +204,8 @@ def fill_rays(cameras, seen, start, balls, xy, covariance, extra, size, shape, f
     whether long images are of balls, too. ``size``: diameter, its standard deviation, and the least relative one of
     areas; ``shape``: elongation, ellipticity and its standard deviation.
     """
-    (fields, all_balls), (diameter, diameter_sigma, area_noise), (elongation, ellipticity, ellipticity_sigma) = (
-        balls,
-        size,
-        shape,
-    )
+    (fields, all_balls), (elongation, ellipticity, ellipticity_sigma) = balls, shape
+    diameter, diameter_sigma, area_noise = size
     rays, views = np.empty((xy.shape[0], COLUMNS)), np.empty((cameras.shape[0], VIEW))
     d, local, g = np.empty(3), np.empty((2, 3)), np.empty((2, 3))
     odd = 0

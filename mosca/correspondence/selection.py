@@ -152,9 +152,9 @@ def _has_used(g, members, used):
 def _rivalled(g, order, state, members, track, worth):
     """Whether another pair that shares a ray and a track with this one is about as likely."""
     pair = 0
-    for c in range(members.shape[1]):
+    for c in range(members.shape[1] if track[g] >= 0 else 0):
         pair += members[g, c] >= 0
-    if pair != 2 or track[g] < 0:
+    if pair != 2:
         return False
     for other in order:
         if other == g or state[other] != OPEN or track[other] != track[g]:

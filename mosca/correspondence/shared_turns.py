@@ -20,7 +20,7 @@ from mosca.correspondence.hypothesis import COVARIANCE, XYZ
 from mosca.correspondence.lens_field import MODES, add_field, field_as_noise, field_covariance, fill_modes, product
 from mosca.correspondence.selection import TAKEN
 from mosca.data.rays import ROOT, ROTATION, SIGMA
-from mosca.numba_support.cholesky import solve, solve_square
+from mosca.numba_support.cholesky import solve
 from mosca.numba_support.decorators import bare_step, kernel, step
 from mosca.numba_support.linalg3 import cofactors3, determinant3, divided3, store3, symmetric3
 
@@ -217,11 +217,11 @@ def add_equations(point, normal, right):
                 normal[row, unknowns * c + j] += point.square[c, i, j]
             for p in range(3):
                 right[row] -= point.toward[c, p, i] * point.pull[p]
-            a, b, e = point.toward[c, 0, i], point.toward[c, 1, i], point.toward[c, 2, i]
+            x, y, z = point.toward[c, 0, i], point.toward[c, 1, i], point.toward[c, 2, i]
             for d in range(c + 1):
                 held, first = point.held[d], unknowns * d
                 for j in range(unknowns if point.square[d, 0, 0] > 0.0 else 0):
-                    normal[row, first + j] -= a * held[0, j] + b * held[1, j] + e * held[2, j]
+                    normal[row, first + j] -= x * held[0, j] + y * held[1, j] + z * held[2, j]
 
 
 @step
@@ -356,7 +356,7 @@ def share_likelihoods(rays, views, start, members, xyz, whole, extra_px2, shares
     split_px2, squares = extra_px2[chosen], turn_squares(rays, views, start)[chosen]
     seen, first, n = views[chosen], start[chosen], unknowns * cameras
     point, found = point_equations(cameras, unknowns), np.zeros((len(own_shares), len(field_shares)))
-    trusts, which, side, factor = np.ones(cameras), np.empty(cameras, np.int64), np.empty(n), np.empty((n, n))
+    trusts, which, side, factor = np.ones(cameras), np.empty(cameras, np.int64), np.empty((n, 1)), np.empty((n, n))
     for m in range(len(own_shares)):
         normal, right, total = np.zeros((n, n)), np.zeros(n), 0.0
         for k in range(sampling[0], len(xyz), sampling[1]):
@@ -376,11 +376,13 @@ def share_likelihoods(rays, views, start, members, xyz, whole, extra_px2, shares
                 c = i // unknowns
                 field_px2 = max(field_shares[f] * split_px2[c], LEAST_PX2)
                 variance = turn_rad2[c] if i - unknowns * c < 2 else field_px2
-                side[i] = right[i]
-                for j in range(i, n):
-                    factor[i, j] = normal[j, i]
-                factor[i, i] += 1.0 / variance
+                side[i, 0] = right[i]
+                for j in range(i):
+                    factor[i, j] = normal[i, j]
+                factor[i, i] = normal[i, i] + 1.0 / variance
                 error += np.log(variance)
-            error += solve_square(factor, side, n)  # positive definite, by the prior
+            solve(factor, side, n)  # positive definite, by the prior
+            for i in range(n):
+                error += 2.0 * np.log(factor[i, i]) - side[i, 0] * right[i]
             found[m, f] = -0.5 * error
     return found

@@ -44,17 +44,20 @@ class TypicalSize:
         self._largest_m = 0.0
         self.scatter = 0.0
         """Standard deviation of the targets' areas, relative."""
-        self._area_noise, self._excess = FIRST_AREA_NOISE, 0.0
+        self.area_noise = FIRST_AREA_NOISE
+        """Standard deviation of the areas of one target's images, relative: what lens and focus do to sizes, too.
+        0 where it is so large that half-hidden targets would pass: such images are not of one target."""
+        self._excess = 0.0
         self.hidden = FIRST_HIDDEN
         """Share of the images that are of partly hidden targets."""
         self._compared: deque[Array] = deque(maxlen=COMPARED)
-        """Logarithms of images' sizes (n, c) of targets with three or more; NaN for no image."""
+        """Logarithms of images' sizes (n, c) of targets with three or more; -inf for no image."""
         self._sets = self._seen = 0
 
     @property
     def diameter_m(self) -> float:
         """Typical diameter; 0 until it is known. Points have that of their largest image, which noise makes so."""
-        return self._largest_m * (math.exp(-0.5 * self._excess) if self.area_noise > 0.0 else 1.0)
+        return self._largest_m * math.exp(-0.5 * self._excess)
 
     @property
     def known(self) -> bool:
@@ -65,14 +68,6 @@ class TypicalSize:
     def alike(self) -> bool:
         """Whether a half-hidden target can be distinguished from a small one."""
         return ALIKE_SIGMAS * self.scatter <= HALF_HIDDEN
-
-    @property
-    def area_noise(self) -> float:
-        """Standard deviation of the areas of one target's images, relative: what lens and focus do to sizes, too.
-
-        0 where it is so large that half-hidden targets would pass: such images are not of one target.
-        """
-        return self._area_noise if ALIKE_SIGMAS * self._area_noise <= HALF_HIDDEN else 0.0
 
     def learn(self, points: Points, table: RayTable) -> None:
         """Take a frame set's points and the rays that they were made from."""
@@ -102,27 +97,27 @@ class TypicalSize:
         at = np.where(rays >= 0, rays + table.start[:-1], 0)
         away = np.linalg.norm(xyz[:, None] - table.views[:, ORIGIN : ORIGIN + 3], axis=2)
         clean = (rays >= 0) & np.isfinite(table.rays[at, ANGLE]) & (table.rays[at, FLAGS].astype(int) & ODD == 0)
-        sizes = np.log(np.where(clean, table.rays[at, ANGLE] * away, math.nan))
+        sizes = np.log(table.rays[at, ANGLE] * away, where=clean, out=np.full(clean.shape, -math.inf))
         sizes = sizes[clean.sum(axis=1) >= 3]
         if len(sizes):
             self._compared.append(sizes)
             self._estimate(np.concatenate(self._compared))
 
     def _estimate(self, sizes: Array) -> None:
-        """Estimate the noise and how many are hidden from logarithms of sizes (n, c), NaN for no image.
+        """Estimate the noise and how many are hidden from logarithms of sizes (n, c), -inf for no image.
 
         The two largest images of each target tell the noise: smaller ones may be hidden.
         """
-        sizes = np.nan_to_num(sizes, nan=-math.inf)
         second, largest = np.partition(sizes, -2, axis=1)[:, -2:].T
         images = np.isfinite(sizes)
         n = np.minimum(images.sum(axis=1), len(GAPS) + 1) - 2
-        noise = 2.0 * (largest - second) / np.array(GAPS)[n]
-        self._area_noise = middle(np.sort(noise))
-        self._excess = middle(np.sort(noise * np.array(LARGEST)[n]))
-        whole = largest - 0.5 * self._area_noise * np.array(LARGEST)[n]
-        missing = 1.0 - np.exp(2.0 * (sizes - whole[:, None])[images])
-        surely = ALIKE_SIGMAS * self.area_noise
+        each, luck = 2.0 * (largest - second) / np.array(GAPS)[n], np.array(LARGEST)[n]
+        noise = middle(np.sort(each))
+        if not 0.0 < ALIKE_SIGMAS * noise <= HALF_HIDDEN:
+            self.area_noise, self._excess, self.hidden = 0.0, 0.0, FIRST_HIDDEN
+            return
+        self.area_noise, self._excess = noise, middle(np.sort(each * luck))
+        missing = 1.0 - np.exp(2.0 * sizes - 2.0 * largest[:, None] + noise * luck[:, None])[images]
+        surely = ALIKE_SIGMAS * noise
         many = (float(np.count_nonzero(missing > surely)) + 0.5) / (len(missing) + 1.0)
-        # any share is hidden as often as another; without a noise nothing is told
-        self.hidden = many / (1.0 - surely) if surely > 0.0 else FIRST_HIDDEN
+        self.hidden = many / (1.0 - surely)  # any share is hidden as often as another

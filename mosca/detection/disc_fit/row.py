@@ -27,10 +27,12 @@ TOUCHING = 0.03
 WORST_FIT = 2.0
 """A fit with a standard deviation above so many times that of such a centroid is replaced by the centroid."""
 FITTED_RADII = (1.3, 1.35, 1.4, 1.5, 1.6, 1.8, 2.0, 2.3, 2.7, 3.3, 4.0)
+"""Radii over the blur of discs that are fitted with a straight edge."""
 BY_EVEN_NOISE = (-0.619, -0.244, -0.025, 0.247, 0.418, 0.627, 0.742, 0.85, 0.917, 0.959, 0.977)
+"""What the squares of their true radii are larger by: fits to exact images, all pixels weighted alike
+(``tests/mosca/test_disc_diameter.py``)."""
 BY_SHOT_NOISE = (0.01, 0.14, 0.241, 0.392, 0.503, 0.654, 0.746, 0.842, 0.908, 0.953, 0.974)
-"""Radii over the blur of discs fitted with a straight edge, and what the squares of their true ones are larger by:
-fits to exact images (``tests/mosca/test_disc_diameter.py``), weighted evenly and by 1 / (light + 2 % of all)."""
+"""The same, pixels weighted by 1 / (light + 2 % of all)."""
 STRAY_PX, STRAY_SHARE = 0.3, 0.15
 """A fit that ends farther from its region's light than this [px] plus this share of the region's size is rejected."""
 MISFIT_MEAN, MISFIT_SIGMAS = 1.3, 5.0
