@@ -12,7 +12,8 @@ from typing import Protocol
 import numpy as np
 
 from mosca.camera.ray_table import make_ray_table
-from mosca.correspondence.match import MatchSettings, Shared, match_counted
+from mosca.correspondence.match import Matched, MatchSettings, match_counted
+from mosca.correspondence.shared_turns import Shared, without_turns
 from mosca.correspondence.typical_size import TypicalSize
 from mosca.data.arrays import Array
 from mosca.data.detections import Detections, Seen
@@ -193,12 +194,13 @@ def run_seen(
         predicted = tracker.predict(frame_set.time_ns * 1e-9)
         timer.lap("predict")
         noise = health.noise
-        bundle, points = matcher.match(rig, detections, predicted, noise)
+        bundle, found = matcher.match(rig, detections, predicted, noise)
         typical_m = matcher.typical_m if settings.match.mend else 0.0
-        mended = cut.mended(frame_set, detections, rig, bundle, points, predicted, typical_m)
+        mended = cut.mended(frame_set, detections, rig, bundle, found.points, predicted, typical_m)
         if mended is not None:
             detections = mended
-            bundle, points = matcher.match(rig, detections, predicted, noise, learn=False)
+            bundle, found = matcher.match(rig, detections, predicted, noise, learn=False)
+        points = matcher.without_turns(rig, bundle, found, noise)
         timer.lap("match")
         if (width_m := field_width.learn(points)) is not None:
             tracker.scale_to(width_m)
@@ -301,24 +303,26 @@ class _Matcher:
         predicted: Predicted,
         noise: ImageNoise,
         learn: bool = True,
-    ) -> tuple[RayTable, Points]:
-        """Return the rays of a frame set and the points that they make; sizes and turns are learned from them."""
+    ) -> tuple[RayTable, Matched]:
+        """Return the rays of a frame set and the points that they make; sizes are learned from them."""
         sizes = self._sizes
         table = make_ray_table(rig, detections, noise.sigma_px, self._settings.target, sizes.area_noise)
         first, settings = not sizes.known, self._settings if sizes.alike else self._unjudged
-        shared = None
-        if settings.turns:
-            shared = Shared(noise.shared_px, noise.field_px, self._steady.kept(rig, noise))
-        found = match_counted(table, predicted, settings, self._volume, sizes.diameter_m, sizes.hidden, shared)
+        found = match_counted(table, predicted, settings, self._volume, sizes.diameter_m, sizes.hidden)
         if learn:
             sizes.learn(found.points, table)
         if first and not sizes.alike:
-            found = match_counted(
-                table, predicted, self._unjudged, self._volume, sizes.diameter_m, sizes.hidden, shared
-            )
-        if learn:
-            self._steady.learn(found.turns)
-        return table, found.points
+            found = match_counted(table, predicted, self._unjudged, self._volume, sizes.diameter_m, sizes.hidden)
+        return table, found
+
+    def without_turns(self, rig: Rig, table: RayTable, found: Matched, noise: ImageNoise) -> Points:
+        """Return a frame set's points without the turns of the cameras, of which the steady part is learned."""
+        if not self._settings.turns:
+            return found.points
+        shared = Shared(noise.shared_px, noise.field_px, self._steady.kept(rig, noise))
+        points, turns = without_turns(found.points, found.trusts, table, shared)
+        self._steady.learn(turns)
+        return points
 
 
 def _errors_first(seen: Iterable[Seen], rig: Rig, matcher: _Matcher, health: Health) -> Iterator[Seen]:
@@ -348,7 +352,8 @@ def _learned_from(first: Sequence[Seen], rig: Rig, matcher: _Matcher, settings: 
         joined = detected = 0
         for frame_set, detections, _ in first:
             check_detections(detections, frame_set.pulse)
-            table, points = own.match(rig, detections, Predicted.nothing(), trial.noise)
+            table, found = own.match(rig, detections, Predicted.nothing(), trial.noise)
+            points = own.without_turns(rig, table, found, trial.noise)
             trial.attend(rig, frame_set, detections, points, table)
             joined += int(points.n_cameras[points.n_cameras >= fewest].sum())
             detected += len(table.rays)

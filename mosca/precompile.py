@@ -19,7 +19,8 @@ from mosca.calibration.session import EstimateSettings, calibrate_sightings
 from mosca.camera.projection import project
 from mosca.camera.ray_table import make_ray_table
 from mosca.coded_targets.detect import find_coded
-from mosca.correspondence.match import MatchSettings, match
+from mosca.correspondence.match import MatchSettings, match_counted
+from mosca.correspondence.shared_turns import Shared, without_turns
 from mosca.data.arrays import Array, read_only, read_only_image
 from mosca.data.detections import Detections
 from mosca.data.frames import CameraInfo, Frame, FrameSet
@@ -99,6 +100,7 @@ def points() -> int:
     rig, tracker, samples = _rig(), Tracker(TrackSettings()), 0
     health = Health(rig)
     room = (np.full(3, -1.0), np.full(3, 1.0))
+    shared = Shared(np.full(3, 0.01), np.full(3, 0.01), np.zeros((3, 2)))
     for pulse in range(PULSES):
         n = len(POINTS)
         found = {
@@ -110,7 +112,8 @@ def points() -> int:
         }  # fmt: skip
         predicted = tracker.predict(pulse / RATE_HZ)
         bundle = make_ray_table(rig, found, 0.05, "auto")
-        made = match(bundle, predicted, MatchSettings(), room, 0.0)
+        matched = match_counted(bundle, predicted, MatchSettings(), room, 0.0)
+        made, _ = without_turns(matched.points, matched.trusts, bundle, shared)
         frame_set = FrameSet(pulse, round(pulse * 1e9 / RATE_HZ), {})
         samples += len(tracker.update(made, pulse, frame_set.time_ns))
         health.attend(rig, frame_set, found, made, bundle)

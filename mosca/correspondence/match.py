@@ -10,7 +10,6 @@ detection is used at most once. Predictions of tracks decide where two cameras a
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -19,7 +18,6 @@ from mosca.correspondence.candidates import search
 from mosca.correspondence.disc_centres import Images, aim_at_centres
 from mosca.correspondence.hypothesis import FIRST_HIDDEN, PAIR, SHAPES, SIZES, Hypotheses, MatchData, Rules, record_of
 from mosca.correspondence.selection import OPEN, choose, columns
-from mosca.correspondence.shared_turns import remove_turns
 from mosca.data.arrays import Array
 from mosca.data.rays import Predicted, RayTable
 from mosca.data.settings import MatchSettings as MatchSettings
@@ -46,19 +44,8 @@ class Matched:
     """How many hypotheses there were."""
     left_open: int
     """Number of ambiguous pairs: another pair with about the same residual shares one of their images."""
-    turns: Array
-    """(c, 2) turns of the cameras about their x and y axes in this frame set [rad]."""
-
-
-class Shared(NamedTuple):
-    """What the images of a camera in a frame set have in common: its body shakes."""
-
-    sigma_px: Array
-    """(c,) standard deviation on each axis: a part of the camera's errors by which rays are whitened."""
-    field_px: Array
-    """(c,) standard deviation on each axis of the smooth field of errors that the lens model leaves, another part."""
-    steady: Array
-    """(c, 2) mean turns of the cameras in earlier frame sets [rad] that are not removed."""
+    trusts: Array
+    """(n, c) how much each image of a point counts, from 0 to 1: that of a partly hidden target counts less."""
 
 
 def match(
@@ -68,7 +55,6 @@ def match(
     volume: tuple[Array, Array] = EVERYWHERE,
     typical_diameter_m: float = 0.0,
     hidden: float = FIRST_HIDDEN,
-    shared: Shared | None = None,
 ) -> Points:
     """Return the points whose rays meet, from a consistent set of hypotheses.
 
@@ -93,10 +79,8 @@ def match(
         a second time if a track predicts that hypothesis.
     hidden
         Share of the images that are of partly hidden targets. The larger it is, the sooner a small image is one.
-    shared
-        What the images of a camera in this set have in common, which all points together show. None: nothing.
     """
-    return match_counted(table, predicted, settings, volume, typical_diameter_m, hidden, shared).points
+    return match_counted(table, predicted, settings, volume, typical_diameter_m, hidden).points
 
 
 def match_counted(
@@ -106,7 +90,6 @@ def match_counted(
     volume: tuple[Array, Array] = EVERYWHERE,
     typical_diameter_m: float = 0.0,
     hidden: float = FIRST_HIDDEN,
-    shared: Shared | None = None,
 ) -> Matched:
     """Return what ``match`` does, with the counts of hypotheses considered and of pairs left open."""
     (x0, y0, z0), (x1, y1, z1) = volume
@@ -125,23 +108,18 @@ def match_counted(
         table.extra_px2,
         *GRADIENTS[settings.light],
     )
-    none = np.zeros(len(table.views))
-    sigma_px, field_px, steady = shared or (none, none, np.zeros((len(none), 2)))
-    found, considered, left_open, turns = match_rays(
+    found, trusts, considered, left_open = match_rays(
         table.rays, table.views, table.pairs, table.bases, table.start, rules, predicted.xyz, predicted.covariance,
-        images, (np.square(sigma_px), np.square(field_px), np.ravel(steady)),
+        images,
     )  # fmt: skip
     for column in found:
         column.setflags(write=False)
-    return Matched(Points.handed_over(found), considered, left_open, turns.reshape(-1, 2))
+    return Matched(Points.handed_over(found), considered, left_open, trusts)
 
 
 @kernel
-def match_rays(rays, views, pairs, bases, start, rules, xyz, covariance, images, shared):
-    """Return the columns of ``Points``, the numbers of hypotheses and of pairs left open, and the cameras' turns.
-
-    ``shared``: both variances (c,) [px^2] and steady turns (2 c,) of ``Shared``.
-    """
+def match_rays(rays, views, pairs, bases, start, rules, xyz, covariance, images):
+    """Return the columns of ``Points``, ``Matched.trusts``, and the numbers of hypotheses and of pairs left open."""
     data = MatchData(rays, views, record_of(rules))
     kept, count = search(data, pairs, bases, start, xyz, covariance)
     kept = Hypotheses(kept.values[:count], kept.members[:count], kept.trusts[:count])
@@ -149,13 +127,11 @@ def match_rays(rays, views, pairs, bases, start, rules, xyz, covariance, images,
     if images.freed:
         aim_at_centres(kept, state, data, images)
     weigh_by_agreement(kept, state, data)
-    turns = np.zeros(2 * len(views))
-    if shared[0].max() > 0.0:
-        turns = remove_turns(kept, state, data, start, shared)
     left_open = 0
     for g in range(count):
         left_open += state[g] == OPEN
-    return columns(kept, state, rays, start), count, left_open, turns
+    found, taken_trusts = columns(kept, state, rays, start)
+    return found, taken_trusts, count, left_open
 
 
 def _fewest_images(table: RayTable, settings: MatchSettings) -> int:

@@ -355,14 +355,14 @@ def _same(g, other, members):
 
 @step
 def columns(kept, state, rays, start):
-    """Return the columns of ``Points`` of the hypotheses that were taken."""
+    """Return the columns of ``Points`` of the hypotheses that were taken, and their images' trusts (n, c)."""
     values, members, trusts = kept
     n, cameras = 0, members.shape[1]
     for g in range(values.shape[0]):
         n += state[g] == TAKEN
     xyz, covariance, count = np.empty((n, 3)), np.empty((n, 3, 3)), np.zeros(n, dtype=np.int64)
     residual, index = np.zeros(n), np.full((n, cameras), -1, dtype=np.int64)
-    diameter, trusted = np.empty(n), np.zeros(n)
+    diameter, trusted, taken_trusts = np.empty(n), np.zeros(n), np.ones((n, cameras))
     n = 0
     for g in range(values.shape[0]):
         if state[g] != TAKEN:
@@ -372,7 +372,7 @@ def columns(kept, state, rays, start):
             k = members[g, c]
             if k >= 0:
                 count[n] += 1
-                index[n, c] = k - start[c]
+                index[n, c], taken_trusts[n, c] = k - start[c], trusts[g, c]
                 weight += (trusts[g, c] / rays[k, SIGMA]) ** 2
                 trusted[n] += wholeness(k, trusts[g, c], rays)
         for p in range(3):
@@ -383,4 +383,4 @@ def columns(kept, state, rays, start):
         residual[n] = np.sqrt(count[n] / weight * values[g, CHI2] / (2.0 * count[n]))
         diameter[n] = values[g, DIAMETER]
         n += 1
-    return xyz, covariance, count, residual, index, diameter, trusted
+    return (xyz, covariance, count, residual, index, diameter, trusted), taken_trusts

@@ -8,7 +8,7 @@ are eliminated first, each with its own normal matrix N = sum J' R^-1 J. Two equ
 lens models do not fit is alike in neighbouring images, and must not be taken for independent errors
 (``mosca.correspondence.lens_field``).
 
-Compiled steps of ``mosca.correspondence.match``. ``share_likelihoods`` shows how much images have in common.
+``without_turns`` moves matched points, ``share_likelihoods`` shows how much images have in common.
 """
 
 from typing import Any, NamedTuple
@@ -16,10 +16,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mosca.correspondence.circle_fit import pixel_by_direction
-from mosca.correspondence.hypothesis import COVARIANCE, XYZ
 from mosca.correspondence.lens_field import MODES, add_field, field_as_noise, field_covariance, fill_modes, product
-from mosca.correspondence.selection import TAKEN
-from mosca.data.rays import ROOT, ROTATION, SIGMA
+from mosca.data.arrays import Array
+from mosca.data.rays import ROOT, ROTATION, SIGMA, RayTable
+from mosca.data.tracks import Points
 from mosca.numba_support.cholesky import solve
 from mosca.numba_support.decorators import bare_step, kernel, step
 from mosca.numba_support.linalg3 import cofactors3, determinant3, divided3, store3, symmetric3
@@ -31,6 +31,17 @@ LEAST_PX2 = 1e-12
 """Least variance of a field's amplitude [px^2]: none that any image shows. Half or twice of it gives the same."""
 LEAST_RAD2 = 1e-18
 """Least variance of a camera's turns [rad^2]: none that any image shows. Half or twice of it gives the same."""
+
+
+class Shared(NamedTuple):
+    """What the images of a camera in a frame set have in common: its body shakes."""
+
+    sigma_px: Array
+    """(c,) standard deviation on each axis: a part of the camera's errors by which rays are whitened."""
+    field_px: Array
+    """(c,) standard deviation on each axis of the smooth field of errors that the lens model leaves, another part."""
+    steady: Array
+    """(c, 2) mean turns of the cameras in earlier frame sets [rad] that are not removed."""
 
 
 class PointEquations(NamedTuple):
@@ -264,67 +275,98 @@ def solved(normal, right, variance):
     return sides[:, n].copy(), sides[:, :n].copy()
 
 
-@step
-def remove_turns(kept, state, data, start, shared):
-    """Solve the accepted hypotheses again, together with the turns of the cameras: place and covariance.
+def without_turns(points: Points, trusts: Array, table: RayTable, shared: Shared) -> tuple[Points, Array]:
+    """Return points without the turns of the cameras, and these turns.
 
-    ``shared``: the variances (c,) [px^2] of what a camera's images have in common and of its lens's field, and the
-    turns (2 c,) [rad] that are not removed (``mosca.correspondence.match.Shared``). Images that do not count in full
-    (targets hidden in part) tell nothing of the turns, which are returned. A point with such an image keeps its
-    images' weights. A point's correlation with others is not kept; what a flat target's uncertainty adds stays.
+    Parameters
+    ----------
+    points
+        The points of a frame set (n,).
+    trusts
+        (n, c) of ``mosca.correspondence.match.Matched``. Images that do not count in full (targets hidden in part)
+        tell nothing of the turns, and a point with such an image keeps its images' weights.
+    table
+        The rays that the points were made from.
+    shared
+        What the images of a camera have in common.
+
+    Returns
+    -------
+    The points, whose places and covariances are new (a point's correlation with others is not kept; what a flat
+    target's uncertainty adds stays), and the turns (c, 2) about the cameras' x and y axes [rad].
+    """
+    if not (len(points) and np.any(shared.sigma_px)):
+        return points, np.zeros((len(table.views), 2))
+    xyz, covariance = points.xyz.copy(), points.covariance.copy()
+    turns = remove_turns(
+        xyz, covariance, points.rays, trusts, table.rays, table.views, table.start,
+        (np.square(shared.sigma_px), np.square(shared.field_px), np.ravel(shared.steady)),
+    )  # fmt: skip
+    for column in (xyz, covariance):
+        column.setflags(write=False)
+    moved: Array = turns.reshape(-1, 2)
+    return points.moved(xyz, covariance), moved
+
+
+@kernel
+def remove_turns(xyz, covariance, members, trusts, rays, views, start, shared):
+    """Solve points again, together with the turns of the cameras (2 c,), which are returned.
+
+    ``xyz`` (n, 3) and ``covariance`` (n, 3, 3) are replaced. ``members`` (n, c): of ``Points.rays``; ``shared``: the
+    variances (c,) [px^2] of ``Shared`` and the steady turns (2 c,); others as for ``without_turns``.
     """
     shared_px2, field_px2, steady = shared
-    cameras = kept.members.shape[1]
+    cameras = members.shape[1]
     point = point_equations(cameras, 2)
-    variance = turn_variances(shared_px2, turn_squares(data.rays, data.views, start))
+    variance = turn_variances(shared_px2, turn_squares(rays, views, start))
     normal, right = np.zeros((2 * cameras, 2 * cameras)), np.zeros(2 * cameras)
     # by the field's amplitudes: of each camera, on each axis, of each mode
     by_field = np.zeros((2 * cameras, cameras, 2, MODES))
-    certain, own_px2 = np.empty(cameras, np.int64), shared_px2 + field_px2
-    for g in range(len(state)):
-        if state[g] == TAKEN:
-            for c in range(cameras):
-                certain[c] = kept.members[g, c] if kept.trusts[g, c] >= 1.0 else -1
-            if fill_equations(kept.values[g], certain, kept.trusts[g], data.rays, data.views, own_px2, point)[0]:
-                add_equations(point, normal, right)
-                add_field(certain, point, by_field)
+    which, own_px2 = np.empty(cameras, np.int64), shared_px2 + field_px2
+    for k in range(len(xyz)):
+        for c in range(cameras):
+            certain = members[k, c] >= 0 and trusts[k, c] >= 1.0
+            which[c] = start[c] + members[k, c] if certain else -1
+        if fill_equations(xyz[k], which, trusts[k], rays, views, own_px2, point)[0]:
+            add_equations(point, normal, right)
+            add_field(which, point, by_field)
     gain = field_as_noise(normal, right, by_field, field_px2, variance)
-    turns, covariance = solved(normal, right, variance)
-    gain, nothing = product(covariance, gain), np.zeros(cameras)
-    for g in range(len(state)):
-        if state[g] == TAKEN:
-            doubtful = False
-            for c in range(cameras):
-                doubtful |= kept.members[g, c] >= 0 and kept.trusts[g, c] < 1.0
-            own, counted = (nothing, own_px2) if doubtful else (own_px2, nothing)
-            if fill_equations(kept.values[g], kept.members[g], kept.trusts[g], data.rays, data.views, own, point)[0]:
-                field_covariance(kept.members[g], point, by_field, field_px2, counted, gain)
-                _move(kept.values[g], point, turns, steady, covariance)
+    turns, turn_rad2 = solved(normal, right, variance)
+    gain, nothing = product(turn_rad2, gain), np.zeros(cameras)
+    for k in range(len(xyz)):
+        doubtful = False
+        for c in range(cameras):
+            which[c] = start[c] + members[k, c] if members[k, c] >= 0 else -1
+            doubtful |= which[c] >= 0 and trusts[k, c] < 1.0
+        own, counted = (nothing, own_px2) if doubtful else (own_px2, nothing)
+        if fill_equations(xyz[k], which, trusts[k], rays, views, own, point)[0]:
+            field_covariance(which, point, by_field, field_px2, counted, gain)
+            _move(xyz[k], covariance[k], point, turns, steady, turn_rad2)
     return turns
 
 
 @bare_step
-def _move(values, point, turns, steady, covariance):
-    """Give a point's values its place and covariance from images without the turns."""
+def _move(xyz, covariance, point, turns, steady, turn_rad2):
+    """Give a point its place (3,) and covariance (3, 3) from images without the turns."""
     cameras, by_turns = len(point.push), point.crossed[0]
     for q in range(3):
         for k in range(2 * cameras):
             by_turns[q, k] = 0.0
             for d in range(cameras):
                 for j in range(2):
-                    by_turns[q, k] += covariance[k, 2 * d + j] * point.held[d, q, j]
+                    by_turns[q, k] += turn_rad2[k, 2 * d + j] * point.held[d, q, j]
     for p in range(3):
         step_m = -point.pull[p]
         for c in range(cameras):
             for i in range(2):
                 step_m -= point.held[c, p, i] * (turns[2 * c + i] - steady[2 * c + i])
-        values[XYZ + p] += step_m
+        xyz[p] += step_m
         for q in range(3):
             change = point.inverse[p, q] - point.whole[p, q] + point.added[p, q]
             for c in range(cameras):
                 for i in range(2):
                     change += point.held[c, p, i] * by_turns[q, 2 * c + i]
-            values[COVARIANCE + 3 * p + q] += change
+            covariance[p, q] += change
 
 
 @kernel

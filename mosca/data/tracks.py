@@ -47,6 +47,12 @@ class Points:
         new.__dict__.update(zip(cls.__dataclass_fields__, columns, strict=True))
         return new
 
+    def moved(self, xyz: Array, covariance: Array) -> "Points":
+        """Return the same points at other places, without checks: both are read-only."""
+        new = object.__new__(Points)
+        new.__dict__.update(self.__dict__, xyz=xyz, covariance=covariance)
+        return new
+
 
 @dataclass(frozen=True, eq=False)
 class Samples:

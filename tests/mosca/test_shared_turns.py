@@ -8,16 +8,16 @@ from scipy.spatial.transform import Rotation
 
 from mosca.camera.projection import project
 from mosca.camera.ray_table import make_ray_table
-from mosca.correspondence.hypothesis import COVARIANCE, VALUES, Hypotheses, MatchData
 from mosca.correspondence.lens_field import MODES, add_field, field_as_noise
-from mosca.correspondence.match import MatchSettings, Shared, match_counted
-from mosca.correspondence.selection import TAKEN
+from mosca.correspondence.match import MatchSettings, match_counted
 from mosca.correspondence.shared_turns import (
+    Shared,
     add_equations,
     fill_equations,
     point_equations,
     remove_turns,
     share_likelihoods,
+    without_turns,
 )
 from mosca.correspondence.shared_turns import solved as solution
 from mosca.data.detections import Detections
@@ -48,13 +48,6 @@ def turn_sides(rays, views, members, xyz):
         add_equations(equations, normal, right)
         add_field(members[k], equations, by_field)
     return right, by_field
-
-
-@kernel
-def moved(values, members, trusts, rays, views, start, variances):
-    """Remove turns from points: their values are replaced."""
-    data = MatchData(rays, views, rays)
-    return remove_turns(Hypotheses(values, members, trusts), np.full(len(values), TAKEN), data, start, variances)
 
 
 def looking(name, place):
@@ -111,10 +104,11 @@ def placed(rng, n):
 
 
 def solved(found, shake=SHAKE, steady=None, field=0.0):
-    """Points of a frame set in the order of camera a's images, with the turns found."""
+    """Rays of a frame set, its points in the order of camera a's images, and the turns removed from them."""
     table = make_ray_table(RIG, found, np.hypot(SHAKE, field))
     shared = Shared(np.full(4, shake), np.full(4, field), np.zeros((4, 2)) if steady is None else steady)
-    return table, match_counted(table, Predicted.nothing(), MatchSettings(judge_sizes=False), shared=shared)
+    matched = match_counted(table, Predicted.nothing(), MatchSettings(judge_sizes=False))
+    return table, *without_turns(matched.points, matched.trusts, table, shared)
 
 
 def dense(found, points, rows):
@@ -145,13 +139,13 @@ def test_points_and_covariances_are_those_of_dense_least_squares():
     rng = np.random.default_rng(1)
     points = placed(rng, 12)
     found, _ = seen(points, rng)
-    _, matched = solved(found)
-    wanted, covariance = dense(found, matched.points.xyz, matched.points.rays)
-    assert len(matched.points) == 12
+    matched = solved(found)[1]
+    wanted, covariance = dense(found, matched.xyz, matched.rays)
+    assert len(matched) == 12
     sigma = np.sqrt(np.diag(covariance)).reshape(-1, 3)
-    np.testing.assert_allclose(matched.points.xyz, wanted, atol=0.01 * sigma.min())
+    np.testing.assert_allclose(matched.xyz, wanted, atol=0.01 * sigma.min())
     blocks = np.array([covariance[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] for k in range(12)])
-    np.testing.assert_allclose(matched.points.covariance, blocks, rtol=0.01, atol=0.001 * blocks.max())
+    np.testing.assert_allclose(matched.covariance, blocks, rtol=0.01, atol=0.001 * blocks.max())
 
 
 def errors(rng, sets, n, taken, own=NOISE, shake=SHAKE, field=0.0, stated=0.0):
@@ -160,8 +154,8 @@ def errors(rng, sets, n, taken, own=NOISE, shake=SHAKE, field=0.0, stated=0.0):
     for _ in range(sets):
         points = placed(rng, n)
         found, _ = seen(points, rng, own, shake, field=smooth(rng, field) if field else None)
-        _, matched = solved(found, taken, field=stated)
-        for xyz, covariance in zip(matched.points.xyz, matched.points.covariance, strict=True):
+        matched = solved(found, taken, field=stated)[1]
+        for xyz, covariance in zip(matched.xyz, matched.covariance, strict=True):
             off = xyz - points[np.linalg.norm(points - xyz, axis=1).argmin()]
             square.append(off @ off)
             nees.append(off @ np.linalg.solve(covariance, off))
@@ -179,7 +173,7 @@ def test_many_points_show_the_shake_of_their_cameras():
 def test_a_single_point_stays_where_it_is():
     rng = np.random.default_rng(3)
     found, _ = seen(placed(rng, 1), rng)
-    alone, together = solved(found, 0.0)[1].points, solved(found, 0.9 * SHAKE)[1].points
+    alone, together = solved(found, 0.0)[1], solved(found, 0.9 * SHAKE)[1]
     sigma = np.sqrt(np.trace(alone.covariance[0]))
     assert np.linalg.norm(alone.xyz - together.xyz) < 0.05 * sigma
     np.testing.assert_allclose(together.covariance, alone.covariance, rtol=0.1, atol=0.02 * sigma**2)
@@ -190,14 +184,12 @@ def test_a_steady_turn_is_kept():
     steady[2] = 0.2 / FOCAL, -0.1 / FOCAL
     points = placed(rng, 40)
     found, turns = seen(points, rng, steady=steady)
-    _, matched = solved(found, 0.999 * SHAKE)
-    removed = matched.turns
+    _, matched, removed = solved(found, 0.999 * SHAKE)
     assert np.abs(removed - turns).max() < 0.5 * SHAKE / FOCAL
-    _, kept = solved(found, 0.999 * SHAKE, removed)
-    _, never = solved(found, 0.0)
+    kept, never = solved(found, 0.999 * SHAKE, removed)[1], solved(found, 0.0)[1]
     # all of it kept: the points are those of independent images but for their weights
-    away = np.linalg.norm(kept.points.xyz - never.points.xyz, axis=1)
-    assert np.median(away) < 0.2 * np.median(np.linalg.norm(matched.points.xyz - never.points.xyz, axis=1))
+    away = np.linalg.norm(kept.xyz - never.xyz, axis=1)
+    assert np.median(away) < 0.2 * np.median(np.linalg.norm(matched.xyz - never.xyz, axis=1))
 
 
 def likely_shares(own, shake, field=0.0):
@@ -205,8 +197,7 @@ def likely_shares(own, shake, field=0.0):
     rng, total = np.random.default_rng(5), np.zeros((len(OWN_SHARES), len(FIELD_SHARES)))
     amplitudes = smooth(rng, field)
     for _ in range(10):
-        table, matched = solved(seen(placed(rng, 15), rng, own, shake, field=amplitudes)[0], 0.0)
-        found = matched.points
+        table, found, _ = solved(seen(placed(rng, 15), rng, own, shake, field=amplitudes)[0], 0.0)
         total += share_likelihoods(
             table.rays, table.views, table.start, found.rays, found.xyz, found.n_cameras >= 2,
             table.extra_px2, (OWN_SHARES, FIELD_SHARES), np.arange(4), (0, 1),
@@ -248,12 +239,12 @@ def test_covariances_are_those_of_the_points_answers_to_errors():
     """Every error is made one at a time: of each image, of each camera's turns, of each amplitude of a field."""
     points, field, step = placed(np.random.default_rng(11), 8), 0.5 * SHAKE, 1e-3
     exact, none = seen(points, np.random.default_rng(0), 1e-9, 0.0)[0], np.zeros((4, 2, 5))
-    _, matched = solved(exact, 0.999 * SHAKE, field=field)
-    order, wanted = matched.points.rays[:, 0], np.zeros((8, 3, 3))
+    matched = solved(exact, 0.999 * SHAKE, field=field)[1]
+    order, wanted = matched.rays[:, 0], np.zeros((8, 3, 3))
 
     def add(found, sigma):
-        moved = solved(found, 0.999 * SHAKE, field=field)[1].points
-        answer = (moved.xyz[np.argsort(moved.rays[:, 0])] - matched.points.xyz[np.argsort(order)])[order] / step
+        moved = solved(found, 0.999 * SHAKE, field=field)[1]
+        answer = (moved.xyz[np.argsort(moved.rays[:, 0])] - matched.xyz[np.argsort(order)])[order] / step
         np.add(wanted, sigma**2 * answer[:, :, None] * answer[:, None, :], out=wanted)
 
     for c, camera in enumerate(RIG.cameras):
@@ -270,7 +261,7 @@ def test_covariances_are_those_of_the_points_answers_to_errors():
                 xy = exact[camera.name].xy_px + step * np.outer(np.arange(8) == k, np.eye(2)[i])
                 add({**exact, camera.name: shifted(exact[camera.name], xy)}, NOISE)
     # pixels are not quite the stereographic plane
-    np.testing.assert_allclose(matched.points.covariance, wanted, rtol=0.05, atol=0.01 * wanted.max())
+    np.testing.assert_allclose(matched.covariance, wanted, rtol=0.05, atol=0.01 * wanted.max())
 
 
 def test_turns_are_the_best_linear_prediction_beside_a_field():
@@ -292,8 +283,8 @@ def test_derivatives_by_the_field_are_those_of_shifted_images():
     points, field = placed(rng, 12), smooth(rng, 1e-3)
     sides, found = [], None
     for amplitudes in (None, field):
-        table, matched = solved(seen(points, np.random.default_rng(10), 1e-6, 0.0, field=amplitudes)[0], 0.0)
-        found = found or matched.points
+        table, matched, _ = solved(seen(points, np.random.default_rng(10), 1e-6, 0.0, field=amplitudes)[0], 0.0)
+        found = found or matched
         members = np.where(found.rays >= 0, table.start[:4] + found.rays, -1)
         right, by_field = turn_sides(table.rays, table.views, members, found.xyz)
         sides.append(right)
@@ -318,7 +309,7 @@ def test_points_with_doubtful_images_are_no_better_known_than_their_images_tell(
         name: replace(one, covariance_px2=0.04 * one.covariance_px2) for name, one in seen(points, rng)[0].items()
     }
     table = make_ray_table(RIG, found, np.hypot(SHAKE, field))
-    members, trusts = table.start[:4] + np.arange(n)[:, None], np.ones((n, 4))
+    members, trusts = np.tile(np.arange(n)[:, None], 4), np.ones((n, 4))
     trusts[::4, 0] = 0.1  # hardly count in camera a
     slopes = np.stack(
         [
@@ -333,11 +324,9 @@ def test_points_with_doubtful_images_are_no_better_known_than_their_images_tell(
         return np.linalg.inv(np.einsum("ncki,nckj,nc->nij", slopes, slopes, 1.0 / whole_px2))
 
     images_px2 = (noise**2 + shared) / trusts**2
-    values = np.zeros((n, VALUES))
-    values[:, :3], values[:, COVARIANCE : COVARIANCE + 9] = points, covariances(images_px2).reshape(n, 9)
+    xyz, known = points.copy(), covariances(images_px2)
     variances = np.full(4, SHAKE**2), np.full(4, field**2), np.zeros(8)
-    moved(values, members, trusts, table.rays, table.views, table.start, variances)
-    known = values[:, COVARIANCE : COVARIANCE + 9].reshape(n, 3, 3)
+    remove_turns(xyz, known, members, trusts, table.rays, table.views, table.start, variances)
     # without turns and field nothing is known better (Cramer and Rao)
     spare = np.linalg.eigvalsh(known - covariances(images_px2 - shared))
     assert (spare > -1e-3 * np.linalg.eigvalsh(known)[:, :1]).all()

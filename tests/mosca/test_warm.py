@@ -1,5 +1,7 @@
 """The warming run reaches every stage."""
 
+from mosca.correspondence.match import match_rays
+from mosca.correspondence.shared_turns import remove_turns
 from mosca.detection.cut_targets.expected import expected_images
 from mosca.detection.cut_targets.kinds import kinds_of
 from mosca.detection.cut_targets.window_fits import fit_windows
@@ -23,3 +25,10 @@ def test_windows_of_nothing_are_compiled_for_the_types_that_the_pipeline_has():
     before = [set(one.signatures) for one in of_cut_targets]
     assert windows() == 0
     assert [set(one.signatures) for one in of_cut_targets] == before
+
+
+def test_points_are_matched_and_moved_with_the_types_that_the_pipeline_has():
+    warm_up()
+    before = [set(one.signatures) for one in (match_rays, remove_turns)]
+    points()
+    assert [set(one.signatures) for one in (match_rays, remove_turns)] == before

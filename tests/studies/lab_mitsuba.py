@@ -42,6 +42,7 @@ from tests.studies.mitsuba_lab import (
     exposed,
     hidden_cameras,
     scale_e,
+    scaled,
     takes,
     wand,
     wand_seed,
@@ -148,8 +149,8 @@ def record_lab(cameras: tuple[HiddenCamera, ...], light: Takes, folder: Path, se
     told = [of("dark", "dark", lambda _, one: even(one, 0.0, DARK), 0)]
     for k, share in enumerate(LIGHT):
         told.append(of(f"lit{k}", "lit", lambda _, one, share=share: even(one, share, LIT), 1 + k))
-    told.append(of("still", "static", lambda c, _: (scale[c] * a for a in light.still.images(c)), 3))
-    told.append(of("moving", "moving", lambda c, _: (scale[c] * a for a in light.moving.images(c)), 4))
+    told.append(of("still", "static", lambda c, _: scaled(light.still.images(c), scale[c]), 3))
+    told.append(of("moving", "moving", lambda c, _: scaled(light.moving.images(c), scale[c]), 4))
     write_rig(rig_of(cameras), folder / "rig.toml")
     return tuple(told)
 
@@ -174,20 +175,26 @@ def write_plan(folder: Path, seed: int, glow: str = "") -> Path:
     return plan
 
 
+def waved(cameras: tuple[HiddenCamera, ...], light: Takes, seed: int, draw: int) -> list[Iterator[Array]]:
+    """Return each camera's counts while the wand is waved, by its own sensors (draw 0) or others of the kind."""
+    return [
+        exposed(
+            one,
+            (seed, c, draw) if draw else (seed, c),
+            scaled(light.wand.images(c), scale_e(one, c, light)),
+            WAND_DRAW,
+        )
+        for c, one in enumerate(cameras)
+    ]
+
+
 def measured(cameras: tuple[HiddenCamera, ...], light: Takes, folder: Path, seed: int) -> Measured:
     """Return the length error that the lab measures by the pipeline, from one render, with several sensors."""
     spec = load_scenario(folder / "plan.toml")
-    scale = [scale_e(one, c, light) for c, one in enumerate(cameras)]
     once, errors = 0.0, np.full((SENSORS, WAND), np.nan)
     for draw in range(SENSORS):
-        rows = [
-            exposed(
-                one, (seed, c, draw) if draw else (seed, c), (scale[c] * a for a in light.wand.images(c)), WAND_DRAW
-            )
-            for c, one in enumerate(cameras)
-        ]
         place = folder / f"wand{draw}"
-        write(place, cameras, rows, WAND_HZ)
+        write(place, cameras, waved(cameras, light, seed, draw), WAND_HZ)
         found = run_scenario(spec, "lab", folder, RunOptions(source=f"recording:{place}", page=False))
         tracks = found.tracks.select(np.asarray(found.tracks.status) == "measured")
         frame, length_m, _ = lengths_found(tracks, spec.length[0])

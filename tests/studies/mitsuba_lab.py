@@ -41,7 +41,7 @@ LENGTH_M = 0.4
 """Distance of the wand's two balls."""
 TARGETS = 10
 RATE_HZ, WAND_HZ = 100.0, 25.0
-DARK, LIT, STILL, MOVING, WAND = 16, 16, 92, 60, 160
+DARK, LIT, STILL, MOVING, WAND = 16, 16, 92, 60, 640
 """Images a camera of each recording; dark, lit (at two levels), at rest and moving are 200 together."""
 SAMPLES, WAND_SAMPLES = 1024, 2048
 """Samples of a pixel at edges. Rendering noise adds 4 and 2 % to places' rms; half as many samples add 40 and 4 %."""
@@ -295,6 +295,12 @@ def _instant(camera: HiddenCamera, bodies: tuple[Body, ...], shift: Array, t: fl
 def scale_e(camera: HiddenCamera, number: int, light: Takes) -> float:
     """Return a camera's photoelectrons of a radiance: its brighter targets at rest have its ``signal``."""
     return camera.signal * camera.capacity_e / float(np.percentile(light.still.peaks(number), BRIGHT))
+
+
+def scaled(images: Iterator[Array], factor: float) -> Iterator[Array]:
+    """Yield images times ``factor``. A generator expression in a loop would use the loop's last factor for all."""
+    for image in images:
+        yield factor * image
 
 
 def exposed(camera: HiddenCamera, seed: tuple[int, ...], images: Iterator[Array], draw: int) -> Iterator[Array]:

@@ -5,12 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.studies.lab_mitsuba import LIGHT, by_shake_and_jitter, truth_of, wand, without_chance
+from tests.studies.lab_mitsuba import LIGHT, by_shake_and_jitter, truth_of, wand, waved, without_chance
 from tests.studies.mitsuba_lab import (
     LENGTH_M,
     SIZE,
     WAND,
     WAND_HZ,
+    KeptLight,
+    Takes,
     by_chance,
     exposed,
     filmed,
@@ -41,6 +43,21 @@ def centroids(light):
         window = light.light[light.start[k] : light.start[k + 1]].reshape(h, w)
         found.append([window.sum(0) @ (x + np.arange(w)), window.sum(1) @ (y + np.arange(h))] / window.sum())
     return np.array(found)
+
+
+@pytest.mark.parametrize("seed", [201, 207])
+def test_each_camera_films_the_wand_with_its_own_brightness(seed):
+    """All windows have one light: each camera's brightest pixels have its signal, as its targets at rest have."""
+    cameras, edge = hidden_cameras(seed), 20
+    place = np.array([(0, c, 100, 100, edge, edge) for c in range(len(cameras))])
+    light = KeptLight(
+        place, edge**2 * np.arange(len(cameras) + 1), np.full(len(cameras) * edge**2, 0.02), np.zeros(1)
+    )
+    for one, images in zip(cameras, waved(cameras, Takes(light, light, light), seed, 0), strict=True):
+        (counts,) = images
+        black = one.sensor.black_dn * 2.0 ** (one.sensor.bits - 8)
+        seen_e = (counts[100 : 100 + edge, 100 : 100 + edge].mean() - black) / one.gain - one.sensor.stray_e
+        assert seen_e == pytest.approx(one.signal * one.capacity_e, rel=0.02)
 
 
 def test_what_shake_and_jitter_make_of_a_length():
