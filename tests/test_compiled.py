@@ -5,9 +5,12 @@ itself refuses a bare step that allocates an array. One that returned an array, 
 allocated it, would compile, and would free memory in use, or leak it.
 """
 
+import ast
 import importlib
+import inspect
 import pkgutil
 import re
+import textwrap
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -21,6 +24,7 @@ from numba.core.registry import cpu_target
 
 import mosca
 import twin
+from mosca.data.arrays import Array
 from mosca.numba_support import libraries
 from mosca.numba_support.decorators import bare_step, callable_bare_step, kernel, step
 from mosca.numba_support.front_end import QuickFlags
@@ -52,6 +56,22 @@ def returns_an_array(function: Dispatcher) -> bool:
     return bool(makes) or any(isinstance(f, Dispatcher) and returns_an_array(f) for f in others)
 
 
+def holds_an_array(kind: Any) -> bool:
+    """Decide for a class of named tuples by the annotations of its fields, and of theirs."""
+    fields = getattr(kind, "__annotations__", {}) if isinstance(kind, type) and issubclass(kind, tuple) else {}
+    around = vars(importlib.import_module(kind.__module__)) if fields else {}
+    arrays = ("Array", str(Array))
+    return any(str(said) in arrays or holds_an_array(around.get(str(said), said)) for said in fields.values())
+
+
+def packs_an_array(function: Dispatcher) -> bool:
+    """Decide whether any value that a function returns is a named tuple, made there, with an array in it."""
+    (tree,) = ast.parse(textwrap.dedent(inspect.getsource(function.py_func))).body
+    calls = [c for r in ast.walk(tree) if isinstance(r, ast.Return) for c in ast.walk(r) if isinstance(c, ast.Call)]
+    names = [c.func.id for c in calls if isinstance(c.func, ast.Name)]
+    return any(holds_an_array(function.py_func.__globals__.get(name)) for name in names)
+
+
 FUNCTIONS = everything()
 BARE = {name: f for name, f in FUNCTIONS.items() if is_bare(f)}
 
@@ -64,6 +84,7 @@ def test_there_are_bare_steps() -> None:
 def test_a_bare_step_neither_returns_arrays_nor_takes_any_from_steps_that_make_them(name: str) -> None:
     function = BARE[name]
     assert not returns_an_array(function)
+    assert not packs_an_array(function)
     around = function.py_func.__globals__
     for called in function.py_func.__code__.co_names:
         other = around.get(called)

@@ -30,6 +30,9 @@ NO_LIGHT = 1e-7
 """Signal of a marker that is not to be seen."""
 BRIGHT = 0.6
 """Light of the brighter even surface over the full well."""
+WORST_M = 0.5e-3
+"""Largest stated standard deviation of points whose lengths count, in the lab and in its prediction: a ball that
+another one hides in part is stated, and is, up to some mm off. One such length in 1,500 doubles an rms of 0.05 mm."""
 BLIND = {"kind": "cloud", "markers": 1, "marker_diameter_m": 0.01, "speed_mps": AT_REST}
 STILL = {"kind": "cloud", "markers": 30, "marker_diameter_m": 0.02, "speed_mps": AT_REST}
 MOVING = {"kind": "cloud", "markers": 30, "marker_diameter_m": 0.02, "speed_mps": 1.5}
@@ -166,6 +169,8 @@ kind = "wand"
 [[length]]
 name = "end to end"
 length_m = 0.4
+[pipeline.track]
+worst_sigma_m = {worst_m}
 [limits]
 completeness = 0.1
 """
@@ -177,6 +182,7 @@ def measured_length(tables, seed, seconds):
     wand = {
         "length": [{"name": "end to end", "length_m": 0.4}],
         "capture": {"duration_s": seconds, "frame_rate_hz": 25.0},
+        "pipeline": {"track": {"worst_sigma_m": WORST_M}},
     }
     spec = lab_spec(tables, {"kind": "wand"}, frames=1, seed=seed, more=wand)
     return run_scenario(spec, "lab", Path(), RunOptions(workers=2)).record.metric("length_rms").value
@@ -185,7 +191,7 @@ def measured_length(tables, seed, seconds):
 def predicted_length(folder, seed, seconds, draws):
     """Return the prediction of the fitted lab in a folder."""
     plan = folder / "plan.toml"
-    plan.write_text(PLAN.format(seed=seed, seconds=seconds))
+    plan.write_text(PLAN.format(seed=seed, seconds=seconds, worst_m=WORST_M))
     lab = folder / "lab.toml"
     _, told = predict(load_with_lab(plan, lab), read_lab(lab), "plan", folder, draws, workers=2)
     return next(one for one in told if one.metric == "length_rms")

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from mosca.data.arrays import Array
-from mosca.numba_support.decorators import kernel, step
+from mosca.numba_support.decorators import bare_step, kernel
 from twin.scenes.scene import SceneSampler
 
 TOLERANCE = 1e-8
@@ -200,7 +200,7 @@ def _seen_from(
     return path, path_rotation, solid, solid_rotation
 
 
-@step
+@bare_step
 def _in_camera(
     rotation: Array, position: Array, xyz: Array, geom_rotation: Array, xyz_here: Array, rotation_here: Array
 ) -> None:

@@ -32,7 +32,7 @@ def project_collinearity(lens: Array, sx: float, sy: float) -> Any:
         if det <= 0.0 or a + d <= 0.0:
             break
         xb, yb = xb + (d * ex - b * ey) / det, yb + (a * ey - c * ex) / det
-        if ex * ex + ey * ey < 1e-26:
+        if ex * ex + ey * ey < 1e-16:  # [mm^2]; the step was of second order, 1e-15 mm or less are left
             ok = True
             break
     ok = ok and xb * xb + yb * yb < lens[ENDS]

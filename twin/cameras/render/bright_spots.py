@@ -4,7 +4,7 @@ import math
 from typing import Any
 
 from mosca.data.arrays import Array
-from mosca.numba_support.decorators import bare_step, step
+from mosca.numba_support.decorators import bare_step
 from twin.cameras.optics.lens import project
 from twin.cameras.render.boundary_integral import MOST_NODES, NODE_AT, NODE_SHARE
 from twin.cameras.render.inputs import TargetPose
@@ -38,7 +38,7 @@ def _ring(diameter: float, rings: int, i: int) -> Any:
     return q, 0.5 * math.pi * NODE_SHARE[rings, i] * math.cos(angle), 12 + int(math.pi * q * diameter / STEP_PX)
 
 
-@step
+@bare_step
 def spot_count(diameter: float) -> Any:
     """Number of spots of a disc of this image diameter."""
     rings, count = _rings(diameter), 0
@@ -47,7 +47,7 @@ def spot_count(diameter: float) -> Any:
     return count
 
 
-@step
+@bare_step
 def spots(lens: Array, target: TargetPose, profile: Array, diameter: float, out: Array) -> None:
     """Write spots (u, v, amount) for a disc's brightness minus 1: Gauss nodes in the radius, equal angles.
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from mosca.data.arrays import Array
-from mosca.numba_support.decorators import bare_step, step
+from mosca.numba_support.decorators import bare_step
 from twin.cameras.optics.lens import project
 from twin.cameras.render.inputs import TargetPose
 from twin.cameras.render.outline import BALL, contour_point
@@ -41,7 +41,7 @@ def lit_by_disc(target: TargetPose, a: Array, b: Array) -> Any:
     return low, high
 
 
-@step
+@bare_step
 def lit_by_figure(
     lens: Array, target: TargetPose, pieces: Array, a: Array, b: Array, lit_u: Array, lit_step: Array
 ) -> Any:
@@ -92,7 +92,7 @@ def lit_by_figure(
     return count
 
 
-@step
+@bare_step
 def _share_of_arc(angle: float, start: float, swing: float, whole: float) -> Any:
     """The share of an arc at an angle; -1 for angles outside the arc."""
     away = (angle - start) % whole if swing > 0.0 else (start - angle) % whole

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from mosca.data.arrays import Array
-from mosca.numba_support.decorators import kernel, step
+from mosca.numba_support.decorators import bare_step, kernel
 from twin.cameras.optics.lens import project
 from twin.cameras.render.inputs import NearSolids, RenderInputs, Solid, SolidArrays, TargetPose
 from twin.cameras.render.occluders import axis_reach, hit, may_hide
@@ -37,12 +37,12 @@ def motion_bounds(kind: Array, size: Array, geom_xyz: Array, geom_rotation: Arra
     return out
 
 
-@step
-def near_solids(inputs: RenderInputs, m: int, image: TargetImage, number: Array) -> Any:
+@bare_step
+def near_solids(inputs: RenderInputs, m: int, image: TargetImage, number: Array, weights: Array) -> Any:
     """Write the numbers of the solids that may hide target m.
 
     Returns their number, and the number of groups of instants into which the exposure must be divided. ``image``: the
-    target's TargetImage.
+    target's TargetImage; ``weights`` (3, K) is working memory.
     """
     solids, target = inputs.solids, image.target
     bounds = solids.bounds
@@ -56,16 +56,16 @@ def near_solids(inputs: RenderInputs, m: int, image: TargetImage, number: Array)
             count += 1
     if count == 0:
         return 0, 1
-    slip = _slip_px(inputs, m, image, number, count)
+    slip = _slip_px(inputs, m, image, number, count, weights)
     return count, 1 if slip < GROUP_PX else min(MOST_GROUPS, 1 + int(slip / GROUP_PX))
 
 
-@step
-def _slip_px(inputs: RenderInputs, m: int, image: TargetImage, number: Array, count: int) -> Any:
+@bare_step
+def _slip_px(inputs: RenderInputs, m: int, image: TargetImage, number: Array, count: int, memory: Array) -> Any:
     """Largest motion past the target, in the image, of a solid's point nearest the line of sight [px]."""
     lens, nodes, path = inputs.lens, inputs.nodes_s, inputs.targets.path[m]
     x, y, z = image.target.x, image.target.y, image.target.z
-    weights, at_begin, at_end = np.empty(nodes.shape[0]), np.empty(nodes.shape[0]), np.empty(nodes.shape[0])
+    weights, at_begin, at_end = memory[0], memory[1], memory[2]
     lagrange_weights(nodes, image.instant_s, weights)
     lagrange_weights(nodes, image.begin_s, at_begin)
     lagrange_weights(nodes, image.end_s, at_end)
@@ -74,40 +74,40 @@ def _slip_px(inputs: RenderInputs, m: int, image: TargetImage, number: Array, co
     ua, va, _a, _b, _c, _d, _e, _f, ok_a = project(lens, ax, ay, az)
     ub, vb, _a, _b, _c, _d, _e, _f, ok_b = project(lens, bx, by, bz)
     slip = 0.0
-    local = np.empty(3)
     for q in range(count):
         xyz, rotation = inputs.solids.xyz[:, number[q]], inputs.solids.rotation[:, number[q]]
         cx, cy, cz = position_at(xyz, weights)
         f = min(max((cx * x + cy * y + cz * z) / (x * x + y * y + z * z), 0.05), 1.0)
-        for i in range(3):
-            local[i] = 0.0
-            for k in range(weights.shape[0]):
-                t = rotation[k]
-                local[i] += weights[k] * (t[0, i] * (f * x - cx) + t[1, i] * (f * y - cy) + t[2, i] * (f * z - cz))
-        uc, vc, ok_c = _material(lens, xyz, rotation, at_begin, local)
-        ud, vd, ok_d = _material(lens, xyz, rotation, at_end, local)
+        px, py, pz = f * x - cx, f * y - cy, f * z - cz
+        in_x = in_y = in_z = 0.0
+        for k in range(weights.shape[0]):
+            t, w = rotation[k], weights[k]
+            in_x += w * (t[0, 0] * px + t[1, 0] * py + t[2, 0] * pz)
+            in_y += w * (t[0, 1] * px + t[1, 1] * py + t[2, 1] * pz)
+            in_z += w * (t[0, 2] * px + t[1, 2] * py + t[2, 2] * pz)
+        uc, vc, ok_c = _material(lens, xyz, rotation, at_begin, in_x, in_y, in_z)
+        ud, vd, ok_d = _material(lens, xyz, rotation, at_end, in_x, in_y, in_z)
         if ok_a and ok_b and ok_c and ok_d:
             slip = max(slip, math.sqrt((ud - uc - ub + ua) ** 2 + (vd - vc - vb + va) ** 2))
     return slip
 
 
-@step
-def _material(lens: Array, xyz: Array, rotation: Array, weights: Array, local: Array) -> Any:
-    """Image of a point that is fixed in a geom, at an instant."""
+@bare_step
+def _material(lens: Array, xyz: Array, rotation: Array, weights: Array, in_x: float, in_y: float, in_z: float) -> Any:
+    """Image of a point that is fixed in a geom, at ``in_x``, ``in_y``, ``in_z`` of its own axes, at an instant."""
     x, y, z = position_at(xyz, weights)
     for k in range(weights.shape[0]):
         t = rotation[k]
-        x += weights[k] * (t[0, 0] * local[0] + t[0, 1] * local[1] + t[0, 2] * local[2])
-        y += weights[k] * (t[1, 0] * local[0] + t[1, 1] * local[1] + t[1, 2] * local[2])
-        z += weights[k] * (t[2, 0] * local[0] + t[2, 1] * local[1] + t[2, 2] * local[2])
+        x += weights[k] * (t[0, 0] * in_x + t[0, 1] * in_y + t[0, 2] * in_z)
+        y += weights[k] * (t[1, 0] * in_x + t[1, 1] * in_y + t[1, 2] * in_z)
+        z += weights[k] * (t[2, 0] * in_x + t[2, 1] * in_y + t[2, 2] * in_z)
     u, v, _a, _b, _c, _d, _e, _f, ok = project(lens, x, y, z)
     return u, v, ok
 
 
-@step
-def pose_solids(near: NearSolids, solids: SolidArrays, nodes: Array, instant_s: float) -> None:
-    """Write the poses of the near solids at an instant."""
-    weights = np.empty(nodes.shape[0])
+@bare_step
+def pose_solids(near: NearSolids, solids: SolidArrays, nodes: Array, instant_s: float, weights: Array) -> None:
+    """Write the poses of the near solids at an instant; ``weights`` (K,) is working memory."""
     lagrange_weights(nodes, instant_s, weights)
     for q in range(near.found):
         g = near.number[q]
@@ -115,7 +115,7 @@ def pose_solids(near: NearSolids, solids: SolidArrays, nodes: Array, instant_s: 
         rotation_at(solids.rotation[:, g], weights, near.rotation[g])
 
 
-@step
+@bare_step
 def hidden_by_one(near: NearSolids, target: TargetPose) -> Any:
     """Whether one convex solid hides the whole outline, enlarged by 5 %, and so all of the target."""
     circle = outline_circle(target, OUTLINE_MARGIN * target.radius)

@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 
 from mosca.data.arrays import Array
-from mosca.numba_support.decorators import bare_step, kernel, step
+from mosca.numba_support.decorators import bare_step, callable_bare_step
 from twin.cameras.render.inputs import Solid
 from twin.scenes.scene import MARKER_GROUP, UNSEEN_GROUP, Scene
 
@@ -73,7 +73,7 @@ def occluders_of(scene: Scene) -> Occluders:
     )
 
 
-@step
+@bare_step
 def axis_reach(kind: int, size: Array) -> Any:
     """Half length (along the geom's z axis) and radius of a capsule that encloses the geom [m]."""
     if kind == SPHERE:
@@ -88,7 +88,7 @@ def axis_reach(kind: int, size: Array) -> Any:
     return 0.0, math.sqrt(size[0] ** 2 + size[1] ** 2 + size[2] ** 2)
 
 
-@kernel
+@callable_bare_step
 def may_hide(centre: Array, axis: Array, half: float, reach: float, x: float, y: float, z: float, r: float) -> bool:
     """Whether a geom within ``reach`` of an axis segment can hide any of a marker of radius r at (x, y, z).
 

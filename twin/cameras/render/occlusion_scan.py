@@ -83,7 +83,7 @@ def scan_hidden(
             for i in range(lit):
                 lit_area -= lit_u[i] * lit_step[i] * scan.step_px
         _row_rays(lens, target, scan, j, v, rays)
-        found, lit_low, lit_high = _covered_in_row(target, scan, near, rays, low, high)
+        found, lit_low, lit_high = _covered_in_row(target, scan, near, rays, low, high, a, b)
         if not figure and lit_high > lit_low:
             lit_u[0], lit_u[1] = lit_low, lit_high
             lit_step[0], lit_step[1] = 1.0, -1.0
@@ -148,7 +148,7 @@ def _ray(lens: Array, target: TargetPose, scan: Scan, u: float, v: float) -> Any
     return dx, dy, dz
 
 
-@step
+@bare_step
 def _whole_row(lens: Array, target: TargetPose, scan: Scan, v: float, a: Array, b: Array) -> None:
     """Write the fan a + s b of a whole row of the box, s from 0 to 1."""
     a[0], a[1], a[2] = _ray(lens, target, scan, scan.box.left, v)
@@ -156,7 +156,7 @@ def _whole_row(lens: Array, target: TargetPose, scan: Scan, v: float, a: Array, 
     b[0], b[1], b[2] = dx - a[0], dy - a[1], dz - a[2]
 
 
-@step
+@bare_step
 def _row_rays(lens: Array, target: TargetPose, scan: Scan, j: int, v: float, rays: Array) -> None:
     """Write the rays (pieces + 1, 3) at the ends of the pieces of row ``j``, at height ``v`` of the image."""
     if not scan.small:
@@ -165,17 +165,16 @@ def _row_rays(lens: Array, target: TargetPose, scan: Scan, j: int, v: float, ray
             u = scan.box.left + piece * scan.piece_px + scan.piece_px
             rays[piece + 1, 0], rays[piece + 1, 1], rays[piece + 1, 2] = _ray(lens, target, scan, u, v)
         return
-    row = np.empty((3, 3))
     p, q, w = _quadratic_weights((j + 0.5) / scan.rows)
-    for k in range(3):
-        for i in range(3):
-            row[k, i] = p * scan.lattice[0, k, i] + q * scan.lattice[1, k, i] + w * scan.lattice[2, k, i]
+    top, middle, bottom = scan.lattice[0], scan.lattice[1], scan.lattice[2]
     for i in range(3):
-        rays[0, i] = row[0, i]
-    for piece in range(scan.pieces):
-        p, q, w = _quadratic_weights((piece + 1.0) / scan.pieces)
-        for i in range(3):
-            rays[piece + 1, i] = p * row[0, i] + q * row[1, i] + w * row[2, i]
+        left = p * top[0, i] + q * middle[0, i] + w * bottom[0, i]
+        half = p * top[1, i] + q * middle[1, i] + w * bottom[1, i]
+        right = p * top[2, i] + q * middle[2, i] + w * bottom[2, i]
+        rays[0, i] = left
+        for piece in range(scan.pieces):
+            one, two, three = _quadratic_weights((piece + 1.0) / scan.pieces)
+            rays[piece + 1, i] = one * left + two * half + three * right
 
 
 @bare_step
@@ -184,13 +183,14 @@ def _quadratic_weights(f: float) -> Any:
     return (2.0 * f - 1.0) * (f - 1.0), 4.0 * f * (1.0 - f), f * (2.0 * f - 1.0)
 
 
-@step
-def _covered_in_row(target: TargetPose, scan: Scan, near: NearSolids, rays: Array, low: Array, high: Array) -> Any:
-    """Write the intervals of a row in which solids hide the target.
+@bare_step
+def _covered_in_row(
+    target: TargetPose, scan: Scan, near: NearSolids, rays: Array, low: Array, high: Array, a: Array, b: Array
+) -> Any:
+    """Write the intervals of a row in which solids hide the target; ``a`` and ``b`` (3,) are working memory.
 
     Returns their number, and the begin and end of the part of the row that lies in a ball or disc.
     """
-    a, b = np.empty(3), np.empty(3)
     found = np.int64(0)
     lit_low, lit_high = np.inf, -np.inf
     for piece in range(scan.pieces):
@@ -213,7 +213,7 @@ def _covered_in_row(target: TargetPose, scan: Scan, near: NearSolids, rays: Arra
     return found, lit_low, lit_high
 
 
-@step
+@bare_step
 def _covered_before(target: TargetPose, near: NearSolids, g: int, a: Array, b: Array, one: float, two: float) -> Any:
     """The part of one..two in which solid ``g`` covers the fan a + s b before the target; low >= high: none."""
     solid = Solid(near.kind[g], near.size[g], near.xyz[g], near.rotation[g])

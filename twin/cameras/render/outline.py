@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from mosca.data.arrays import Array
-from mosca.numba_support.decorators import kernel, step
+from mosca.numba_support.decorators import bare_step, callable_bare_step, step
 from twin.cameras.optics.lens import project
 from twin.cameras.render.boundary_integral import MAX_NODES, NODE_AT, NODE_SHARE
 from twin.cameras.render.inputs import ImageBox, TargetPose
@@ -24,7 +24,7 @@ PANEL_PX = 15.0
 MOST_PANELS = 100
 
 
-@kernel
+@callable_bare_step
 def lagrange_weights(nodes: Array, t: float, out: Array) -> None:
     """Weights (K,) that interpolate values given at ``nodes`` (K,) at the instant t."""
     for k in range(nodes.shape[0]):
@@ -35,7 +35,7 @@ def lagrange_weights(nodes: Array, t: float, out: Array) -> None:
         out[k] = product
 
 
-@step
+@bare_step
 def position_at(path: Array, weights: Array) -> Any:
     """Interpolate a path (K, 3)."""
     x = y = z = 0.0
@@ -46,7 +46,7 @@ def position_at(path: Array, weights: Array) -> Any:
     return x, y, z
 
 
-@step
+@bare_step
 def rotation_at(rotation: Array, weights: Array, out: Array) -> None:
     """Interpolate rotations (K, 3, 3): sums of matrices, error of second order in the angle between nodes."""
     for i in range(3):
@@ -57,7 +57,7 @@ def rotation_at(rotation: Array, weights: Array, out: Array) -> None:
             out[i, j] = value
 
 
-@step
+@bare_step
 def perpendicular_axes(x: float, y: float, z: float) -> Any:
     """Two unit vectors at right angles to (x, y, z) and to each other, the first one as nearly along x as can be."""
     n = math.sqrt(x * x + y * y + z * z)
@@ -71,7 +71,7 @@ def perpendicular_axes(x: float, y: float, z: float) -> Any:
     return ax, ay, az, y * az - z * ay, z * ax - x * az, x * ay - y * ax
 
 
-@step
+@bare_step
 def outline_circle(target: TargetPose, r: float) -> Any:
     """The outline circle of a target of radius ``r``: centre, and two radii at right angles (9 numbers)."""
     shape, rotation, x, y, z, _r = target
@@ -87,7 +87,7 @@ def outline_circle(target: TargetPose, r: float) -> Any:
     )  # fmt: skip
 
 
-@step
+@bare_step
 def circle_point(circle: tuple[float, ...], angle: float) -> Any:
     """The direction to a point of the circle, and its derivative by the angle."""
     c, s = math.cos(angle), math.sin(angle)
@@ -98,7 +98,7 @@ def circle_point(circle: tuple[float, ...], angle: float) -> Any:
     )  # fmt: skip
 
 
-@step
+@bare_step
 def image_box(lens: Array, target: TargetPose) -> Any:
     """Whether the lens images all of a target's outline, and the box of its image [px]."""
     circle = outline_circle(target, 1.02 * target.radius)
@@ -115,13 +115,13 @@ def image_box(lens: Array, target: TargetPose) -> Any:
     return whole, ImageBox(left, right, top, bottom)
 
 
-@step
+@bare_step
 def outline_steps(diameter: float, sigma: float) -> Any:
     """Number of steps along an outline of this image diameter."""
     return max(FEWEST_STEPS, int(math.pi * diameter / (STEP_SIGMA * sigma)) + 1)
 
 
-@step
+@bare_step
 def trace(lens: Array, target: TargetPose, pieces: Array, n: int, sense: float, out: Array) -> None:
     """Write (u, v, dv) of the boundary into ``out`` (n, 3); ``sense``: +1 for contours oriented as the image."""
     shape, rotation, x, y, z, r = target
@@ -155,7 +155,7 @@ def trace(lens: Array, target: TargetPose, pieces: Array, n: int, sense: float, 
                 row += 1
 
 
-@step
+@bare_step
 def contour_point(piece: Array, share: float) -> Any:
     """The point at a share of a piece of contour, and its derivative by the share."""
     if piece[0] == LINE:

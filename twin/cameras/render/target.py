@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mosca.data.arrays import Array
-from mosca.numba_support.decorators import kernel, step
+from mosca.numba_support.decorators import bare_step, kernel, step
 from twin.cameras.optics.lens import project
 from twin.cameras.render.boundary_integral import EDGE, SPOT, Blur, Increments, Panel, add_points, fill
 from twin.cameras.render.bright_spots import spot_count, spots
@@ -97,7 +97,8 @@ def render_chosen(
 def _render_one(light: Array, inputs: RenderInputs, m: int, mode: int, given: GivenBoundary, span: Array) -> Any:
     """Render target ``m`` in a ``mode``; ONLY_SPAN writes begin, middle and end of its exposure to ``span`` (3,)."""
     height, width = light.shape
-    image = image_of(inputs, m, height, width)
+    weights = np.empty((3, inputs.nodes_s.shape[0]))
+    image = image_of(inputs, m, height, width, weights[0])
     if image.state != IN_VIEW:
         return _not_seen(image, image.state)
     if mode == ONLY_SPAN:
@@ -106,9 +107,9 @@ def _render_one(light: Array, inputs: RenderInputs, m: int, mode: int, given: Gi
     whole, box = image_box(inputs.lens, image.target)
     if max(box.right - box.left, box.bottom - box.top) > LARGEST_PX:
         return _not_seen(image, int(OUTSIDE))
-    near, groups = _near(inputs, m, mode, image)
+    near, groups = _near(inputs, m, mode, image, weights)
     if near.found > 0:
-        pose_solids(near, inputs.solids, inputs.nodes_s, image.instant_s)
+        pose_solids(near, inputs.solids, inputs.nodes_s, image.instant_s, weights[0])
         if groups == 1 and hidden_by_one(near, image.target):
             return _not_seen(image, int(HIDDEN))
     out = _increments(image, box, inputs.pixel_reach, height)
@@ -142,32 +143,34 @@ def _render_one(light: Array, inputs: RenderInputs, m: int, mode: int, given: Gi
     visible = 1.0 - hidden
     half = 0.6 * image.diameter + 1.0
     if image.u < half or image.v < half or image.u > width - 1 - half or image.v > height - 1 - half:
-        weights = np.empty(inputs.nodes_s.shape[0])
-        lagrange_weights(inputs.nodes_s, image.instant_s, weights)
-        rotation_at(inputs.targets.rotation[m], weights, image.target.rotation)
+        lagrange_weights(inputs.nodes_s, image.instant_s, weights[0])
+        rotation_at(inputs.targets.rotation[m], weights[0], image.target.rotation)
         visible *= _inside(inputs.lens, image.target, width, height)
     return _seen_share(image, visible, int(IN_VIEW if hidden == 0.0 else PARTLY))
 
 
-@step
+@bare_step
 def _not_seen(image: TargetImage, state: int) -> Any:
     return Rendered(0.0, image.u, image.v, image.diameter, state)
 
 
-@step
+@bare_step
 def _seen_share(image: TargetImage, visible: float, state: int) -> Any:
     return Rendered(visible, image.u, image.v, image.diameter, state)
 
 
 @step
-def _near(inputs: RenderInputs, m: int, mode: int, image: TargetImage) -> Any:
-    """Return the solids that may hide a target, and the number of groups of instants for its hidden part."""
+def _near(inputs: RenderInputs, m: int, mode: int, image: TargetImage, weights: Array) -> Any:
+    """Return the solids that may hide a target, and the number of groups of instants for its hidden part.
+
+    ``weights`` (3, K) is working memory.
+    """
     solids = inputs.solids
     k = solids.kind.shape[0]
     number = np.empty(k, dtype=np.int64)
     count, groups = 0, 1
     if mode == BY_PRIMITIVES:
-        count, groups = near_solids(inputs, m, image, number)
+        count, groups = near_solids(inputs, m, image, number, weights)
     near = NearSolids(number, count, solids.kind, solids.size, np.empty((k, 3)), np.empty((k, 3, 3)))
     return near, groups
 
@@ -204,13 +207,13 @@ def _blur_and_rows(inputs: RenderInputs, m: int, image: TargetImage) -> Any:
     return Blur(inputs.pixel_taps, inputs.pixel_reach, image.patches), rows
 
 
-@step
+@bare_step
 def _motion_in_steps(inputs: RenderInputs, image: TargetImage) -> Any:
     """The image's motion times 0.6 px over the blur's sigma, which decides how finely time is divided."""
     return image.motion_px * 0.6 / inputs.blur_terms[8]
 
 
-@step
+@bare_step
 def _group(image: TargetImage, g: int, groups: int) -> Any:
     """Begin, middle and end of the exposure of group ``g`` of instants."""
     begin, end = image.begin_s, image.end_s
@@ -270,7 +273,7 @@ def _add_hidden(
             x, y, z = position_at(path, weights)
             rotation_at(inputs.targets.rotation[m], weights, target.rotation)
             target = TargetPose(target.shape, target.rotation, x, y, z, target.radius)
-            pose_solids(near, inputs.solids, nodes, middle)
+            pose_solids(near, inputs.solids, nodes, middle, weights)
             u, v, _a, _b, _c, _d, _e, _f, _ok = project(lens, x, y, z)
             _whole, group_box = image_box(lens, target)
         edges, lit_edges, hidden_area, lit_area = scan_hidden(
@@ -302,7 +305,7 @@ def _ever_hidden(inputs: RenderInputs, m: int, image: TargetImage, near: NearSol
         x, y, z = position_at(inputs.targets.path[m], weights)
         rotation_at(inputs.targets.rotation[m], weights, image.target.rotation)
         target = TargetPose(image.target.shape, image.target.rotation, x, y, z, image.target.radius)
-        pose_solids(near, inputs.solids, nodes, middle)
+        pose_solids(near, inputs.solids, nodes, middle, weights)
         _whole, box = image_box(lens, target)
         if anything_before(lens, target, box, near):
             return True
@@ -378,7 +381,7 @@ def _add_sampled(out: Increments, inputs: RenderInputs, m: int, image: TargetIma
     return seen / rays.shape[0]
 
 
-@step
+@bare_step
 def _inside(lens: Array, target: TargetPose, width: int, height: int) -> Any:
     """Share of a target's disc that lies inside the image, from 240 points on it."""
     circle = outline_circle(target, target.radius)

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mosca.data.arrays import Array
-from mosca.numba_support.decorators import step
+from mosca.numba_support.decorators import bare_step, step
 from twin.cameras.optics.lens import project
 from twin.cameras.optics.lens_vector import FISHEYE, KIND
 from twin.cameras.optics.psf import patches
@@ -55,12 +55,12 @@ class TargetImage(NamedTuple):
 
 
 @step
-def image_of(inputs: RenderInputs, m: int, height: int, width: int) -> Any:
-    """Return the TargetImage of target ``m`` in an image of height x width."""
+def image_of(inputs: RenderInputs, m: int, height: int, width: int, weights: Array) -> Any:
+    """Return the TargetImage of target ``m`` in an image of height x width; ``weights`` (K,) is working memory."""
     rotation = np.empty((3, 3))
-    target, u, v, stretch, instant, imaged = _mid_exposure(inputs, m, rotation, height)
-    lens, path = inputs.lens, inputs.targets.path[m]
-    x, y, z, r = target.x, target.y, target.z, target.radius
+    (x, y, z), u, v, stretch, instant, imaged = _mid_exposure(inputs, m, rotation, weights, height)
+    lens, path, r = inputs.lens, inputs.targets.path[m], inputs.targets.radius[m]
+    target = TargetPose(inputs.targets.shape[m], rotation, x, y, z, r)
     state = int(OUTSIDE)
     if not imaged:
         return TargetImage(
@@ -74,12 +74,12 @@ def image_of(inputs: RenderInputs, m: int, height: int, width: int) -> Any:
     for i in range(patch.shape[0]):
         spread = max(spread, max(abs(patch[i, 0]), abs(patch[i, 1])))
     margin = 0.75 * diameter + inputs.pixel_reach + 1.0 + spread
-    begin, end = _exposed(inputs, m, instant, v, margin + 2.0, height)
+    begin, end = _exposed(inputs, m, instant, v, margin + 2.0, height, weights)
     motion, moved = 0.0, 0.0
     if end <= begin:
         state = int(DARK)
     else:
-        motion, moved = image_motion(lens, inputs.nodes_s, path, begin, end)
+        motion, moved = image_motion(lens, inputs.nodes_s, path, begin, end, weights)
         in_columns = -margin - motion <= u <= width + margin + motion
         if motion >= 0.0 and in_columns and -margin - motion <= v <= height + margin + motion:
             behind = rotation[0, 2] * x + rotation[1, 2] * y + rotation[2, 2] * z >= -EDGE_ON * away
@@ -87,24 +87,23 @@ def image_of(inputs: RenderInputs, m: int, height: int, width: int) -> Any:
     return TargetImage(state, target, u, v, diameter, stretch, patch, spread, begin, instant, end, motion, moved)
 
 
-@step
+@bare_step
 def lit_s(inputs: RenderInputs, m: int) -> Any:
     """Begin and end of the time in which target ``m`` shines and the strobe is on."""
     lit = inputs.targets.lit_s
     return max(inputs.rows.on_s, lit[m, 0]), min(inputs.rows.off_s, lit[m, 1])
 
 
-@step
-def _mid_exposure(inputs: RenderInputs, m: int, rotation: Array, height: int) -> Any:
+@bare_step
+def _mid_exposure(inputs: RenderInputs, m: int, rotation: Array, weights: Array, height: int) -> Any:
     """The target at the middle of its own rows' exposure; ``rotation`` (3, 3) is filled.
 
-    With a rolling shutter, row and instant depend on each other, and a fixed point is sought. Returns the pose, its
+    With a rolling shutter, row and instant depend on each other, and a fixed point is sought. Returns the centre, its
     image (u, v), the stretch, the instant, and whether the lens images it.
     """
     lens, nodes, path, r = inputs.lens, inputs.nodes_s, inputs.targets.path[m], inputs.targets.radius[m]
     length, row_time = inputs.rows.length_s, inputs.rows.row_time_s
     on, off = lit_s(inputs, m)
-    weights = np.empty(nodes.shape[0])
     instant = 0.5 * (max(0.0, on) + min(length, off)) if row_time == 0.0 else 0.5 * height * row_time + 0.5 * length
     u = v = x = y = z = stretch = 0.0
     imaged = True
@@ -124,27 +123,28 @@ def _mid_exposure(inputs: RenderInputs, m: int, rotation: Array, height: int) ->
             if abs(instant - before_s) < ROW_INSTANT_S:
                 break
     rotation_at(inputs.targets.rotation[m], weights, rotation)
-    return TargetPose(inputs.targets.shape[m], rotation, x, y, z, r), u, v, stretch, instant, imaged
+    return (x, y, z), u, v, stretch, instant, imaged
 
 
-@step
-def _exposed(inputs: RenderInputs, m: int, instant: float, v: float, rows: float, height: int) -> Any:
+@bare_step
+def _exposed(inputs: RenderInputs, m: int, instant: float, v: float, rows: float, height: int, weights: Array) -> Any:
     """Begin and end of the time in which any row within ``rows`` of the image at ``v`` collects the light."""
     lens, nodes, path = inputs.lens, inputs.nodes_s, inputs.targets.path[m]
     length, row_time = inputs.rows.length_s, inputs.rows.row_time_s
     on, off = lit_s(inputs, m)
     if row_time == 0.0:
         return max(0.0, on), min(length, off)
-    begin = max(0.0, _row_instant(lens, nodes, path, instant, v - rows, -rows, 0.0, row_time, height))
-    end = _row_instant(lens, nodes, path, instant, v + rows, rows, length, row_time, height)
+    begin = max(0.0, _row_instant(lens, nodes, path, weights, instant, v - rows, -rows, 0.0, row_time, height))
+    end = _row_instant(lens, nodes, path, weights, instant, v + rows, rows, length, row_time, height)
     return max(begin, on), min(min(end, (height - 1) * row_time + length), off)
 
 
-@step
+@bare_step
 def _row_instant(
     lens: Array,
     nodes: Array,
     path: Array,
+    weights: Array,
     instant: float,
     row: float,
     shift: float,
@@ -153,7 +153,6 @@ def _row_instant(
     height: int,
 ) -> Any:
     """Instant when the row ``shift`` below a moving target opens, plus ``late``; ``instant``, ``row``: guesses."""
-    weights = np.empty(nodes.shape[0])
     t = instant
     for _ in range(ROW_ITERATIONS):
         before = t
@@ -169,13 +168,12 @@ def _row_instant(
     return t
 
 
-@step
-def image_motion(lens: Array, nodes: Array, path: Array, begin: float, end: float) -> Any:
+@bare_step
+def image_motion(lens: Array, nodes: Array, path: Array, begin: float, end: float, weights: Array) -> Any:
     """Length of the image of a path [px] (-1: not imaged), and distance between the ends of the path [m].
 
     For a path that reverses or accelerates, the speed of its faster half counts.
     """
-    weights = np.empty(nodes.shape[0])
     lagrange_weights(nodes, begin, weights)
     ax, ay, az = position_at(path, weights)
     lagrange_weights(nodes, end, weights)
