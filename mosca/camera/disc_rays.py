@@ -18,13 +18,13 @@ import math
 from mosca.camera.lens_models.arrays import direction_of
 from mosca.camera.ray_table import gram_of, normals, to_world, whiten, whiten_at_shifted
 from mosca.data.rays import ROTATION
-from mosca.numba_support.decorators import step
+from mosca.numba_support.decorators import bare_step
 
 STEP_PX = 1.0
 """Step of the differences of G: lenses change over hundreds of pixels."""
 
 
-@step
+@bare_step
 def free_of_eccentricity(n, c, xy, covariance, disc, cameras, views, rays, work):
     """Aim ray ``n`` of camera ``c`` at the centre of the disc whose image is at the pixel ``xy``.
 
@@ -61,7 +61,7 @@ def free_of_eccentricity(n, c, xy, covariance, disc, cameras, views, rays, work)
     return v0, v1, cosine
 
 
-@step
+@bare_step
 def _bend(own, xy, normal, cosine, view, d, local, work):
     """Return H : M / 2 + J M grad log det J of a disc with r / R = 1 [px]."""
     views, c = view
@@ -102,7 +102,7 @@ def _bend(own, xy, normal, cosine, view, d, local, work):
     return x, y
 
 
-@step
+@bare_step
 def _image_of(g, x, y, z):
     """Return G (2, 3) times a direction."""
     return g[0, 0] * x + g[0, 1] * y + g[0, 2] * z, g[1, 0] * x + g[1, 1] * y + g[1, 2] * z

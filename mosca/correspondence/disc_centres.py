@@ -27,7 +27,7 @@ from mosca.correspondence.selection import TAKEN
 from mosca.data.detections import MERGED
 from mosca.data.rays import FLAGS, ROOT, SIGMA, WHITE
 from mosca.numba_support.copying import copy_row, copy_rows
-from mosca.numba_support.decorators import step
+from mosca.numba_support.decorators import bare_step, step
 from mosca.numba_support.linalg3 import Symmetric3, quadratic_form3
 from mosca.triangulation.triangulate import TRUST
 
@@ -85,7 +85,7 @@ def aim_at_centres(kept, state, data, images):
         copy_row(ranks[:, TRUST], kept.trusts[g])
 
 
-@step
+@bare_step
 def _aim(members, point, circle, ranks, data, images, pulls, work):
     """Aim the rays of a disc at its centre; fill ``pulls`` (3, 3): sums of J' ds/dq, one row for each value of q."""
     rays, views, _ = data
@@ -120,7 +120,7 @@ def _aim(members, point, circle, ranks, data, images, pulls, work):
                 pulls[row, m] += weight * (rays[k, WHITE + m] * a + rays[k, WHITE + 3 + m] * b)
 
 
-@step
+@bare_step
 def _whiten_as_detected(members, data, images, g):
     """Whiten rays by their detections' covariance alone; ``g``: scratch (2, 3)."""
     rays, views, _ = data
@@ -133,7 +133,7 @@ def _whiten_as_detected(members, data, images, g):
             normals(rays, k, views[c, 0], views[c, 1], views[c, 2])
 
 
-@step
+@bare_step
 def _detected(k, c, rays, images):
     """Return the covariance (xx, xy, yy) of a detection, and store it as the one that whitens its ray."""
     s = images.covariance[k]

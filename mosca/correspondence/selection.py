@@ -115,7 +115,7 @@ def choose(kept, data, xyz, covariance):
     return state
 
 
-@step
+@bare_step
 def _worth(g, kept, tracks, prior, data, found):
     """Return the track that best predicts a hypothesis, or -1, and the hypothesis's log-likelihood ratio."""
     values = kept.values[g]

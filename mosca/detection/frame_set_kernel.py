@@ -40,7 +40,7 @@ from mosca.detection.pixel_noise import PixelNoise
 from mosca.detection.search import CUT, DARK, END_RUN, FIRST_RUN, FLOOR, GAIN, IMAGE, THRESHOLD, FoundRegions, Search
 from mosca.detection.threshold_regions import find_regions_in_set
 from mosca.numba_support.copying import copy_rows
-from mosca.numba_support.decorators import kernel, short_kernel, step
+from mosca.numba_support.decorators import bare_step, kernel, short_kernel
 
 REGIONS_ONLY, PAPER, BACKGROUND, REFINED = range(4)
 """How centres are found: not at all, else as the values of ``DetectionSettings.centroid``."""
@@ -108,7 +108,7 @@ def detect_frame_set(
     return found, Measured(table, region_of, image_of_row), sums
 
 
-@step
+@bare_step
 def measure_unrefined(
     images: ImageSet, found: FoundRegions, rule: CentroidRule, table: Array, region_of: Array
 ) -> None:

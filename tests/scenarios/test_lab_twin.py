@@ -78,7 +78,7 @@ def test_what_is_left_out_of_the_fit_shows_in_the_prediction(lab):
     """
     tables, folder, _done = lab
     shaken = [{**one, "errors": {**one["errors"], "body_px": 0.3}} for one in tables]
-    measured = study.measured_length(shaken, 7, 10.0)
+    (measured,) = study.measured_lengths(shaken, 7, 10.0, 1)
     (folder / "a").mkdir(exist_ok=True)
     names = [one["name"] for one in tables]
     told = [ParameterEstimate(name, "errors.body_px", 0.3, 0.01, "planted") for name in names]
@@ -91,7 +91,7 @@ def test_what_is_left_out_of_the_fit_shows_in_the_prediction(lab):
     assert without.high < measured
     # twice the noise that the file states is outside what it predicts
     loud = [{**one, "errors": {**one["errors"], "body_px": 0.6}} for one in shaken]
-    assert study.measured_length(loud, 7, 10.0) > 1.5 * whole.value
+    assert study.measured_lengths(loud, 7, 10.0, 1)[0] > 1.5 * whole.value
 
 
 def test_draws_follow_the_standard_deviations(tmp_path):

@@ -44,7 +44,7 @@ from mosca.detection.cut_targets.windows import (
     Windows,
     own_pixels,
 )
-from mosca.numba_support.decorators import callable_bare_step, kernel, step
+from mosca.numba_support.decorators import bare_step, callable_bare_step, kernel, step
 from mosca.numba_support.order import median_in_place
 
 MOST_MISFIT, LEAST_MISFIT = 4.0, 4e-4
@@ -163,7 +163,7 @@ def fit_windows(
     return out
 
 
-@step
+@bare_step
 def _as_whole(learned, misfit, amplitude, limit):
     """Return whether a fit's misfit is below the limit and its amplitude is that of whole discs."""
     return (
@@ -257,7 +257,7 @@ def _share_of_light(patch, there, place, radius, learned):
     return light / (math.exp(learned[LOG_LIGHT]) * whole)
 
 
-@step
+@bare_step
 def _expected_at(point, c, points, expected):
     """Return where the track nearest to a point expects its image and the standard deviation [px], inf for none."""
     least, at = expected.reach_m * expected.reach_m, -1

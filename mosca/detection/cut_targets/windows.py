@@ -10,7 +10,7 @@ from mosca.data.arrays import Array
 from mosca.data.detections import SATURATED
 from mosca.data.rays import AREA_RADIUS, FLAGS
 from mosca.detection.cut_targets.kinds import BESIDE, GROWN, WHOLE
-from mosca.numba_support.decorators import kernel, step
+from mosca.numba_support.decorators import bare_step, kernel
 
 READY, LEARNING, BLUR_PX, SIZE, SIZE_SIGMA, USUAL_MISFIT, LOG_LIGHT, MOST_LOG_LIGHT, LEARNED = range(9)
 """Columns of what is learned from a camera's whole discs: whether they are enough to fit others, and whether learning
@@ -117,7 +117,7 @@ def windows_of(
     ), 2 * half + 1  # fmt: skip
 
 
-@step
+@bare_step
 def _apart(ray, radius, first, last, rays, xy):
     """Return whether no other detection of the camera is near a disc, rim to rim."""
     for other in range(first, last):
@@ -127,7 +127,7 @@ def _apart(ray, radius, first, last, rays, xy):
     return True
 
 
-@step
+@bare_step
 def _nearest(ray, first, last, rays, xy):
     """Return the nearest other detection of the camera that is not saturated, -1 for none, and how far it is [px]."""
     best, least = -1, np.inf
