@@ -56,7 +56,7 @@ def test_what_was_not_recorded_is_named(lab):
 def test_a_scenario_runs_with_the_labs_cameras(lab):
     _tables, folder, _done = lab
     plan = folder / "plan.toml"
-    plan.write_text(study.PLAN.format(seed=4, seconds=4.0))
+    plan.write_text(study.plan_text(4, 4.0))
     spec = load_with_lab(plan, folder / "lab.toml", ("capture.duration_s=1.2",))
     fitted = read_lab(folder / "lab.toml")
     assert spec.capture.duration_s == 1.2
@@ -174,13 +174,13 @@ def test_a_wrong_lab_file_is_one_line(tmp_path, change, line):
     )
     place = text.index("[[estimate]]")
     (tmp_path / "lab.toml").write_text(text[:place] + text[place:].replace(*change))
-    (tmp_path / "plan.toml").write_text(study.PLAN.format(seed=1, seconds=0.3))
+    (tmp_path / "plan.toml").write_text(study.plan_text(1, 0.3))
     assert line in refusal("run", "plan.toml", "--lab", "lab.toml", "--out", "new", cwd=tmp_path)
 
 
 def test_cameras_of_other_names_are_refused(tmp_path):
     told = [ParameterEstimate("left", "errors.read_noise_e", 10.0, 0.5, "x")]
     write_lab(tmp_path / "lab.toml", lab_document(told, (), None))
-    (tmp_path / "plan.toml").write_text(study.PLAN.format(seed=1, seconds=0.3))
+    (tmp_path / "plan.toml").write_text(study.plan_text(1, 0.3))
     said = refusal("run", "plan.toml", "--lab", "lab.toml", "--out", "new", cwd=tmp_path)
     assert "cameras left; the scenario's ring has cam1, cam2, cam3, cam4" in said

@@ -179,6 +179,11 @@ completeness = 0.1
 """The planned experiment; it knows nothing of the lab."""
 
 
+def plan_text(seed, seconds):
+    """Return the scenario file of the planned experiment."""
+    return PLAN.format(seed=seed, seconds=seconds, worst_m=WORST_M)
+
+
 def measured_lengths(tables, seed, seconds, takes=TAKES):
     """Return the length error [m] that the hidden lab measures, rms, in each of some takes."""
     wand = {
@@ -194,7 +199,7 @@ def measured_lengths(tables, seed, seconds, takes=TAKES):
 def predicted_length(folder, seed, seconds, draws):
     """Return the prediction of the fitted lab in a folder."""
     plan = folder / "plan.toml"
-    plan.write_text(PLAN.format(seed=seed, seconds=seconds, worst_m=WORST_M))
+    plan.write_text(plan_text(seed, seconds))
     lab = folder / "lab.toml"
     _, told = predict(load_with_lab(plan, lab), read_lab(lab), "plan", folder, draws, workers=2)
     return next(one for one in told if one.metric == "length_rms")
