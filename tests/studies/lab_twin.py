@@ -179,27 +179,27 @@ completeness = 0.1
 """The planned experiment; it knows nothing of the lab."""
 
 
-def plan_text(seed, seconds):
+def plan_text(seed, seconds, worst_m=WORST_M):
     """Return the scenario file of the planned experiment."""
-    return PLAN.format(seed=seed, seconds=seconds, worst_m=WORST_M)
+    return PLAN.format(seed=seed, seconds=seconds, worst_m=worst_m)
 
 
-def measured_lengths(tables, seed, seconds, takes=TAKES):
+def measured_lengths(tables, seed, seconds, takes=TAKES, worst_m=WORST_M):
     """Return the length error [m] that the hidden lab measures, rms, in each of some takes."""
     wand = {
         "length": [{"name": "end to end", "length_m": 0.4}],
         "capture": {"duration_s": seconds, "frame_rate_hz": 25.0},
-        "pipeline": {"track": {"worst_sigma_m": WORST_M}},
+        "pipeline": {"track": {"worst_sigma_m": worst_m}},
     }
     specs = [lab_spec(tables, {"kind": "wand"}, frames=1, seed=seed + 100 * k, more=wand) for k in range(takes)]
     runs = [run_scenario(spec, "lab", Path(), RunOptions(workers=2, page=False)) for spec in specs]
     return [run.record.metric("length_rms").value for run in runs]
 
 
-def predicted_length(folder, seed, seconds, draws):
+def predicted_length(folder, seed, seconds, draws, worst_m=WORST_M):
     """Return the prediction of the fitted lab in a folder."""
     plan = folder / "plan.toml"
-    plan.write_text(plan_text(seed, seconds))
+    plan.write_text(plan_text(seed, seconds, worst_m))
     lab = folder / "lab.toml"
     _, told = predict(load_with_lab(plan, lab), read_lab(lab), "plan", folder, draws, workers=2)
     return next(one for one in told if one.metric == "length_rms")
