@@ -46,41 +46,43 @@ def fill_modes(k, c, rays, views, out):
 
 
 @bare_step
-def _fill_answers(members, point):
-    """Fill ``point.answer``: how the point goes with an error of each image."""
+def _fill_answers(n, members, points):
+    """Fill ``points.answer`` of point n: how the point goes with an error of each image."""
+    inverse = points.inverse[n]
     for c in range(members.shape[0]):
         if members[c] < 0:
             continue
-        slope, weight = point.slope[c], point.weight[c]
+        slope, weight, answer = points.slope[n, c], points.weight[n, c], points.answer[n, c]
         for i in range(2):
             for p in range(3):
-                total = 0.0
+                answer[i, p] = 0.0
                 for q in range(3):
                     pushed = slope[0, q] * weight[0, i] + slope[1, q] * weight[1, i]
-                    total += point.inverse[p, q] * pushed
-                point.answer[c, i, p] = total
+                    answer[i, p] += inverse[p, q] * pushed
 
 
 @bare_step
-def add_field(members, point, by_field):
-    """Add a point's part to G: ``by_field`` (2 c, c, 2, MODES), of each camera, on each axis, of each mode.
+def add_field(n, members, points, by_field):
+    """Add the part of point n to G': ``by_field`` (c, 2, MODES, 2 c), of each camera, on each axis, of each mode.
 
-    ``point``: filled by ``mosca.correspondence.shared_turns.fill_equations``; ``members`` (c,): its rays, -1: none.
+    ``points``: filled by ``mosca.correspondence.shared_turns.fill_equations``; ``members`` (c,): its rays, -1: none.
     """
-    cameras = members.shape[0]
-    _fill_answers(members, point)
+    cameras, changes = members.shape[0], points.crossed[0, 0]
+    _fill_answers(n, members, points)
     for c in range(cameras):
         for i in range(2 if members[c] >= 0 else 0):
+            answer, turn, weight = points.answer[n, c], points.turn[n, c], points.weight[n, c]
             for d in range(cameras):
-                for j in range(2 if members[d] >= 0 else 0):
-                    change = 0.0
-                    for p in range(3):
-                        change -= point.toward[d, p, j] * point.answer[c, i, p]
+                toward = points.toward[n, d]
+                for j in range(2):
+                    change = -toward[0, j] * answer[i, 0] - toward[1, j] * answer[i, 1] - toward[2, j] * answer[i, 2]
                     if d == c:
-                        change += point.turn[c, 0, j] * point.weight[c, 0, i]
-                        change += point.turn[c, 1, j] * point.weight[c, 1, i]
-                    for m in range(MODES):
-                        by_field[2 * d + j, c, i, m] += change * point.modes[c, m]
+                        change += turn[0, j] * weight[0, i] + turn[1, j] * weight[1, i]
+                    changes[2 * d + j] = change
+            for m in range(MODES):
+                mode, row = points.modes[n, c, m], by_field[c, i, m]
+                for k in range(2 * cameras):
+                    row[k] += changes[k] * mode
 
 
 @step
@@ -99,7 +101,7 @@ def field_as_noise(normal, right, by_field, field_px2, variance):
                 total = 0.0
                 for k in range(2):
                     for m in range(MODES):
-                        total += by_field[i, c, k, m] * by_field[j, c, k, m]
+                        total += by_field[c, k, m, i] * by_field[c, k, m, j]
                 whole[i, j] += field_px2[c] * total
         whole[i, i] += RIDGE / variance[i // 2]
         sides[i, n] = right[i]
@@ -122,42 +124,41 @@ def product(one, other):
 
 
 @bare_step
-def field_covariance(members, point, by_field, field_px2, counted_px2, gain):
-    """Fill ``point.added`` (3, 3): the covariance that the field adds beside that of the turns.
+def field_covariance(n, members, points, by_field, field_px2, counted_px2, gain):
+    """Fill ``points.added`` (3, 3): the covariance that the field adds to point n beside that of the turns.
 
     A field shifts the point's own images and, through all points, the turns. Where they go together, the turns undo
     it. ``counted_px2`` (c,): variance of turns and field that the weights of the point's images count as their own,
-    which is taken off; ``gain`` (2 c, 2 c): (D^-1 + A M^-1 A)^-1 A M^-1; others as for ``add_field``.
+    which is taken off; ``gain`` (2 c, 2 c): M^-1 A (D^-1 + A M^-1 A)^-1; others as for ``add_field``.
     """
-    cameras, crossed = members.shape[0], point.crossed
-    _fill_answers(members, point)
-    point.added[:] = 0.0
-    crossed[:] = 0.0
+    cameras, (by_images, by_turns), added = members.shape[0], points.crossed, points.added
+    _fill_answers(n, members, points)
+    added[:] = 0.0
+    points.crossed[:] = 0.0
     for c in range(cameras):
         if members[c] < 0:
             continue
-        own_px2 = -counted_px2[c]
+        modes, own_px2 = points.modes[n, c], -counted_px2[c]
         for m in range(MODES):
-            own_px2 += field_px2[c] * point.modes[c, m] ** 2
+            own_px2 += field_px2[c] * modes[m] ** 2
         for i in range(2):
-            answer = point.answer[c, i]
+            answer = points.answer[n, c, i]
             for p in range(3):
                 for q in range(3):
-                    point.added[p, q] += own_px2 * answer[p] * answer[q]
-            for k in range(2 * cameras):
-                total = 0.0
-                for m in range(MODES):
-                    total += point.modes[c, m] * by_field[k, c, i, m]
+                    added[p, q] += own_px2 * answer[p] * answer[q]
+            for m in range(MODES):
+                mode_px2, row = field_px2[c] * modes[m], by_field[c, i, m]
                 for p in range(3):
-                    crossed[0, p, k] += field_px2[c] * total * answer[p]
-    for k in range(2 * cameras):
-        for p in range(3):
-            for j in range(2 * cameras):
-                crossed[1, p, k] += crossed[0, p, j] * gain[k, j]
+                    for k in range(2 * cameras):
+                        by_images[p, k] += mode_px2 * answer[p] * row[k]
+    for p in range(3):
+        for j in range(2 * cameras):
+            for k in range(2 * cameras):
+                by_turns[p, k] += by_images[p, j] * gain[j, k]
     for d in range(cameras):
         for j in range(2 if members[d] >= 0 else 0):
             for p in range(3):
                 for q in range(3):
-                    both = crossed[1, p, 2 * d + j] * point.held[d, q, j]
-                    both += crossed[1, q, 2 * d + j] * point.held[d, p, j]
-                    point.added[p, q] -= both
+                    both = by_turns[p, 2 * d + j] * points.held[n, d, q, j]
+                    both += by_turns[q, 2 * d + j] * points.held[n, d, p, j]
+                    added[p, q] -= both

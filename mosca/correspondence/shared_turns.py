@@ -45,62 +45,63 @@ class Shared(NamedTuple):
 
 
 class PointEquations(NamedTuple):
-    """Equations of one point in c cameras with w unknowns each: working memory.
+    """Equations of n points in c cameras with w unknowns each: working memory.
 
     The unknowns are the turns about the camera's x and y axes and, where they are estimated, the amplitudes [px] of
     the modes of its lens's field on x, then on y. Units are those of turns.
     """
 
     slope: Any
-    """(c, 2, 3) J, derivative of the images by the point [px/m]."""
+    """(n, c, 2, 3) J, derivative of the images by the point [px/m]."""
     turn: Any
-    """(c, 2, w) B, the same by their cameras' unknowns [px/rad]."""
+    """(n, c, 2, w) B, the same by their cameras' unknowns [px/rad]."""
     weight: Any
-    """(c, 2, 2) R^-1 of the images [px^-2]."""
+    """(n, c, 2, 2) R^-1 of the images [px^-2]."""
+    rest: Any
+    """(n, c, 2) residuals r of the images [px]."""
+    modes: Any
+    """(n, c, MODES) modes of the lens's field at the images."""
+    answer: Any
+    """(n, c, 2, 3) N^-1 J' R^-1: how the point goes with an error of each image on each axis [m/px]
+    (``mosca.correspondence.lens_field``)."""
+    right: Any
+    """(n, 3) sum J' R^-1 r [1/m]."""
+    square: Any
+    """(n, c, w, w) B' R^-1 B [rad^-2]; as all further ones 0 for a camera without an image."""
+    push: Any
+    """(n, c, w) B' R^-1 r [1/rad]."""
+    toward: Any
+    """(n, c, 3, w) J' R^-1 B [1/(m rad)]."""
+    held: Any
+    """(n, c, 3, w) N^-1 J' R^-1 B: how the point goes against a turn [m/rad]."""
+    inverse: Any
+    """(n, 3, 3) N^-1 [m^2]."""
+    whole: Any
+    """(n, 3, 3) covariance of the point if the errors of all images were independent [m^2]."""
+    pull: Any
+    """(n, 3) N^-1 sum J' R^-1 r [m]."""
     whole_weight: Any
     """(2, 2) inverse of the whole covariance of one image [px^-2]."""
-    rest: Any
-    """(2,) residual r of one image [px]."""
-    modes: Any
-    """(c, MODES) modes of the lens's field at the images."""
-    answer: Any
-    """(c, 2, 3) N^-1 J' R^-1: how the point goes with an error of each image on each axis [m/px]
-    (``mosca.correspondence.lens_field``)."""
-    crossed: Any
-    """(2, 3, 2 c) products of turns and places."""
-    added: Any
-    """(3, 3) covariance that the field adds [m^2]."""
     normal: Any
-    """(3, 3) N [m^-2]."""
+    """(3, 3) N of one point [m^-2]."""
     usual: Any
     """(3, 3) the same with the images' whole covariances [m^-2]."""
-    right: Any
-    """(3,) sum J' R^-1 r [1/m]."""
-    square: Any
-    """(c, w, w) B' R^-1 B [rad^-2]; as all further ones 0 for a camera without an image."""
-    push: Any
-    """(c, w) B' R^-1 r [1/rad]."""
-    toward: Any
-    """(c, 3, w) J' R^-1 B [1/(m rad)]."""
-    held: Any
-    """(c, 3, w) N^-1 J' R^-1 B: how the point goes against a turn [m/rad]."""
-    inverse: Any
-    """(3, 3) N^-1 [m^2]."""
-    whole: Any
-    """(3, 3) covariance of the point if the errors of all images were independent [m^2]."""
-    pull: Any
-    """(3,) N^-1 sum J' R^-1 r [m]."""
+    crossed: Any
+    """(2, 3, w c) products of turns and places of one point."""
+    added: Any
+    """(3, 3) covariance that the field adds to one point [m^2]."""
 
 
 @step
-def point_equations(cameras, unknowns):
-    """Return working memory for ``cameras`` with so many ``unknowns`` each."""
-    c, w = cameras, unknowns
+def point_equations(points, cameras, unknowns):
+    """Return working memory for ``points`` in ``cameras`` with so many ``unknowns`` each."""
+    n, c, w = points, cameras, unknowns
     return PointEquations(
-        np.zeros((c, 2, 3)), np.zeros((c, 2, w)), np.zeros((c, 2, 2)), np.zeros((2, 2)), np.zeros(2),
-        np.zeros((c, MODES)), np.zeros((c, 2, 3)), np.zeros((2, 3, 2 * c)), np.zeros((3, 3)),
-        np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3), np.zeros((c, w, w)), np.zeros((c, w)),
-        np.zeros((c, 3, w)), np.zeros((c, 3, w)), np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3),
+        np.zeros((n, c, 2, 3)), np.zeros((n, c, 2, w)), np.zeros((n, c, 2, 2)), np.zeros((n, c, 2)),
+        np.zeros((n, c, MODES)), np.zeros((n, c, 2, 3)), np.zeros((n, 3)), np.zeros((n, c, w, w)),
+        np.zeros((n, c, w)), np.zeros((n, c, 3, w)), np.zeros((n, c, 3, w)), np.zeros((n, 3, 3)),
+        np.zeros((n, 3, 3)), np.zeros((n, 3)), np.zeros((2, 2)), np.zeros((3, 3)), np.zeros((3, 3)),
+        np.zeros((2, 3, w * c)), np.zeros((3, 3)),
     )  # fmt: skip
 
 
@@ -117,9 +118,9 @@ def turn_of(k, c, rays, views, turn):
 
 
 @bare_step
-def _fill_image(c, k, trust, point, rays, views, shared_px2, out):
-    """Fill slope, turn, modes, both weights and rest with those of ray k, of camera c; return ln det R."""
-    slope, weight, rest = out.slope[c], out.weight[c], out.rest
+def _fill_image(n, c, k, trust, point, rays, views, shared_px2, out):
+    """Fill slope, turn, modes, both weights and rest of point n with those of ray k, of camera c."""
+    slope, weight, rest, turn = out.slope[n, c], out.weight[n, c], out.rest[n, c], out.turn[n, c]
     depth = 0.0
     for p in range(3):
         depth += rays[k, p] * (point[p] - views[c, p])
@@ -129,37 +130,34 @@ def _fill_image(c, k, trust, point, rays, views, shared_px2, out):
         for p in range(3):
             slope[i, p] /= depth
             rest[i] += slope[i, p] * (point[p] - views[c, p])
-    turn_of(k, c, rays, views, out.turn[c])
-    fill_modes(k, c, rays, views, out.modes[c])
-    if out.turn.shape[2] > 2:
+    turn_of(k, c, rays, views, turn)
+    fill_modes(k, c, rays, views, out.modes[n, c])
+    if turn.shape[1] > 2:
         for m in range(MODES):
-            out.turn[c, 0, 2 + m] = out.turn[c, 1, 2 + MODES + m] = out.modes[c, m]
+            turn[0, 2 + m] = turn[1, 2 + MODES + m] = out.modes[n, c, m]
     l00, l10, t2 = rays[k, ROOT], rays[k, ROOT + 1], trust * trust
     l11 = rays[k, SIGMA] * rays[k, SIGMA] / l00
     s00, s01, s11 = l00 * l00 / t2, l00 * l10 / t2, (l10 * l10 + l11 * l11) / t2
     _invert(s00, s01, s11, out.whole_weight)
-    return np.log(_invert(s00 - shared_px2[c], s01, s11 - shared_px2[c], weight))
+    _invert(s00 - shared_px2[c], s01, s11 - shared_px2[c], weight)
 
 
 @bare_step
 def _invert(xx, xy, yy, out):
-    """Fill ``out`` (2, 2) with the inverse of a symmetric matrix; return the determinant of the latter."""
+    """Fill ``out`` (2, 2) with the inverse of a symmetric matrix."""
     det = xx * yy - xy * xy
     out[0, 0], out[1, 1] = yy / det, xx / det
     out[0, 1] = out[1, 0] = -xy / det
-    return det
 
 
 @bare_step
-def _add_image(c, out):
-    """Add the image of camera c to the equations of its point; return r' R^-1 r."""
-    slope, turn, weight, rest, usual_weight = out.slope[c], out.turn[c], out.weight[c], out.rest, out.whole_weight
-    unknowns = turn.shape[1]
-    normal, usual, right = out.normal, out.usual, out.right
-    total = 0.0
+def _add_image(n, c, out):
+    """Add the image of camera c to the equations of its point n."""
+    slope, turn, weight, rest = out.slope[n, c], out.turn[n, c], out.weight[n, c], out.rest[n, c]
+    push, square, toward, right = out.push[n, c], out.square[n, c], out.toward[n, c], out.right[n]
+    unknowns, usual_weight, normal, usual = turn.shape[1], out.whole_weight, out.normal, out.usual
     for i in range(2):
         pushed = weight[i, 0] * rest[0] + weight[i, 1] * rest[1]
-        total += rest[i] * pushed
         for p in range(3):
             right[p] += slope[i, p] * pushed
             heavy = weight[i, 0] * slope[0, p] + weight[i, 1] * slope[1, p]
@@ -168,70 +166,90 @@ def _add_image(c, out):
                 normal[q, p] += slope[i, q] * heavy
                 usual[q, p] += slope[i, q] * light
             for j in range(unknowns):
-                out.toward[c, p, j] += heavy * turn[i, j]
+                toward[p, j] += heavy * turn[i, j]
         for j in range(unknowns):
-            out.push[c, j] += turn[i, j] * pushed
+            push[j] += turn[i, j] * pushed
             heavy = weight[i, 0] * turn[0, j] + weight[i, 1] * turn[1, j]
             for k in range(unknowns):
-                out.square[c, j, k] += turn[i, k] * heavy
-    return total
+                square[j, k] += turn[i, k] * heavy
 
 
 @bare_step
-def fill_equations(point, members, trusts, rays, views, shared_px2, out):
-    """Fill the equations of a ``point`` (3,) with the rays ``members`` (c,), -1 for none, and their ``trusts`` (c,).
+def fill_equations(n, point, members, trusts, rays, views, shared_px2, out):
+    """Fill the equations of point n, a ``point`` (3,) with the rays ``members`` (c,), -1: none; True if they solve it.
 
-    Returns whether its images determine it, and minus twice the log-likelihood of its images without turns of the
-    cameras, the point integrated out, up to a constant.
+    ``trusts`` (c,): how much each image counts; ``shared_px2`` (c,): part of the images' variances that is not theirs.
     """
-    total, unknowns = 0.0, out.push.shape[1]
+    cameras, unknowns = out.push.shape[1], out.push.shape[2]
+    inverse, pull, right = out.inverse[n], out.pull[n], out.right[n]
     for p in range(3):
-        out.right[p] = 0.0
+        right[p] = 0.0
         for q in range(3):
             out.normal[p, q] = out.usual[p, q] = 0.0
-    for c in range(members.shape[0]):
+    for c in range(cameras):
         for i in range(unknowns):
-            out.push[c, i] = 0.0
+            out.push[n, c, i] = 0.0
             for j in range(unknowns):
-                out.square[c, i, j] = 0.0
+                out.square[n, c, i, j] = 0.0
             for p in range(3):
-                out.toward[c, p, i] = out.held[c, p, i] = 0.0
+                out.toward[n, c, p, i] = out.held[n, c, p, i] = 0.0
         if members[c] >= 0:
-            total += _fill_image(c, members[c], trusts[c], point, rays, views, shared_px2, out) + _add_image(c, out)
+            _fill_image(n, c, members[c], trusts[c], point, rays, views, shared_px2, out)
+            _add_image(n, c, out)
     one, other = symmetric3(out.normal), symmetric3(out.usual)
     one_cofactors, other_cofactors = cofactors3(one), cofactors3(other)
     det, other_det = determinant3(one, one_cofactors), determinant3(other, other_cofactors)
     if not (det > SINGULAR * one.xx * one.yy * one.zz and other_det > SINGULAR * other.xx * other.yy * other.zz):
-        return False, 0.0
-    store3(divided3(one_cofactors, det), out.inverse)
-    store3(divided3(other_cofactors, other_det), out.whole)
+        return False
+    store3(divided3(one_cofactors, det), inverse)
+    store3(divided3(other_cofactors, other_det), out.whole[n])
     for p in range(3):
-        out.pull[p] = 0.0
+        pull[p] = 0.0
         for q in range(3):
-            out.pull[p] += out.inverse[p, q] * out.right[q]
-            for c in range(members.shape[0]):
+            pull[p] += inverse[p, q] * right[q]
+    for c in range(cameras):
+        for p in range(3 if members[c] >= 0 else 0):
+            for q in range(3):
                 for i in range(unknowns):
-                    out.held[c, p, i] += out.inverse[p, q] * out.toward[c, q, i]
-        total -= out.pull[p] * out.right[p]
-    return True, total + np.log(det)
+                    out.held[n, c, p, i] += inverse[p, q] * out.toward[n, c, q, i]
+    return True
 
 
 @bare_step
-def add_equations(point, normal, right):
-    """Add a point's equations to those of the unknowns, the lower triangle of ``normal`` (w c, w c), ``right``."""
-    unknowns = point.push.shape[1]
-    for c in range(len(point.push)):
-        for i in range(unknowns if point.square[c, 0, 0] > 0.0 else 0):
+def deviance_of(n, members, equations):
+    """Return minus twice the log-likelihood of the images of point n if no camera turns, up to a constant.
+
+    The point is integrated out. ``equations``: filled by ``fill_equations``; ``members``: as there.
+    """
+    inverse = symmetric3(equations.inverse[n])
+    total = -np.log(determinant3(inverse, cofactors3(inverse)))
+    for p in range(3):
+        total -= equations.pull[n, p] * equations.right[n, p]
+    for c in range(members.shape[0]):
+        if members[c] >= 0:
+            weight, (x, y) = equations.weight[n, c], (equations.rest[n, c, 0], equations.rest[n, c, 1])
+            total += weight[0, 0] * x * x + 2.0 * weight[0, 1] * x * y + weight[1, 1] * y * y
+            total -= np.log(weight[0, 0] * weight[1, 1] - weight[0, 1] * weight[1, 0])
+    return total
+
+
+@bare_step
+def add_equations(n, points, normal, right):
+    """Add the equations of point n to those of the unknowns, the lower triangle of ``normal`` (w c, w c), ``right``."""
+    cameras, unknowns = points.push.shape[1], points.push.shape[2]
+    for c in range(cameras):
+        push, square, toward, pull = points.push[n, c], points.square[n, c], points.toward[n, c], points.pull[n]
+        for i in range(unknowns if square[0, 0] > 0.0 else 0):
             row = unknowns * c + i
-            right[row] += point.push[c, i]
+            right[row] += push[i]
             for j in range(unknowns):
-                normal[row, unknowns * c + j] += point.square[c, i, j]
+                normal[row, unknowns * c + j] += square[i, j]
             for p in range(3):
-                right[row] -= point.toward[c, p, i] * point.pull[p]
-            x, y, z = point.toward[c, 0, i], point.toward[c, 1, i], point.toward[c, 2, i]
+                right[row] -= toward[p, i] * pull[p]
+            x, y, z = toward[0, i], toward[1, i], toward[2, i]
             for d in range(c + 1):
-                held, first = point.held[d], unknowns * d
-                for j in range(unknowns if point.square[d, 0, 0] > 0.0 else 0):
+                held, first = points.held[n, d], unknowns * d
+                for j in range(unknowns if points.square[n, d, 0, 0] > 0.0 else 0):
                     normal[row, first + j] -= x * held[0, j] + y * held[1, j] + z * held[2, j]
 
 
@@ -316,56 +334,58 @@ def remove_turns(xyz, covariance, members, trusts, rays, views, start, shared):
     variances (c,) [px^2] of ``Shared`` and the steady turns (2 c,); others as for ``without_turns``.
     """
     shared_px2, field_px2, steady = shared
-    cameras = members.shape[1]
-    point = point_equations(cameras, 2)
+    n, cameras = members.shape
+    points = point_equations(n, cameras, 2)
     variance = turn_variances(shared_px2, turn_squares(rays, views, start))
     normal, right = np.zeros((2 * cameras, 2 * cameras)), np.zeros(2 * cameras)
-    # by the field's amplitudes: of each camera, on each axis, of each mode
-    by_field = np.zeros((2 * cameras, cameras, 2, MODES))
-    which, own_px2 = np.empty(cameras, np.int64), shared_px2 + field_px2
-    for k in range(len(xyz)):
+    by_field = np.zeros((cameras, 2, MODES, 2 * cameras))
+    which, own_px2, nothing = np.empty(cameras, np.int64), shared_px2 + field_px2, np.zeros(cameras)
+    for k in range(n):
         for c in range(cameras):
             certain = members[k, c] >= 0 and trusts[k, c] >= 1.0
             which[c] = start[c] + members[k, c] if certain else -1
-        if fill_equations(xyz[k], which, trusts[k], rays, views, own_px2, point)[0]:
-            add_equations(point, normal, right)
-            add_field(which, point, by_field)
+        if fill_equations(k, xyz[k], which, trusts[k], rays, views, own_px2, points):
+            add_equations(k, points, normal, right)
+            add_field(k, which, points, by_field)
     gain = field_as_noise(normal, right, by_field, field_px2, variance)
     turns, turn_rad2 = solved(normal, right, variance)
-    gain, nothing = product(turn_rad2, gain), np.zeros(cameras)
-    for k in range(len(xyz)):
-        doubtful = False
+    gain = product(turn_rad2, gain).T.copy()
+    for k in range(n):
+        certain = True
         for c in range(cameras):
             which[c] = start[c] + members[k, c] if members[k, c] >= 0 else -1
-            doubtful |= which[c] >= 0 and trusts[k, c] < 1.0
-        own, counted = (nothing, own_px2) if doubtful else (own_px2, nothing)
-        if fill_equations(xyz[k], which, trusts[k], rays, views, own, point)[0]:
-            field_covariance(which, point, by_field, field_px2, counted, gain)
-            _move(xyz[k], covariance[k], point, turns, steady, turn_rad2)
+            certain &= which[c] < 0 or trusts[k, c] >= 1.0
+        # the equations of certain points are those above
+        known = points.whole[k, 0, 0] > 0.0
+        if not certain:
+            known = fill_equations(k, xyz[k], which, trusts[k], rays, views, nothing, points)
+        if known:
+            field_covariance(k, which, points, by_field, field_px2, nothing if certain else own_px2, gain)
+            _move(k, xyz[k], covariance[k], points, turns, steady, turn_rad2)
     return turns
 
 
 @bare_step
-def _move(xyz, covariance, point, turns, steady, turn_rad2):
-    """Give a point its place (3,) and covariance (3, 3) from images without the turns."""
-    cameras, by_turns = len(point.push), point.crossed[0]
-    for q in range(3):
-        for k in range(2 * cameras):
-            by_turns[q, k] = 0.0
-            for d in range(cameras):
-                for j in range(2):
-                    by_turns[q, k] += turn_rad2[k, 2 * d + j] * point.held[d, q, j]
+def _move(n, xyz, covariance, points, turns, steady, turn_rad2):
+    """Give point n its place (3,) and covariance (3, 3) from images without the turns."""
+    cameras, by_turns, held = points.push.shape[1], points.crossed[0], points.held[n]
+    by_turns[:] = 0.0
+    for d in range(cameras):
+        for j in range(2):
+            for q in range(3):
+                for k in range(2 * cameras):
+                    by_turns[q, k] += turn_rad2[2 * d + j, k] * held[d, q, j]
     for p in range(3):
-        step_m = -point.pull[p]
+        step_m = -points.pull[n, p]
         for c in range(cameras):
             for i in range(2):
-                step_m -= point.held[c, p, i] * (turns[2 * c + i] - steady[2 * c + i])
+                step_m -= held[c, p, i] * (turns[2 * c + i] - steady[2 * c + i])
         xyz[p] += step_m
         for q in range(3):
-            change = point.inverse[p, q] - point.whole[p, q] + point.added[p, q]
+            change = points.inverse[n, p, q] - points.whole[n, p, q] + points.added[p, q]
             for c in range(cameras):
                 for i in range(2):
-                    change += point.held[c, p, i] * by_turns[q, 2 * c + i]
+                    change += held[c, p, i] * by_turns[q, 2 * c + i]
             covariance[p, q] += change
 
 
@@ -397,7 +417,7 @@ def share_likelihoods(rays, views, start, members, xyz, whole, extra_px2, shares
     cameras, unknowns = len(chosen), 2 + 2 * MODES
     split_px2, squares = extra_px2[chosen], turn_squares(rays, views, start)[chosen]
     seen, first, n = views[chosen], start[chosen], unknowns * cameras
-    point, found = point_equations(cameras, unknowns), np.zeros((len(own_shares), len(field_shares)))
+    point, found = point_equations(1, cameras, unknowns), np.zeros((len(own_shares), len(field_shares)))
     trusts, which, side, factor = np.ones(cameras), np.empty(cameras, np.int64), np.empty((n, 1)), np.empty((n, n))
     for m in range(len(own_shares)):
         normal, right, total = np.zeros((n, n)), np.zeros(n), 0.0
@@ -407,10 +427,9 @@ def share_likelihoods(rays, views, start, members, xyz, whole, extra_px2, shares
             for c in range(cameras):
                 member = members[k, chosen[c]]
                 which[c] = first[c] + member if member >= 0 else -1
-            known, error = fill_equations(xyz[k], which, trusts, rays, seen, (1.0 - own_shares[m]) * split_px2, point)
-            if known:
-                add_equations(point, normal, right)
-                total += error
+            if fill_equations(0, xyz[k], which, trusts, rays, seen, (1.0 - own_shares[m]) * split_px2, point):
+                add_equations(0, point, normal, right)
+                total += deviance_of(0, which, point)
         for f in range(len(field_shares)):
             common = max(1.0 - own_shares[m] - field_shares[f], 0.0)
             turn_rad2, error = turn_variances(common * split_px2, squares), total

@@ -42,11 +42,11 @@ def turn_sides(rays, views, members, xyz):
     """The right sides (2 c,) of the turns' equations, and their derivative by a field."""
     cameras = len(views)
     normal, right = np.zeros((2 * cameras, 2 * cameras)), np.zeros(2 * cameras)
-    by_field, equations = np.zeros((2 * cameras, cameras, 2, MODES)), point_equations(cameras, 2)
+    by_field, equations = np.zeros((cameras, 2, MODES, 2 * cameras)), point_equations(len(xyz), cameras, 2)
     for k in range(len(xyz)):
-        fill_equations(xyz[k], members[k], np.ones(cameras), rays, views, np.zeros(cameras), equations)
-        add_equations(equations, normal, right)
-        add_field(members[k], equations, by_field)
+        fill_equations(k, xyz[k], members[k], np.ones(cameras), rays, views, np.zeros(cameras), equations)
+        add_equations(k, equations, normal, right)
+        add_field(k, members[k], equations, by_field)
     return right, by_field
 
 
@@ -266,10 +266,10 @@ def test_covariances_are_those_of_the_points_answers_to_errors():
 
 def test_turns_are_the_best_linear_prediction_beside_a_field():
     rng, n = np.random.default_rng(8), 8
-    root, by_field = rng.normal(size=(n, n)), rng.normal(size=(n, 4, 2, MODES))
+    root, by_field = rng.normal(size=(n, n)), rng.normal(size=(4, 2, MODES, n))
     field, variance, right = rng.uniform(0.1, 2.0, 4), rng.uniform(0.5, 2.0, 4), rng.normal(size=n)
     data, prior = root @ root.T + np.eye(n), np.diag(np.repeat(variance, 2))
-    noise = data + np.einsum("ickm,jckm,c->ij", by_field, by_field, field)
+    noise = data + np.einsum("ckmi,ckmj,c->ij", by_field, by_field, field)
     # joint normal distribution of turns and right side
     gain = prior @ data @ np.linalg.inv(data @ prior @ data + noise)
     turns, covariance = turns_beside_field(np.tril(data), right.copy(), by_field, field, variance)
@@ -289,7 +289,7 @@ def test_derivatives_by_the_field_are_those_of_shifted_images():
         right, by_field = turn_sides(table.rays, table.views, members, found.xyz)
         sides.append(right)
     # residuals are predicted minus observed; the stereographic plane is not quite the image
-    wanted = -np.einsum("jckm,ckm->j", by_field, field)
+    wanted = -np.einsum("ckmj,ckm->j", by_field, field)
     np.testing.assert_allclose(sides[1] - sides[0], wanted, atol=0.05 * np.abs(wanted).max())
 
 
