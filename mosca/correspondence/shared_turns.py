@@ -176,9 +176,10 @@ def _add_image(n, c, out):
 
 @bare_step
 def fill_equations(n, point, members, trusts, rays, views, shared_px2, out):
-    """Fill the equations of point n, a ``point`` (3,) with the rays ``members`` (c,), -1: none; True if they solve it.
+    """Fill the equations of point n, at ``point`` (3,); return whether they determine it.
 
-    ``trusts`` (c,): how much each image counts; ``shared_px2`` (c,): part of the images' variances that is not theirs.
+    ``members`` (c,): its rays, -1 for none; ``trusts`` (c,): how much each image counts; ``shared_px2`` (c,): the part
+    of the images' variances that is not their own.
     """
     cameras, unknowns = out.push.shape[1], out.push.shape[2]
     inverse, pull, right = out.inverse[n], out.pull[n], out.right[n]
@@ -235,7 +236,7 @@ def deviance_of(n, members, equations):
 
 @bare_step
 def add_equations(n, points, normal, right):
-    """Add the equations of point n to those of the unknowns, the lower triangle of ``normal`` (w c, w c), ``right``."""
+    """Add the equations of point n to those of the unknowns, ``normal`` (w c, w c), lower triangle, and ``right``."""
     cameras, unknowns = points.push.shape[1], points.push.shape[2]
     for c in range(cameras):
         push, square, toward, pull = points.push[n, c], points.square[n, c], points.toward[n, c], points.pull[n]
