@@ -178,8 +178,8 @@ def _add_image(n, c, out):
 def fill_equations(n, point, members, trusts, rays, views, shared_px2, out):
     """Fill the equations of point n, at ``point`` (3,); return whether they determine it.
 
-    ``members`` (c,): its rays, -1 for none; ``trusts`` (c,): how much each image counts; ``shared_px2`` (c,): the part
-    of the images' variances that is not their own.
+    ``members`` (c,): its rays, -1 for none; ``trusts`` (c,): how much each image counts; ``shared_px2`` (c,): part of
+    the images' variances that is not their own.
     """
     cameras, unknowns = out.push.shape[1], out.push.shape[2]
     inverse, pull, right = out.inverse[n], out.pull[n], out.right[n]
