@@ -91,7 +91,7 @@ def terms(wxyz: Array) -> Array:
     """
     u = 2 * wxyz[:, 1:]
     g = np.sqrt(2 / (1 + np.sum(u * u, axis=1, keepdims=True))) * u
-    crossed = np.sqrt(2) * g * np.roll(g, -1, axis=1)
+    crossed = np.sqrt(2) * g * g.take((1, 2, 0), axis=1)
     return np.concatenate([g, g * g, crossed], axis=1)
 
 

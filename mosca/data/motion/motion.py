@@ -155,17 +155,16 @@ def angles_from_matrices(matrices: Array, order: str) -> Array:
 
 def multiply_quaternions(p: Array, q: Array) -> Array:
     """Return the Hamilton products p q (..., 4) wxyz: the rotation q followed by p in fixed axes."""
-    pw, px, py, pz = np.moveaxis(np.asarray(p), -1, 0)
-    qw, qx, qy, qz = np.moveaxis(np.asarray(q), -1, 0)
-    return np.stack(
-        [
-            pw * qw - px * qx - py * qy - pz * qz,
-            pw * qx + px * qw + py * qz - pz * qy,
-            pw * qy - px * qz + py * qw + pz * qx,
-            pw * qz + px * qy - py * qx + pz * qw,
-        ],
-        axis=-1,
-    )
+    p, q = np.asarray(p), np.asarray(q)
+    pw, px, py, pz = p[..., 0], p[..., 1], p[..., 2], p[..., 3]
+    qw, qx, qy, qz = q[..., 0], q[..., 1], q[..., 2], q[..., 3]
+    w = pw * qw - px * qx - py * qy - pz * qz
+    product = np.empty((*w.shape, 4))
+    product[..., 0] = w
+    product[..., 1] = pw * qx + px * qw + py * qz - pz * qy
+    product[..., 2] = pw * qy - px * qz + py * qw + pz * qx
+    product[..., 3] = pw * qz + px * qy - py * qx + pz * qw
+    return product
 
 
 def matrices_from_quaternions(wxyz: Array) -> Array:

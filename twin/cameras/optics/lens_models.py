@@ -15,6 +15,10 @@ from twin.cameras.optics.lens_vector import ENDS, OPENCV_PLANE, PRISM
 STEPS = 20
 BOUNDED_STEPS = 60
 CONVERGED2 = 1e-28
+SETTLED_MM2 = 1e-10
+"""Squared error [mm^2] after which one more step of Newton's method is the last. It leaves an error of second order,
+1e-12 mm for distortion that bends by 1 % a millimetre, and 1e-7 of the slopes. With 1e-16 a few pixels in a million
+differ by 1 DN."""
 
 
 @inlined_step
@@ -32,7 +36,7 @@ def project_collinearity(lens: Array, sx: float, sy: float) -> Any:
         if det <= 0.0 or a + d <= 0.0:
             break
         xb, yb = xb + (d * ex - b * ey) / det, yb + (a * ey - c * ex) / det
-        if ex * ex + ey * ey < 1e-16:  # [mm^2]; the step was of second order, 1e-15 mm or less are left
+        if ex * ex + ey * ey < SETTLED_MM2:
             ok = True
             break
     ok = ok and xb * xb + yb * yb < lens[ENDS]
