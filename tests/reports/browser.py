@@ -24,6 +24,14 @@ FLAGS = (
 PATIENCE_S = 60.0
 
 
+LEFT = ("Inspected target navigated or closed", "Execution context was destroyed", "Cannot find context")
+"""What the browser answers where the page was left while an expression was computed."""
+
+
+class PageLeftError(AssertionError):
+    """The page was left before it answered."""
+
+
 class BrowserPage:
     """One page; ``errors`` what its console complained of, ``requests`` every address that it asked for."""
 
@@ -42,6 +50,8 @@ class BrowserPage:
         while True:
             answer = json.loads(self._socket.recv(timeout=PATIENCE_S))
             if answer.get("id") == number:
+                if answer.get("error", {}).get("message", "").startswith(LEFT):
+                    raise PageLeftError(answer)
                 assert "error" not in answer, answer
                 return answer["result"]
             self._note(answer)
@@ -64,9 +74,12 @@ class BrowserPage:
         return answer["result"].get("value")
 
     def until(self, expression: str) -> None:
-        """Wait until an expression is true in the page."""
+        """Wait until an expression is true in the page, or in the one that follows it."""
         end = time.monotonic() + PATIENCE_S
-        while not self.js(expression):
+        while True:
+            with contextlib.suppress(PageLeftError):
+                if self.js(expression):
+                    return
             assert time.monotonic() < end, f"never true: {expression}; errors: {self.errors}"
             time.sleep(0.05)
 
