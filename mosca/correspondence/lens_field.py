@@ -46,8 +46,11 @@ def fill_modes(k, c, rays, views, out):
 
 
 @bare_step
-def _fill_answers(n, members, points):
-    """Fill ``points.answer`` of point n: how the point goes with an error of each image."""
+def fill_answers(n, members, points):
+    """Fill ``points.answer`` of point n: how the point goes with an error of each image.
+
+    ``points``: filled by ``mosca.correspondence.shared_turns.fill_equations``; ``members`` (c,): its rays, -1: none.
+    """
     inverse = points.inverse[n]
     for c in range(members.shape[0]):
         if members[c] < 0:
@@ -65,10 +68,10 @@ def _fill_answers(n, members, points):
 def add_field(n, members, points, by_field):
     """Add the part of point n to G': ``by_field`` (c, 2, MODES, 2 c), of each camera, on each axis, of each mode.
 
-    ``points``: filled by ``mosca.correspondence.shared_turns.fill_equations``; ``members`` (c,): its rays, -1: none.
+    ``points``, ``members``: as for ``fill_answers``, which is called.
     """
     cameras, changes = members.shape[0], points.crossed[0, 0]
-    _fill_answers(n, members, points)
+    fill_answers(n, members, points)
     for c in range(cameras):
         for i in range(2 if members[c] >= 0 else 0):
             answer, turn, weight = points.answer[n, c], points.turn[n, c], points.weight[n, c]
@@ -129,10 +132,10 @@ def field_covariance(n, members, points, by_field, field_px2, counted_px2, gain)
 
     A field shifts the point's own images and, through all points, the turns. Where they go together, the turns undo
     it. ``counted_px2`` (c,): variance of turns and field that the weights of the point's images count as their own,
-    which is taken off; ``gain`` (2 c, 2 c): M^-1 A (D^-1 + A M^-1 A)^-1; others as for ``add_field``.
+    which is taken off; ``gain`` (2 c, 2 c): M^-1 A (D^-1 + A M^-1 A)^-1; others as for ``add_field``,
+    after ``fill_answers``.
     """
     cameras, (by_images, by_turns), added = members.shape[0], points.crossed, points.added
-    _fill_answers(n, members, points)
     added[:] = 0.0
     points.crossed[:] = 0.0
     for c in range(cameras):

@@ -16,7 +16,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mosca.correspondence.circle_fit import pixel_by_direction
-from mosca.correspondence.lens_field import MODES, add_field, field_as_noise, field_covariance, fill_modes, product
+from mosca.correspondence.lens_field import (
+    MODES,
+    add_field,
+    field_as_noise,
+    field_covariance,
+    fill_answers,
+    fill_modes,
+    product,
+)
 from mosca.data.arrays import Array
 from mosca.data.rays import ROOT, ROTATION, SIGMA, RayTable
 from mosca.data.tracks import Points
@@ -356,10 +364,11 @@ def remove_turns(xyz, covariance, members, trusts, rays, views, start, shared):
         for c in range(cameras):
             which[c] = start[c] + members[k, c] if members[k, c] >= 0 else -1
             certain &= which[c] < 0 or trusts[k, c] >= 1.0
-        # the equations of certain points are those above
+        # the equations of certain points are those above: zero where images do not determine one
         known = points.whole[k, 0, 0] > 0.0
         if not certain:
             known = fill_equations(k, xyz[k], which, trusts[k], rays, views, nothing, points)
+            fill_answers(k, which, points)
         if known:
             field_covariance(k, which, points, by_field, field_px2, nothing if certain else own_px2, gain)
             _move(k, xyz[k], covariance[k], points, turns, steady, turn_rad2)
